@@ -1,0 +1,16 @@
+"""Array aliases and the function types in which discovering, storing and using distance meet."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+Points: TypeAlias = Float[np.ndarray, "n dim"]
+"""A batch of points (configurations) on the host, one a row."""
+
+Distances: TypeAlias = Float[np.ndarray, "n"]
+"""One distance a point, in workspace units; ``inf`` where the goal cannot be reached."""
+
+DistanceFn: TypeAlias = Callable[[Points], Distances]
+"""Distance to a goal for a batch of points; ``inf`` = unreachable or in an obstacle."""
