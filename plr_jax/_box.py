@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
+
+from plr_jax._types import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,9 @@ class Box:
     def __init__(self, lo: ArrayLike, hi: ArrayLike):
         lo, hi = _corner("lo", lo), _corner("hi", hi)
         if lo.shape != hi.shape:
-            raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
+            raise ValueError(
+                f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers."
+            )
         flat = np.flatnonzero(hi <= lo)
         if flat.size:
             axis = flat[0]

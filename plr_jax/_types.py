@@ -1,10 +1,13 @@
 """Array aliases and the function types in which discovering, storing and using distance meet."""
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
+
+ArrayLike: TypeAlias = Any
+"""Whatever ``numpy.asarray`` accepts; checked, with a clear error, where it comes in."""
 
 Points: TypeAlias = Float[np.ndarray, "n dim"]
 """A batch of points (configurations) on the host, one a row."""

@@ -9,7 +9,8 @@ def test_box_keeps_its_corners():
     assert box.dim == 2
     np.testing.assert_array_equal(box.width, [2.0, 4.0])
     np.testing.assert_array_equal(
-        box.contains(np.array([[0.0, 1.0], [2.0, 5.0], [2.1, 3.0], [np.nan, 3.0]])), [True, True, False, False]
+        box.contains(np.array([[0.0, 1.0], [2.0, 5.0], [2.1, 3.0], [np.nan, 3.0]])),
+        [True, True, False, False],
     )
 
 

@@ -1,0 +1,1 @@
+"""Room 2, store: piecewise linear regressions over a binary space partition."""

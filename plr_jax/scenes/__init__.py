@@ -1,0 +1,1 @@
+"""Named scenes, the scene file format, and readers of public map formats."""
