@@ -1,11 +1,15 @@
 """Vectorised 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from plr_jax._types import ArrayLike
 
@@ -143,6 +147,23 @@ def _sector_ends(vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2
     ends = np.empty(len(order), dtype=np.intp)
     ends[order] = other[successor]
     return ends[: len(edges)]
+
+
+def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
+    """Geometries in which vertices that differ by rounding are the same.
+
+    Args:
+        geometries: Shapely geometries.
+        tolerance: Vertices this near to one another become one of them.
+
+    Returns:
+        The geometries with the same number of vertices each.
+    """
+    points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
+    i, j = cKDTree(points).query_pairs(tolerance, output_type="ndarray").T
+    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
+    _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
+    return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
 def arc(

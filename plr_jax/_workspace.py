@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._box import Box
-from plr_jax._geometry import Boundary, arc, as_points, boundary_of, cross, left_normal
+from plr_jax._geometry import Boundary, arc, as_points, boundary_of, cross, left_normal, merge_vertices
 from plr_jax._types import ArrayLike
 
 _ARC_SEGMENTS = 8
@@ -54,9 +54,8 @@ class Workspace:
     def __init__(self, bounds: Box | ArrayLike, obstacles: Iterable[Any] = (), *, squeeze: bool = False):
         bounds = _as_bounds(bounds)
         polygons = tuple(_as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
-        grid = _grid(bounds)
-        region = shapely.box(*bounds.lo, *bounds.hi)
-        free = shapely.difference(region, shapely.union_all(polygons, grid_size=grid), grid_size=grid)
+        region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
+        free = shapely.difference(region, shapely.union_all(merged))
         _assign(self, bounds, polygons, squeeze, free)
 
     @classmethod
@@ -79,17 +78,20 @@ class Workspace:
             raise ValueError("Free space needs at least one component, got none.")
         x0, y0, x1, y1 = shapely.total_bounds(outers)
         bounds = Box((x0, y0), (x1, y1))
-        grid = _grid(bounds)
-        parts = []
-        for i, (outer, part) in enumerate(zip(outers, components, strict=True)):
-            holes = [_as_polygon(f"Hole {j} of component {i}", r) for j, r in enumerate(part.get("holes", ()))]
-            parts.append(shapely.difference(outer, shapely.union_all(holes, grid_size=grid), grid_size=grid))
-        return cls._from_free_space(bounds, shapely.union_all(parts, grid_size=grid), squeeze)
+        holes = [
+            [_as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(part.get("holes", ()))]
+            for i, part in enumerate(components)
+        ]
+        merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * _grid(bounds)))
+        outers = [next(merged) for _ in outers]
+        blocked = [shapely.union_all([next(merged) for _ in part]) for part in holes]
+        parts = shapely.difference(outers, blocked)
+        return cls._from_free_space(bounds, shapely.union_all(parts), squeeze)
 
     @classmethod
     def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
         workspace = object.__new__(cls)
-        blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free, grid_size=_grid(bounds))
+        blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)
         _assign(workspace, bounds, _polygons(blocked), squeeze, free)
         return workspace
 
@@ -101,7 +103,7 @@ class Workspace:
     @cached_property
     def boundary(self) -> Boundary:
         """The boundary of free space as vertices and edges, free space on the left of each edge."""
-        return boundary_of(self.free_space, 4 * _grid(self.bounds))
+        return boundary_of(self.free_space, 8 * _grid(self.bounds))
 
     @cached_property
     def _tolerant(self) -> Any:
@@ -229,9 +231,8 @@ class Workspace:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
-        grid = _grid(self.bounds)
-        grown = shapely.union_all(self._collars(radius), grid_size=grid)
-        free = shapely.difference(self.free_space, grown, grid_size=grid)
+        grown = shapely.union_all(self._collars(radius))
+        free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
         bounds = Box(self.bounds.lo + radius, self.bounds.hi - radius)
@@ -262,24 +263,25 @@ class Workspace:
         Returns:
             Free points, ``(n, 2)``.
         """
-        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space))
-        area = shapely.area(triangles)
-        corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
         rng = np.random.default_rng(seed)
-        chosen = corners[rng.choice(len(area), size=n, p=area / area.sum())]
-        # A point of the unit square, folded onto its lower triangle, is uniform there.
-        u, v = rng.random((2, n, 1))
-        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-        return chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0])
+        x0, y0, x1, y1 = self.free_space.bounds
+        share = self.free_space.area / ((x1 - x0) * (y1 - y0))
+        points = np.empty((0, 2))
+        while len(points) < n:
+            tries = 16 + int(1.1 * (n - len(points)) / share)
+            x = rng.uniform((x0, y0), (x1, y1), (min(tries, 1 << 20), 2))
+            points = np.concatenate([points, x[shapely.intersects_xy(self.free_space, x[:, 0], x[:, 1])]])
+        return points[:n]
 
 
 def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
-    parts = _polygons(free)
+    # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
+    parts = _polygons(shapely.set_precision(free, _grid(bounds)))
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
-    region = shapely.simplify(region, _grid(bounds))
+    region = shapely.simplify(region, 4 * _grid(bounds))
     shapely.prepare(region)
     for name, value in (
         ("bounds", bounds),
@@ -292,7 +294,8 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
 
 def _grid(bounds: Box) -> float:
     """A power of two near 1e-12 of the extent, so that integers and dyadic fractions are not rounded."""
-    return float(2.0 ** np.ceil(np.log2(1e-12 * bounds.width.max())))
+    rounding = 1e-15 * max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max())
+    return float(2.0 ** np.ceil(np.log2(max(1e-12 * bounds.width.max(), rounding))))
 
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
