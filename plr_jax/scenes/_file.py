@@ -1,0 +1,169 @@
+"""The scene file: a problem as JSON.
+
+Version 1 is one object with these keys; coordinates are in workspace units::
+
+    "format":     "plr_jax scene"
+    "version":    1
+    "workspace":  {"bounds": [[x0, y0], [x1, y1]],
+                   "squeeze": whether paths may pass between obstacles that touch in one point,
+                   "free_space": [{"outer": ring, "holes": [ring, ...]}, ...]}
+    "robots":     [{"shape": "point"}, ...]
+    "starts":     [[x, y], ...]     one configuration a robot
+    "goals":      [[x, y], ...]
+
+A ring is a list of ``[x, y]`` points that does not repeat its first one. Numbers are written with as many
+digits as it takes to read the same float64 back.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from plr_jax._problem import Problem
+from plr_jax._robot import PointRobot, Robot
+from plr_jax._workspace import Workspace
+from plr_jax.scenes._polygons import read_json
+
+_FORMAT = "plr_jax scene"
+_VERSION = 1
+_KEYS = ("workspace", "robots", "starts", "goals")
+
+
+def save(problem: Problem, path: str | os.PathLike[str]) -> None:
+    """Write a problem as a scene file.
+
+    The file appears whole or not at all: an interrupted save leaves an older file as it was.
+
+    Args:
+        problem: The problem.
+        path: Where; usually ends in ``.json``.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    scene = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "workspace": _workspace_entry(problem.workspace),
+        "robots": [{"shape": "point"} for _ in problem.robots],
+        "starts": problem.starts.tolist(),
+        "goals": problem.goals.tolist(),
+    }
+    _write_atomically(Path(path), json.dumps(scene, indent=1) + "\n")
+
+
+def load(path: str | os.PathLike[str]) -> Problem:
+    """Read a scene file.
+
+    Args:
+        path: A file that :func:`save` wrote, or one made by hand after the module's description.
+
+    Returns:
+        The problem: its free space, starts and goals equal the saved ones exactly.
+
+    Raises:
+        ValueError: If the file is no scene, is damaged, was written by a newer version, or describes an
+            impossible problem.
+        OSError: If the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        scene = read_json(path)
+        _check_header(scene)
+        robots = [_robot(i, entry) for i, entry in enumerate(scene["robots"])]
+        return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def is_scene(path: str | os.PathLike[str]) -> bool:
+    """Whether a JSON file says that it is a scene file, of whatever version.
+
+    Args:
+        path: The file.
+
+    Returns:
+        False for files that are no JSON, too.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    try:
+        scene = read_json(Path(path))
+    except ValueError:
+        return False
+    return isinstance(scene, dict) and scene.get("format") == _FORMAT
+
+
+def _check_header(scene: Any) -> None:
+    if not isinstance(scene, dict) or scene.get("format") != _FORMAT:
+        raise ValueError(f'expected a scene file, with "format": "{_FORMAT}".')
+    version = scene.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"expected a version number of at least 1, got {version!r}.")
+    if version > _VERSION:
+        raise ValueError(
+            f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax."
+        )
+    missing = [key for key in _KEYS if key not in scene]
+    if missing:
+        raise ValueError(f"expected the keys {', '.join(_KEYS)}; missing {', '.join(missing)}.")
+    if not isinstance(scene["robots"], list):
+        raise ValueError(f'expected "robots" to be a list, got {scene["robots"]!r}.')
+
+
+def _robot(i: int, entry: Any) -> Robot:
+    if entry != {"shape": "point"}:
+        raise ValueError(f'expected robot {i} to be {{"shape": "point"}}, got {entry!r}.')
+    return PointRobot()
+
+
+def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
+    # A normal form, so that one region has one text.
+    polygons = shapely.get_parts(shapely.normalize(workspace.free_space))
+    return {
+        "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
+        "squeeze": workspace.squeeze,
+        "free_space": [
+            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
+            for polygon in polygons
+        ],
+    }
+
+
+def _ring(ring: shapely.LinearRing) -> list[list[float]]:
+    return shapely.get_coordinates(ring)[:-1].tolist()
+
+
+def _workspace(entry: Any) -> Workspace:
+    keys = ("bounds", "free_space", "squeeze")
+    if not isinstance(entry, dict) or any(key not in entry for key in keys):
+        raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {entry!r:.80}.')
+    if not isinstance(entry["squeeze"], bool):
+        raise ValueError(f'expected "squeeze" to be true or false, got {entry["squeeze"]!r}.')
+    free = Workspace.from_polygons(entry["free_space"], squeeze=entry["squeeze"])
+    bounds = Workspace(entry["bounds"]).bounds
+    if free.bounds == bounds:
+        return free
+    if not bounds.contains(np.stack([free.bounds.lo, free.bounds.hi])).all():
+        raise ValueError(f"expected the free space to lie in the bounds {bounds}, it reaches {free.bounds}.")
+    # Blocked margins: the bounds are wider than the free space.
+    blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free.free_space)
+    return Workspace(bounds, shapely.get_parts(blocked), squeeze=entry["squeeze"])
+
+
+def _write_atomically(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("x", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
