@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from plr_jax._robot import PointRobot, Robot
@@ -67,16 +68,15 @@ def _configurations(name: str, value: ArrayLike, num_robots: int) -> Float[np.nd
 
 
 def _require_free(name: str, configurations: Float[np.ndarray, "robots dof"], workspace: Workspace) -> None:
-    inside = workspace.bounds.contains(configurations)
-    free = workspace.is_free(configurations)
-    verb = {"starts": "starts", "goals": "has its goal"}[name]
-    for i, q in enumerate(configurations):
-        if not inside[i]:
-            raise ValueError(
-                f"Robot {i} {verb} outside the bounds: {q.tolist()} is not in {workspace.bounds}."
-            )
-        if not free[i]:
-            clearance = float(workspace.clearance(configurations[i : i + 1])[0])
-            raise ValueError(
-                f"Robot {i} {verb} in collision with an obstacle at {q.tolist()} (clearance {clearance:.3g})."
-            )
+    stuck = np.flatnonzero(~workspace.is_free(configurations))
+    if stuck.size == 0:
+        return
+    i = stuck[0]
+    q, verb = configurations[i], {"starts": "starts", "goals": "has its goal"}[name]
+    if not workspace.bounds.contains(q[None])[0]:
+        raise ValueError(f"Robot {i} {verb} outside the bounds: {q.tolist()} is not in {workspace.bounds}.")
+    obstacle = int(shapely.STRtree(workspace.obstacles).nearest(shapely.Point(q)))
+    clearance = workspace.clearance(q[None])[0]
+    raise ValueError(
+        f"Robot {i} {verb} in collision with obstacle {obstacle} at {q.tolist()} (clearance {clearance:.3g})."
+    )

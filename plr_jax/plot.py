@@ -69,7 +69,7 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
     """
     ax = ax or _new_axes(workspace.bounds, room_for_colorbar=False)
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    blocked = shapely.difference(bounds, workspace.free_space)
+    blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
     for polygon in shapely.get_parts(blocked):
         if polygon.geom_type == "Polygon":
             ax.add_patch(

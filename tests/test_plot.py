@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.patches import PathPatch
-from plr_jax._workspace import Workspace
 
 from plr_jax import plot
 from plr_jax._box import Box
+from plr_jax._workspace import Workspace
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WORKSPACE = Workspace(

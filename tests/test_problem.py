@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from plr_jax._workspace import Workspace
 
 from plr_jax._problem import Problem
 from plr_jax._robot import PointRobot
+from plr_jax._workspace import Workspace
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]
 ROOM = Workspace(((0, 0), (1, 1)), [WALL])
@@ -35,10 +35,18 @@ def test_boundaries_are_free():
 @pytest.mark.parametrize(
     ("starts", "goals", "message"),
     [
-        ([(0.43, 0.5)], [(0.9, 0.1)], r"Robot 0 starts in collision .*\[0.43, 0.5\] \(clearance -0.03\)"),
-        ([(0.1, 0.1)], [(0.5, 0.7)], r"Robot 0 has its goal in collision .*\(clearance -0.1\)"),
+        (
+            [(0.43, 0.5)],
+            [(0.9, 0.1)],
+            r"Robot 0 starts in collision with obstacle 0 at \[0.43, 0.5\] \(clearance -0.03\)",
+        ),
+        (
+            [(0.1, 0.1)],
+            [(0.5, 0.7)],
+            r"Robot 0 has its goal in collision with obstacle 0 at .*\(clearance -0.1\)",
+        ),
         ([(0.1, 1.5)], [(0.9, 0.1)], r"Robot 0 starts outside the bounds: \[0.1, 1.5\]"),
-        ([(0.1, 0.1)], [(-1e-9, 0.1)], "Robot 0 has its goal outside the bounds"),
+        ([(0.1, 0.1)], [(-1e-6, 0.1)], "Robot 0 has its goal outside the bounds"),
         ([(0.1, np.nan)], [(0.9, 0.1)], "starts must be finite.*robot 0"),
         ([(0.1, 0.1)], [(np.inf, 0.1)], "goals must be finite.*robot 0"),
         ((0.1, 0.1), [(0.9, 0.1)], r"starts must have shape \(robots, dof\) = \(1, 2\), got \(2,\)"),

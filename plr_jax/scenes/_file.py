@@ -6,12 +6,12 @@ Version 1 is one object with these keys; coordinates are in workspace units::
     "version":    1
     "workspace":  {"bounds": [[x0, y0], [x1, y1]],
                    "squeeze": whether paths may pass between obstacles that touch in one point,
-                   "free_space": [{"outer": ring, "holes": [ring, ...]}, ...]}
+                   "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
     "robots":     [{"shape": "point"}, ...]
     "starts":     [[x, y], ...]     one configuration a robot
     "goals":      [[x, y], ...]
 
-A ring is a list of ``[x, y]`` points that does not repeat its first one. Numbers are written with as many
+Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a list of ``[x, y]`` points that does not repeat its first one. Numbers are written with as many
 digits as it takes to read the same float64 back.
 """
 
@@ -20,7 +20,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import shapely
 
 from plr_jax._problem import Problem
@@ -63,7 +62,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         path: A file that :func:`save` wrote, or one made by hand after the module's description.
 
     Returns:
-        The problem: its free space, starts and goals equal the saved ones exactly.
+        The problem: its bounds, obstacles, starts and goals equal the saved ones exactly.
 
     Raises:
         ValueError: If the file is no scene, is damaged, was written by a newer version, or describes an
@@ -123,14 +122,12 @@ def _robot(i: int, entry: Any) -> Robot:
 
 
 def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
-    # A normal form, so that one region has one text.
-    polygons = shapely.get_parts(shapely.normalize(workspace.free_space))
     return {
         "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
         "squeeze": workspace.squeeze,
-        "free_space": [
+        "obstacles": [
             {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
-            for polygon in polygons
+            for polygon in shapely.get_parts(workspace.obstacles)
         ],
     }
 
@@ -140,20 +137,27 @@ def _ring(ring: shapely.LinearRing) -> list[list[float]]:
 
 
 def _workspace(entry: Any) -> Workspace:
-    keys = ("bounds", "free_space", "squeeze")
+    keys = ("bounds", "obstacles", "squeeze")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {entry!r:.80}.')
     if not isinstance(entry["squeeze"], bool):
         raise ValueError(f'expected "squeeze" to be true or false, got {entry["squeeze"]!r}.')
-    free = Workspace.from_polygons(entry["free_space"], squeeze=entry["squeeze"])
-    bounds = Workspace(entry["bounds"]).bounds
-    if free.bounds == bounds:
-        return free
-    if not bounds.contains(np.stack([free.bounds.lo, free.bounds.hi])).all():
-        raise ValueError(f"expected the free space to lie in the bounds {bounds}, it reaches {free.bounds}.")
-    # Blocked margins: the bounds are wider than the free space.
-    blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free.free_space)
-    return Workspace(bounds, shapely.get_parts(blocked), squeeze=entry["squeeze"])
+    if not isinstance(entry["obstacles"], list):
+        raise ValueError(f'expected "obstacles" to be a list, got {entry["obstacles"]!r:.80}.')
+    obstacles = [_obstacle(i, obstacle) for i, obstacle in enumerate(entry["obstacles"])]
+    return Workspace(entry["bounds"], obstacles, squeeze=entry["squeeze"])
+
+
+def _obstacle(i: int, entry: Any) -> shapely.Polygon | list[Any]:
+    """A ring, whose faults the workspace explains, or a polygon where there are holes."""
+    if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
+        raise ValueError(f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}.')
+    if not entry.get("holes"):
+        return entry["outer"]
+    try:
+        return shapely.Polygon(entry["outer"], entry["holes"])
+    except (TypeError, ValueError, shapely.errors.ShapelyError) as error:
+        raise ValueError(f"a ring of obstacle {i} is no list of at least three points ({error}).") from None
 
 
 def _write_atomically(path: Path, text: str) -> None:
