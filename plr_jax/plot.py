@@ -6,7 +6,7 @@ an opaque white page with dark ink, which stays legible when the picture is set 
 perceptually uniform color maps that color-blind readers can read.
 """
 
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import shapely
@@ -38,15 +38,14 @@ _PANEL = 4.2  # inches along the longer side of the plotted box
 _DPI = 200
 
 
+@runtime_checkable
 class _Partition(Protocol):
     """What a picture needs of a PLR."""
 
     @property
     def domain(self) -> Box: ...
     @property
-    def leaf_lo(self) -> ArrayLike: ...
-    @property
-    def leaf_hi(self) -> ArrayLike: ...
+    def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
     @property
     def slope(self) -> ArrayLike: ...
     @property
@@ -54,7 +53,7 @@ class _Partition(Protocol):
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
-Corners: TypeAlias = Float[np.ndarray, "corners 2"]
+Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
@@ -238,7 +237,7 @@ def plot_surface(plr: _Partition, ax: Axes3D | None = None, *, workspace: Worksp
     return ax
 
 
-def _plane_pieces(plr: _Partition, workspace: Workspace | None) -> list[Float[np.ndarray, "corners 3"]]:
+def _plane_pieces(plr: _Partition, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Every leaf's plane over the leaf (or over the free part of it), as polygons in space."""
     slope, intercept = np.asarray(plr.slope, dtype=np.float64), np.asarray(plr.intercept, dtype=np.float64)
     pieces = []
@@ -261,7 +260,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
 
 
 def _cell_corners(plr: _Partition) -> Float[np.ndarray, "leaves 4 2"]:
-    lo, hi = np.asarray(plr.leaf_lo, dtype=np.float64), np.asarray(plr.leaf_hi, dtype=np.float64)
+    lo, hi = plr.leaf_boxes
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
     y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
     return np.stack([x, y], axis=-1)

@@ -24,8 +24,10 @@ class ThreeCells:
     """Distance x + 2y on the left half, 3 on the lower right quarter, none on the upper right one."""
 
     domain: Box = field(default_factory=lambda: Box((0, 0), (2, 1)))
-    leaf_lo: np.ndarray = field(default_factory=lambda: np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]]))
-    leaf_hi: np.ndarray = field(default_factory=lambda: np.array([[1.0, 1.0], [2.0, 0.5], [2.0, 1.0]]))
+    leaf_boxes = (
+        np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]]),
+        np.array([[1.0, 1.0], [2.0, 0.5], [2.0, 1.0]]),
+    )
     slope: np.ndarray = field(default_factory=lambda: np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
     intercept: np.ndarray = field(default_factory=lambda: np.array([0.0, 3.0, np.inf]))
 

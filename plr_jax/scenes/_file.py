@@ -11,8 +11,8 @@ Version 1 is one object with these keys; coordinates are in workspace units::
     "starts":     [[x, y], ...]     one configuration a robot
     "goals":      [[x, y], ...]
 
-Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a list of ``[x, y]`` points that does not repeat its first one. Numbers are written with as many
-digits as it takes to read the same float64 back.
+Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a list of ``[x, y]``
+points. Numbers are written with as many digits as it takes to read the same float64 back.
 """
 
 import json
@@ -148,7 +148,7 @@ def _workspace(entry: Any) -> Workspace:
     return Workspace(entry["bounds"], obstacles, squeeze=entry["squeeze"])
 
 
-def _obstacle(i: int, entry: Any) -> shapely.Polygon | list[Any]:
+def _obstacle(i: int, entry: Any) -> Any:
     """A ring, whose faults the workspace explains, or a polygon where there are holes."""
     if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
         raise ValueError(f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}.')

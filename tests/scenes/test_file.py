@@ -3,11 +3,11 @@ import json
 import numpy as np
 import pytest
 import shapely
-from plr_jax._workspace import Workspace
 
 from plr_jax import scenes
 from plr_jax._problem import Problem
 from plr_jax._robot import PointRobot
+from plr_jax._workspace import Workspace
 
 POINT = [PointRobot()]
 
@@ -55,6 +55,10 @@ def test_a_problem_survives_the_file_exactly(make, tmp_path):
     assert again.robots == problem.robots
     assert again.workspace.bounds == problem.workspace.bounds
     assert again.workspace.squeeze == problem.workspace.squeeze
+    saved = shapely.get_parts(problem.workspace.obstacles)
+    np.testing.assert_array_equal(
+        shapely.get_coordinates(again.workspace.obstacles), shapely.get_coordinates(saved)
+    )
     assert shapely.equals_exact(
         shapely.normalize(again.workspace.free_space), shapely.normalize(problem.workspace.free_space), 0.0
     )
@@ -89,7 +93,10 @@ def scene_dict(**changes):
         "workspace": {
             "bounds": [[0, 0], [1, 1]],
             "squeeze": False,
-            "free_space": [{"outer": box(0, 0, 1, 1), "holes": []}],
+            "obstacles": [
+                {"outer": box(0.2, 0.2, 0.4, 0.4)},
+                {"outer": box(0.5, 0.5, 0.8, 0.8), "holes": [box(0.6, 0.6, 0.7, 0.7)]},
+            ],
         },
         "robots": [{"shape": "point"}],
         "starts": [[0.1, 0.1]],
@@ -101,7 +108,7 @@ def scene_dict(**changes):
 def test_a_scene_made_by_hand_loads(tmp_path):
     path = tmp_path / "hand.json"
     path.write_text(json.dumps(scene_dict()))
-    assert scenes.load(path).workspace.free_space.area == 1.0
+    assert scenes.load(path).workspace.free_space.area == pytest.approx(1 - 0.04 - 0.09 + 0.01)
     assert scenes.is_scene(path)
 
 
@@ -112,6 +119,11 @@ def without(key):
 
 
 WORKSPACE = scene_dict()["workspace"]
+SQUARE = box(0.2, 0.2, 0.4, 0.4)
+
+
+def with_obstacles(obstacles):
+    return scene_dict(workspace={**WORKSPACE, "obstacles": obstacles})
 
 
 @pytest.mark.parametrize(
@@ -128,14 +140,16 @@ WORKSPACE = scene_dict()["workspace"]
         (scene_dict(goals=[["a", 2.0]]), "goals must be numbers"),
         (scene_dict(workspace={}), '"workspace" to have the keys'),
         (scene_dict(workspace={**WORKSPACE, "squeeze": 1}), '"squeeze" to be true or false'),
-        (
-            scene_dict(workspace={**WORKSPACE, "bounds": [[0, 0], [1, 0.5]]}),
-            "free space to lie in the bounds",
-        ),
-        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "."),
-        (scene_dict(workspace={**WORKSPACE, "free_space": 3}), "."),
-        (scene_dict(workspace={**WORKSPACE, "free_space": [3]}), "."),
-        (scene_dict(workspace={**WORKSPACE, "free_space": [{"outer": [[0, 0], [1, 1]]}]}), "."),
+        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "Bounds must be"),
+        (scene_dict(workspace={**WORKSPACE, "bounds": [[0, 0], [0, 1]]}), "positive width"),
+        (with_obstacles(3), '"obstacles" to be a list'),
+        (with_obstacles([3]), "expected obstacle 0 to be"),
+        (with_obstacles([{"holes": []}]), "expected obstacle 0 to be"),
+        (with_obstacles([{"outer": [[0, 0], [1, 1]]}]), "Obstacle 0 has 2 distinct vertices"),
+        (with_obstacles([{"outer": "ring"}]), "Obstacle 0"),
+        (with_obstacles([{"outer": SQUARE, "holes": [3]}]), "a ring of obstacle 0"),
+        (with_obstacles([{"outer": SQUARE, "holes": [[[0, 0]]]}]), "a ring of obstacle 0"),
+        (with_obstacles([{"outer": SQUARE, "holes": [[["a", 0], [0, 1], [1, 1]]]}]), "a ring of obstacle 0"),
     ],
 )
 def test_broken_scenes_are_refused_by_name_and_reason(scene, message, tmp_path):

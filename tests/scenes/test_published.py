@@ -20,7 +20,7 @@ def test_start_goal_and_bounds(scene):
 def test_maze_walls_by_area_and_by_points():
     workspace = scenes.maze().workspace
     # 0.71 + 0.73 + 0.63 + 0.36 + 0.13 + 0.21 of wall, 0.04 thick, nowhere overlapping.
-    assert workspace.free_space.area == pytest.approx(1 - 0.04 * 2.77, abs=1e-12)
+    assert workspace.free_space.area == pytest.approx(1 - 0.04 * 2.77, abs=1e-9)
     blocked = [(0.3, 0.21), (0.6, 0.45), (0.3, 0.7), (0.81, 0.6), (0.43, 0.3), (0.21, 0.9)]
     free = [(0.72, 0.21), (0.26, 0.45), (0.64, 0.7), (0.81, 0.84), (0.43, 0.37), (0.21, 0.78)]
     assert not workspace.is_free(np.array(blocked)).any()
