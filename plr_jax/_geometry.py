@@ -45,9 +45,7 @@ def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2
     return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
 
 
-def pseudo_angle(
-    dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]
-) -> Float[np.ndarray, "*batch"]:
+def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
     """A number in [0, 4] that grows with the direction's angle in [0, 2 pi], at the cost of a division.
 
     It turns at between half and the full rate of the angle. The zero vector gives 0.

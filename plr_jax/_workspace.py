@@ -82,9 +82,7 @@ class Workspace:
         grid = _grid(bounds)
         parts = []
         for i, (outer, part) in enumerate(zip(outers, components, strict=True)):
-            holes = [
-                _as_polygon(f"Hole {j} of component {i}", r) for j, r in enumerate(part.get("holes", ()))
-            ]
+            holes = [_as_polygon(f"Hole {j} of component {i}", r) for j, r in enumerate(part.get("holes", ()))]
             parts.append(shapely.difference(outer, shapely.union_all(holes, grid_size=grid), grid_size=grid))
         return cls._from_free_space(bounds, shapely.union_all(parts, grid_size=grid), squeeze)
 

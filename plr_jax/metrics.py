@@ -157,9 +157,7 @@ def _free_points(workspace: Workspace, resolution: int, num_random: int, seed: i
 def _answers(name: str, function: Callable[[ArrayLike], ArrayLike], points: Points) -> Distances:
     answers = np.asarray(function(points), dtype=np.float64)
     if answers.shape != (len(points),):
-        raise ValueError(
-            f"The {name} must give one number a point, shape ({len(points)},), got {answers.shape}."
-        )
+        raise ValueError(f"The {name} must give one number a point, shape ({len(points)},), got {answers.shape}.")
     return answers
 
 

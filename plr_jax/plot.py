@@ -1,11 +1,12 @@
 """Pictures of piecewise linear regressions, their errors, and workspaces.
 
-Every function draws on the axes it is given, or on a new figure of its own, and returns the axes; save with
-``ax.figure.savefig("picture.png")``. Figures are made without pyplot, so no global state changes. They have
+Every function draws on the axes it is given, or on a new figure of its own, and returns the axes; :func:`save`
+writes the picture. Figures are made without pyplot, so no global state changes. They have
 an opaque white page with dark ink, which stays legible when the picture is set into a dark page, and use
 perceptually uniform color maps that color-blind readers can read.
 """
 
+import os
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -71,9 +72,7 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
     blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
     for polygon in shapely.get_parts(blocked):
         if polygon.geom_type == "Polygon":
-            ax.add_patch(
-                PathPatch(_outline(polygon), facecolor=_OBSTACLE, edgecolor=_INK, linewidth=0.7, zorder=3)
-            )
+            ax.add_patch(PathPatch(_outline(polygon), facecolor=_OBSTACLE, edgecolor=_INK, linewidth=0.7, zorder=3))
     return ax
 
 
@@ -224,9 +223,7 @@ def plot_surface(plr: _Partition, ax: Axes3D | None = None, *, workspace: Worksp
     colors = ScalarMappable(Normalize(min(0.0, heights.min()), heights.max()), _DISTANCE_COLORS)
     ax = ax or _new_axes_3d(plr.domain)
     ax.add_collection3d(
-        Poly3DCollection(
-            pieces, facecolors=colors.to_rgba(heights), edgecolors=(0, 0, 0, 0.45), linewidths=0.3
-        )
+        Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=(0, 0, 0, 0.45), linewidths=0.3)
     )
     top = max(piece[:, 2].max() for piece in pieces)
     ax.set_xlim(plr.domain.lo[0], plr.domain.hi[0])
@@ -235,6 +232,20 @@ def plot_surface(plr: _Partition, ax: Axes3D | None = None, *, workspace: Worksp
     bar = ax.figure.colorbar(colors, cax=ax.figure.add_axes((0.86, 0.2, 0.025, 0.6)))
     _style_colorbar(bar, _DISTANCE_LABEL)
     return ax
+
+
+def save(ax: Axes, path: str | os.PathLike[str]) -> None:
+    """Write the picture that axes belong to.
+
+    Args:
+        ax: Any axes of the picture.
+        path: The file; its ending says how: ``.png``, ``.pdf``, ``.svg`` and what else Matplotlib knows.
+
+    Raises:
+        ValueError: If the ending is none that Matplotlib knows.
+        OSError: If the file cannot be written.
+    """
+    ax.figure.canvas.figure.savefig(path)
 
 
 def _plane_pieces(plr: _Partition, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
@@ -297,9 +308,9 @@ def _new_axes(box: Box, *, room_for_colorbar: bool = True) -> Axes:
 
 def _new_axes_3d(box: Box) -> Axes3D:
     figure = Figure(figsize=(6.2, 4.6), dpi=_DPI, facecolor="white")
-    ax = figure.add_axes((0.05, 0.05, 0.72, 0.92), projection="3d")
+    ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
-    ax.set_box_aspect((*(box.width / box.width.max()), 0.7), zoom=0.95)
+    ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
     ax.view_init(elev=32, azim=-125)
     _style(ax)
     ax.set_xlabel("x (workspace units)")

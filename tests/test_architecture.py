@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-LAYER_0 = ["_types", "_box", "_geometry", "_workspace", "_robot", "_problem", "_graph"]
+LAYER_0 = ["_types", "_atomic", "_box", "_geometry", "_workspace", "_robot", "_problem", "_graph"]
 ROOMS = ["oracles", "plr", "planners"]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 

@@ -78,9 +78,7 @@ def test_build_explains_mistakes(tmp_path):
     (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
     out = ("-o", tmp_path / "out.plr")
     assert "must be a scene (maze, thin_maze) or a file" in mistake("build", "mace", *out)
-    assert "none.map: No such file or directory" in mistake(
-        "build", tmp_path / "none.map", "--goal", "1,1", *out
-    )
+    assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
     assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
     assert "--goal must be two numbers X,Y" in mistake("build", "maze", "--goal", "1;2", *out)
     assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
@@ -95,9 +93,7 @@ def test_query_prints_what_the_plr_answers(maze, tmp_path):
     (tmp_path / "points.csv").write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in points.tolist()))
     result = run("query", maze, tmp_path / "points.csv")
     assert result.exit_code == 0, result.output
-    np.testing.assert_allclose(
-        [float(line) for line in result.stdout.splitlines()], load(maze)(points), rtol=1e-8
-    )
+    np.testing.assert_allclose([float(line) for line in result.stdout.splitlines()], load(maze)(points), rtol=1e-8)
 
 
 def test_query_reads_standard_input_and_prints_gradients(maze):
@@ -237,9 +233,7 @@ def test_broken_points_are_refused_by_line(text, message):
 
 def test_a_scene_of_two_robots_leaves_the_goal_to_the_user(tmp_path):
     problem = scenes.maze()
-    double = type(problem)(
-        problem.workspace, problem.robots * 2, [problem.starts[0]] * 2, [problem.goals[0]] * 2
-    )
+    double = type(problem)(problem.workspace, problem.robots * 2, [problem.starts[0]] * 2, [problem.goals[0]] * 2)
     scenes.save(double, tmp_path / "two.json")
     workspace, goal = read_map(str(tmp_path / "two.json"))
     assert goal is None

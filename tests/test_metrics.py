@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plr_jax._workspace import Workspace
 
 from plr_jax import metrics
 from plr_jax._box import Box
+from plr_jax._workspace import Workspace
 
 OPEN = Workspace(((0, 0), (2, 1)))
 # The right half is closed off.

@@ -72,9 +72,7 @@ def test_obstacles_cover_the_blocked_region_and_only_that():
     assert len(patches) == 2
     blocked = np.array([(1.0, 0.2), (0.45, 0.45)])
     free = np.array([(0.5, 0.2), (1.0, 0.7), (1.5, 0.5)])
-    covered = np.any(
-        [patch.get_path().contains_points(np.vstack([blocked, free])) for patch in patches], axis=0
-    )
+    covered = np.any([patch.get_path().contains_points(np.vstack([blocked, free])) for patch in patches], axis=0)
     np.testing.assert_array_equal(covered, [True, True, False, False, False])
 
 
@@ -95,9 +93,7 @@ def test_error_picture_shows_the_errors_and_marks_missing_answers():
     ax = plot.plot_error(errors, WORKSPACE)
     image, unanswered = ax.images
     np.testing.assert_array_equal(image.get_array().mask, ~np.isfinite(errors))
-    np.testing.assert_array_equal(
-        image.get_array().filled(9.0)[np.isfinite(errors)], errors[np.isfinite(errors)]
-    )
+    np.testing.assert_array_equal(image.get_array().filled(9.0)[np.isfinite(errors)], errors[np.isfinite(errors)])
     assert image.get_clim() == (0.0, 0.3)
     np.testing.assert_array_equal(unanswered.get_array().mask, ~np.isposinf(errors))
     assert "max 0.3, mean 0.12" in texts(ax)
@@ -171,7 +167,7 @@ def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(tmp_path):
 
     for name, ax in all_pictures().items():
         path = tmp_path / f"{name}.png"
-        ax.figure.savefig(path)
+        plot.save(ax, path)
         pixels = imread(path)
         assert pixels.shape[2] == 3 or (pixels[..., 3] == 1.0).all()
         assert (pixels[0, 0, :3] == 1.0).all()
@@ -180,7 +176,7 @@ def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(tmp_path):
 
 def test_nothing_is_cut_off_at_the_edge_of_the_picture(tmp_path):
     for name, ax in all_pictures().items():
-        ax.figure.savefig(tmp_path / "picture.png")
+        plot.save(ax, tmp_path / "picture.png")
         page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
         assert content.x0 >= page.x0 and content.y0 >= page.y0, name
         assert content.x1 <= page.x1 and content.y1 <= page.y1, name

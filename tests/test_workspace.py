@@ -39,9 +39,7 @@ def test_free_space_is_closed():
 
 
 def test_clearance_is_signed_and_measured_to_walls_and_bounds():
-    x = np.array(
-        [[1, 5], [5, 2], [5, 7], [4, 5], [5, 4], [3, 4], [0, 5], [-2, 5], [13, 14], [2, 2], [9, 9.5]]
-    )
+    x = np.array([[1, 5], [5, 2], [5, 7], [4, 5], [5, 4], [3, 4], [0, 5], [-2, 5], [13, 14], [2, 2], [9, 9.5]])
     expected = [1, 1, 1, -1, -1, 0, 0, -2, -5, math.sqrt(2), 0.5]
     np.testing.assert_allclose(BLOCK.clearance(x), expected, atol=1e-12)
     assert np.isnan(BLOCK.clearance(np.array([[np.nan, 0.0]]))).all()
@@ -107,9 +105,7 @@ def test_obstacles_may_overlap_touch_and_leave_the_bounds():
 def test_obstacles_with_holes_enclose_free_space():
     ring = shapely.Polygon(box(2, 2, 8, 8), [box(4, 4, 6, 6)])
     workspace = Workspace(TEN, [ring])
-    np.testing.assert_array_equal(
-        workspace.is_free(np.array([[5.0, 5], [3, 3], [1, 1]])), [True, False, True]
-    )
+    np.testing.assert_array_equal(workspace.is_free(np.array([[5.0, 5], [3, 3], [1, 1]])), [True, False, True])
     assert not workspace.is_visible(np.array([[5.0, 5]]), np.array([[1.0, 1]]))[0]
 
 

@@ -94,16 +94,10 @@ def build(
     ] = None,
     max_bytes: Annotated[
         int | None,
-        typer.Option(
-            help="Largest size of the file.", show_default=f"{_DEFAULT_BYTES} where no limit is given"
-        ),
+        typer.Option(help="Largest size of the file.", show_default=f"{_DEFAULT_BYTES} where no limit is given"),
     ] = None,
-    max_leaves: Annotated[
-        int | None, typer.Option(help="Largest number of cells.", show_default=False)
-    ] = None,
-    max_depth: Annotated[
-        int | None, typer.Option(help="Largest depth of the tree.", show_default=False)
-    ] = None,
+    max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
+    max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(help="Sample error (workspace units) at which to stop.", show_default=False),
@@ -125,7 +119,7 @@ def build(
     workspace, goal_point = _map_and_goal(map, goal)
     if goal_point is None:
         raise ValueError(f"{map} has no goal of its own: give one with --goal X,Y.")
-    output = output or Path(Path(map).stem).with_suffix(".plr")
+    output = output or Path(f"{Path(map).stem}.plr")
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = _DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
@@ -251,15 +245,15 @@ def plot(
 
             errors = metrics.error_grid(plr, VisibilityGraph(workspace, goal_point), workspace)
             ax = draw.plot_error(errors, workspace)
-    ax.figure.savefig(output)
+    draw.save(ax, output)
     typer.echo(f"wrote {output}")
 
 
 @_command
 def demo(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")
-    ] = Path("plr_jax_demo"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")] = Path(
+        "plr_jax_demo"
+    ),
 ) -> None:
     """Compress a maze, measure the result beside the exact distance, and draw it.
 

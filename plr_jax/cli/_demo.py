@@ -84,5 +84,5 @@ def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, o
     paths = []
     for name, ax in pictures.items():
         paths.append(output / f"maze_{name}.png")
-        ax.figure.savefig(paths[-1])
+        plot.save(ax, paths[-1])
     return paths

@@ -106,7 +106,5 @@ def _row(name: str, number: int, line: str, dim: int) -> list[float]:
     except ValueError:
         row = []
     if len(row) != dim or not all(map(np.isfinite, row)):
-        raise ValueError(
-            f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}."
-        )
+        raise ValueError(f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}.")
     return row

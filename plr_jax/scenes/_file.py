@@ -105,9 +105,7 @@ def _check_header(scene: Any) -> None:
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"expected a version number of at least 1, got {version!r}.")
     if version > _VERSION:
-        raise ValueError(
-            f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax."
-        )
+        raise ValueError(f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax.")
     missing = [key for key in _KEYS if key not in scene]
     if missing:
         raise ValueError(f"expected the keys {', '.join(_KEYS)}; missing {', '.join(missing)}.")

@@ -25,9 +25,7 @@ PROBLEMS = {
         [(0.2, 0.1)],
         [(np.e, 0.3)],
     ),
-    "blocked margin": lambda: Problem(
-        Workspace(((0, 0), (4, 4)), [box(0, 0, 1, 4)]), POINT, [(2, 2)], [(3, 3)]
-    ),
+    "blocked margin": lambda: Problem(Workspace(((0, 0), (4, 4)), [box(0, 0, 1, 4)]), POINT, [(2, 2)], [(3, 3)]),
     "two components, a hole": lambda: Problem(
         Workspace.from_polygons(
             [{"outer": box(0, 0, 4, 4), "holes": [box(1, 1, 2, 2)]}, {"outer": box(6, 0, 7, 1), "holes": []}]
@@ -56,9 +54,7 @@ def test_a_problem_survives_the_file_exactly(make, tmp_path):
     assert again.workspace.bounds == problem.workspace.bounds
     assert again.workspace.squeeze == problem.workspace.squeeze
     saved = shapely.get_parts(problem.workspace.obstacles)
-    np.testing.assert_array_equal(
-        shapely.get_coordinates(again.workspace.obstacles), shapely.get_coordinates(saved)
-    )
+    np.testing.assert_array_equal(shapely.get_coordinates(again.workspace.obstacles), shapely.get_coordinates(saved))
     assert shapely.equals_exact(
         shapely.normalize(again.workspace.free_space), shapely.normalize(problem.workspace.free_space), 0.0
     )
@@ -159,9 +155,7 @@ def test_broken_scenes_are_refused_by_name_and_reason(scene, message, tmp_path):
         scenes.load(path)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b'{"format": "plr_jax scene", "vers', b"\xff\xfe\x00\x01", b"hello"]
-)
+@pytest.mark.parametrize("content", [b"", b'{"format": "plr_jax scene", "vers', b"\xff\xfe\x00\x01", b"hello"])
 def test_files_that_are_no_json_are_refused(content, tmp_path):
     path = tmp_path / "broken.json"
     path.write_bytes(content)
