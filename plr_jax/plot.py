@@ -263,7 +263,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     parts = shapely.get_parts(shapely.intersection(shapely.Polygon(cell), workspace.free_space))
     solid = []
     for part in parts:
-        if part.geom_type == "Polygon":
+        if part.geom_type == "Polygon" and not part.is_empty:
             # A polygon in space has no holes: cut the rare cell around an obstacle into triangles.
             whole = shapely.get_num_interior_rings(part) == 0
             solid += [part] if whole else list(shapely.constrained_delaunay_triangles(part).geoms)

@@ -43,7 +43,7 @@ def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
     assert path.stat().st_size <= 700
     plr = load(path)
     assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves} leaves, depth {plr.depth}" in result.stdout
-    for word in ("max error", "mean", "largest distance", "s to build"):
+    for word in ("error   max 0.0", "mean 0.0", "% of the largest distance", "s to build"):
         assert word in result.stdout
 
 
@@ -167,14 +167,20 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         assert word in result.stdout
 
 
-def test_interrupting_ends_with_a_line_and_130(tmp_path, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
+def test_interrupting_a_build_ends_with_a_line_and_130(tmp_path, monkeypatch):
+    calls = []
 
-    monkeypatch.setattr("plr_jax.plr.construct", interrupt)
+    def interrupt_later(self, x):
+        calls.append(len(x))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return np.hypot(*x.T)
+
+    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
     result = run("build", "maze", "-o", tmp_path / "out.plr")
     assert result.exit_code == 130
     assert result.stderr == "Interrupted.\n"
+    assert len(calls) == 3
     assert not (tmp_path / "out.plr").exists()
 
 

@@ -122,6 +122,12 @@ def test_surface_is_cut_to_free_space():
     assert area == pytest.approx((1 - 0.09 - 0.05) + (0.5 - 0.05))
 
 
+def test_leaves_inside_an_obstacle_have_no_surface():
+    left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
+    (piece,) = plot._plane_pieces(ThreeCells(), left_blocked)
+    np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
+
+
 def test_surface_draws_every_piece_once():
     for workspace in (None, WORKSPACE):
         ax = plot.plot_surface(ThreeCells(), workspace=workspace)

@@ -6,7 +6,9 @@ Heavy libraries are imported inside the commands, so that ``plr-jax --help`` ans
 import functools
 import sys
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,6 +31,7 @@ app = typer.Typer(
     help="Distance functions over maps, compressed into kilobytes of planes.",
     epilog="Start with: plr-jax demo",
     no_args_is_help=True,
+    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -123,23 +126,44 @@ def build(
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = _DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
-    plr = construct(
-        oracle,
-        workspace.bounds,
-        max_bytes=max_bytes,
-        max_leaves=max_leaves,
-        max_depth=max_depth,
-        tolerance=tolerance,
-        seed=seed,
-    )
+    with _interruptible():
+        plr = construct(
+            oracle,
+            workspace.bounds,
+            max_bytes=max_bytes,
+            max_leaves=max_leaves,
+            max_depth=max_depth,
+            tolerance=tolerance,
+            seed=seed,
+        )
     save(plr, output)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
     report = metrics.error_map(plr, oracle, workspace, resolution=0, num_random=_ERROR_POINTS, seed=seed + 1)
-    typer.echo(f"{output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
-    typer.echo(f"{report}")
-    typer.echo(f"mean error is {report.mean / report.max_distance:.2%} of the largest distance")
-    typer.echo(f"{built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
+    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
+    typer.echo(
+        f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points"
+    )
+    typer.echo(
+        f"        mean is {100 * report.mean / report.max_distance:.2g} % of the largest distance, "
+        f"{report.max_distance:.4g}"
+    )
+    if report.num_unreachable:
+        typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
+    if report.num_unanswered:
+        typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
+    typer.echo(f"time    {built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C end a build: construct by itself only warns, and returns what it has so far."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="construct was interrupted")
+        try:
+            yield
+        except UserWarning:
+            raise KeyboardInterrupt from None
 
 
 @_command
