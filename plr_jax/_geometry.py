@@ -34,7 +34,9 @@ def as_points(name: str, value: ArrayLike, dim: int = 2) -> Float[np.ndarray, "n
     return points
 
 
-def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
+def cross(
+    u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]
+) -> Float[np.ndarray, "..."] | np.float64:
     """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
@@ -102,7 +104,7 @@ def boundary_of(region: Any, tolerance: float) -> Boundary:
     Returns:
         The graph, with the region to the left of each edge.
     """
-    rings = shapely.get_rings(shapely.orient_polygons(region))
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     vertices, index = np.unique(points, axis=0, return_inverse=True)
     inner = ring[1:] == ring[:-1]
