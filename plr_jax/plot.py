@@ -32,7 +32,7 @@ _INK = "#262626"
 _QUIET = "#6e6e6e"
 _OBSTACLE = "#ececec"
 _DISTANCE_COLORS = "viridis"
-_ERROR_COLORS = "cividis"
+_ERROR_COLORS = "inferno"
 _DISTANCE_LABEL = "distance to the goal (workspace units)"
 _FONT_SIZE = 9
 _PANEL = 4.2  # inches along the longer side of the plotted box
@@ -115,7 +115,7 @@ def plot_contours(
         interpolation="nearest",
     )
     levels = MaxNLocator(16).tick_values(0.0, values.max())[1:]
-    ax.contour(x, y, values, levels=levels, colors="white", linewidths=1.1)
+    ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.9)
     if workspace is not None:
         plot_workspace(workspace, ax)
     if goal is not None:
@@ -165,8 +165,9 @@ def plot_error(
             ``metrics.error_grid`` gives them. NaN is blank; points without an answer (infinite) are red.
         workspace: Its obstacles are drawn on top.
         ax: Axes to draw on; a new figure where not given.
-        largest: Error at the upper end of the colors; the largest finite error where not given. Give the
-            same number to pictures that are to be compared.
+        largest: Error at the upper end of the colors, beyond which they stay the same; where not given, the
+            error that 99.9 % of the points do not exceed. Give the same number to pictures that are to be
+            compared.
 
     Returns:
         The axes.
@@ -183,20 +184,22 @@ def plot_error(
     ax = ax or _new_axes(workspace.bounds)
     lo, hi = workspace.bounds.lo, workspace.bounds.hi
     extent = (lo[0], hi[0], lo[1], hi[1])
+    largest = float(np.quantile(finite, 0.999)) if largest is None else largest
     image = ax.imshow(
         np.ma.masked_invalid(errors),
         origin="lower",
         extent=extent,
         cmap=_ERROR_COLORS,
         vmin=0.0,
-        vmax=finite.max() if largest is None else largest,
+        vmax=largest or None,
         interpolation="nearest",
     )
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
         ax.imshow(unanswered, origin="lower", extent=extent, cmap="autumn", vmin=1.0, vmax=2.0)
     plot_workspace(workspace, ax)
-    _add_colorbar(ax, image, "error $|L - V|$ (workspace units)")
+    clipped = "max" if finite.max() > largest else "neither"
+    _add_colorbar(ax, image, "error $|L - V|$ (workspace units)", extend=clipped)
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=_FONT_SIZE, color=_INK)
     return ax
 
@@ -293,7 +296,7 @@ def _outline(polygon: shapely.Polygon) -> Path:
 
 def _new_axes(box: Box, *, room_for_colorbar: bool = True) -> Axes:
     width, height = _PANEL * box.width / box.width.max()
-    total = np.array([width + (1.55 if room_for_colorbar else 0.75), height + 0.8])
+    total = np.array([width + (1.6 if room_for_colorbar else 0.75), height + 0.8])
     figure = Figure(figsize=tuple(total), dpi=_DPI, facecolor="white")
     ax = figure.add_axes((0.6 / total[0], 0.5 / total[1], width / total[0], height / total[1]))
     ax.set_xlim(box.lo[0], box.hi[0])
@@ -326,12 +329,15 @@ def _style(ax: Axes) -> None:
     ax.tick_params(labelsize=_FONT_SIZE - 1, colors=_INK, width=0.6, length=3)
 
 
-def _add_colorbar(ax: Axes, mappable: ScalarMappable, label: str) -> None:
+def _add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
     # An inset is exactly as high as the axes, whatever their aspect.
-    _style_colorbar(ax.figure.colorbar(mappable, cax=ax.inset_axes((1.035, 0.0, 0.045, 1.0))), label)
+    place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
+    _style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
 
 
 def _style_colorbar(bar: Colorbar, label: str) -> None:
+    bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
+    bar.ax.yaxis.get_offset_text().set(fontsize=_FONT_SIZE - 1, color=_INK)
     bar.set_label(label, fontsize=_FONT_SIZE, color=_INK)
     bar.ax.tick_params(labelsize=_FONT_SIZE - 1, colors=_INK, width=0.6, length=3)
     bar.outline.set(linewidth=0.7, edgecolor=_INK)

@@ -22,6 +22,7 @@ from typing import Any
 
 import shapely
 
+from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._robot import PointRobot, Robot
 from plr_jax._workspace import Workspace
@@ -52,7 +53,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
         "starts": problem.starts.tolist(),
         "goals": problem.goals.tolist(),
     }
-    _write_atomically(Path(path), json.dumps(scene, indent=1) + "\n")
+    write_atomically(Path(path), (json.dumps(scene, indent=1) + "\n").encode())
 
 
 def load(path: str | os.PathLike[str]) -> Problem:
@@ -156,16 +157,3 @@ def _obstacle(i: int, entry: Any) -> Any:
         return shapely.Polygon(entry["outer"], entry["holes"])
     except (TypeError, ValueError, shapely.errors.ShapelyError) as error:
         raise ValueError(f"a ring of obstacle {i} is no list of at least three points ({error}).") from None
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
