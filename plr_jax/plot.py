@@ -226,7 +226,13 @@ def plot_surface(plr: _Partition, ax: Axes3D | None = None, *, workspace: Worksp
     colors = ScalarMappable(Normalize(min(0.0, heights.min()), heights.max()), _DISTANCE_COLORS)
     ax = ax or _new_axes_3d(plr.domain)
     ax.add_collection3d(
-        Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=(0, 0, 0, 0.45), linewidths=0.3)
+        Poly3DCollection(
+            pieces,
+            facecolors=colors.to_rgba(heights),
+            # Paler with their number, so that lines do not blacken the surface.
+            edgecolors=(0, 0, 0, min(0.45, 200 / len(pieces))),
+            linewidths=0.3,
+        )
     )
     top = max(piece[:, 2].max() for piece in pieces)
     ax.set_xlim(plr.domain.lo[0], plr.domain.hi[0])
