@@ -98,23 +98,29 @@ def plot_contours(
         The axes. Points without an answer stay blank.
 
     Raises:
-        ValueError: If the PLR is not 2-D.
+        ValueError: If the PLR is not 2-D, or no point has an answer.
     """
     _require_2d(plr)
     ax = ax or _new_axes(plr.domain)
     x, y = _grid(plr.domain, resolution)
-    values = np.asarray(plr(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64)
-    values = np.ma.masked_invalid(values)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
+    # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
+    shown = values if workspace is None else values[workspace.is_free(points.reshape(-1, 2)).reshape(values.shape)]
+    if not shown.count():
+        raise ValueError("There is nothing to draw: no point has an answer in free space.")
+    largest = float(shown.max())
     lo, hi = plr.domain.lo, plr.domain.hi
     image = ax.imshow(
         values,
         origin="lower",
         extent=(lo[0], hi[0], lo[1], hi[1]),
         cmap=_DISTANCE_COLORS,
-        vmin=min(0.0, values.min()),
+        vmin=0.0,
+        vmax=largest,
         interpolation="nearest",
     )
-    levels = MaxNLocator(16).tick_values(0.0, values.max())[1:]
+    levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
     ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.9)
     if workspace is not None:
         plot_workspace(workspace, ax)

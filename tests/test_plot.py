@@ -66,6 +66,14 @@ def test_contours_show_the_values_where_they_are_and_nothing_elsewhere():
     np.testing.assert_array_equal(star.get_xydata(), [[0, 0]])
 
 
+def test_values_inside_obstacles_set_no_scale():
+    right_blocked = Workspace(((0, 0), (2, 1)), [[(0.5, -1), (3, -1), (3, 2), (0.5, 2)]])
+    image = plot.plot_contours(ThreeCells(), workspace=right_blocked, resolution=20).images[0]
+    assert image.get_clim() == (0.0, pytest.approx(0.45 + 2 * 0.95))
+    with pytest.raises(ValueError, match="no point has an answer"):
+        plot.plot_contours(ThreeCells(), workspace=Workspace(((1, 0.5), (2, 1))))
+
+
 def test_obstacles_cover_the_blocked_region_and_only_that():
     ax = plot.plot_workspace(WORKSPACE)
     patches = [patch for patch in ax.patches if isinstance(patch, PathPatch)]
