@@ -6,11 +6,13 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 
 from plr_jax import plot
 from plr_jax._box import Box
 from plr_jax._workspace import Workspace
+from plr_jax.plot._surface import _plane_pieces
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WORKSPACE = Workspace(
@@ -115,14 +117,14 @@ def test_a_picture_of_no_error_at_all_is_refused():
 
 
 def test_surface_pieces_lie_in_the_planes_of_their_leaves():
-    pieces = plot._plane_pieces(ThreeCells(), None)
+    pieces = _plane_pieces(ThreeCells(), None)
     assert len(pieces) == 2
     np.testing.assert_allclose(pieces[0], [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
     np.testing.assert_allclose(pieces[1][:, 2], 3.0)
 
 
 def test_surface_is_cut_to_free_space():
-    pieces = plot._plane_pieces(ThreeCells(), WORKSPACE)
+    pieces = _plane_pieces(ThreeCells(), WORKSPACE)
     area = 0.0
     for x, y, _ in (piece.T for piece in pieces):
         area += abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
@@ -132,7 +134,7 @@ def test_surface_is_cut_to_free_space():
 
 def test_leaves_inside_an_obstacle_have_no_surface():
     left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
-    (piece,) = plot._plane_pieces(ThreeCells(), left_blocked)
+    (piece,) = _plane_pieces(ThreeCells(), left_blocked)
     np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
 
 
@@ -140,7 +142,7 @@ def test_surface_draws_every_piece_once():
     for workspace in (None, WORKSPACE):
         ax = plot.plot_surface(ThreeCells(), workspace=workspace)
         (surface,) = ax.collections
-        assert len(surface.get_facecolor()) == len(plot._plane_pieces(ThreeCells(), workspace))
+        assert len(surface.get_facecolor()) == len(_plane_pieces(ThreeCells(), workspace))
 
 
 def test_a_surface_without_answers_is_refused():
@@ -197,6 +199,13 @@ def test_nothing_is_cut_off_at_the_edge_of_the_picture(tmp_path):
 
 
 def test_given_axes_are_drawn_on():
+    figure = Figure()
+    flat, solid = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    assert plot.plot_error(np.array([[0.1]]), WORKSPACE, flat) is flat
+    assert flat.get_xlim() == (0, 2)
+    assert "x (workspace units)" in texts(flat)
+    assert plot.plot_surface(ThreeCells(), solid) is solid
+    assert len(figure.axes) == 3  # the two given and a color bar for the surface
     ax = plot.plot_contours(ThreeCells())
     assert plot.plot_cells(ThreeCells(), ax) is ax
     assert plot.plot_workspace(WORKSPACE, ax) is ax

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._geometry import as_points, cross
+from plr_jax._geometry import as_points
 from plr_jax._types import ArrayLike, Distances
 from plr_jax._workspace import Workspace
 from plr_jax.oracles._euclidean import as_goal
