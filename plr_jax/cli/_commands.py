@@ -43,27 +43,29 @@ def main() -> None:
     app()
 
 
-def _command(function: Callable[..., None]) -> Callable[..., None]:
+def _command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130."""
 
-    @functools.wraps(function)
-    def run(*args: object, **kwargs: object) -> None:
-        try:
-            function(*args, **kwargs)
-        except KeyboardInterrupt:
-            typer.echo("Interrupted.", err=True)
-            raise typer.Exit(_SIGINT_EXIT) from None
-        except BrokenPipeError:
-            raise  # a reader such as `head` that has seen enough
-        except OSError as error:
-            # strerror and filename alone read better than "[Errno 2] ...".
-            where = f"{error.filename}: " if error.filename else ""
-            _fail(f"{where}{error.strerror or error}")
-        except ValueError as error:
-            _fail(str(error))
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(*args: object, **kwargs: object) -> None:
+            try:
+                function(*args, **kwargs)
+            except KeyboardInterrupt:
+                typer.echo("Interrupted.", err=True)
+                raise typer.Exit(_SIGINT_EXIT) from None
+            except BrokenPipeError:
+                raise  # a reader such as `head` that has seen enough
+            except OSError as error:
+                # strerror and filename alone read better than "[Errno 2] ...".
+                where = f"{error.filename}: " if error.filename else ""
+                _fail(f"{where}{error.strerror or error}")
+            except ValueError as error:
+                _fail(str(error))
 
-    app.command()(run)
-    return function
+        return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
+
+    return register
 
 
 def _fail(message: str) -> None:
@@ -87,7 +89,10 @@ _Goal = Annotated[
 ]
 
 
-@_command
+@_command(
+    "plr-jax build maze -o maze.plr --max-bytes 2048",
+    "plr-jax build arena.map --goal 10.5,30",
+)
 def build(
     map: _Map,
     goal: _Goal = None,
@@ -107,13 +112,7 @@ def build(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
-    """Compress the exact distance to a goal in a MAP into a small file.
-
-    Examples:
-        plr-jax build maze -o maze.plr --max-bytes 2048
-
-        plr-jax build arena.map --goal 10.5,30
-    """
+    """Compress the exact distance to a goal in a MAP into a small file."""
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
@@ -164,7 +163,10 @@ def _interruptible() -> Iterator[None]:
             raise KeyboardInterrupt from None
 
 
-@_command
+@_command(
+    "plr-jax query maze.plr points.csv",
+    "echo 0.93,0.95 | plr-jax query maze.plr",
+)
 def query(
     file: _File,
     points: Annotated[
@@ -177,11 +179,6 @@ def query(
     """Print the distance of each point, one a line; inf where the goal cannot be reached.
 
     A first line that is no row of numbers is taken as a header.
-
-    Examples:
-        plr-jax query maze.plr points.csv
-
-        echo 0.93,0.95 | plr-jax query maze.plr
     """
     from plr_jax.plr import load
 
@@ -196,13 +193,9 @@ def query(
     sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)
 
 
-@_command
+@_command("plr-jax info maze.plr")
 def info(file: _File) -> None:
-    """Say what is in a .plr file.
-
-    Example:
-        plr-jax info maze.plr
-    """
+    """Say what is in a .plr file."""
     from plr_jax.plr import load
 
     plr = load(file)
@@ -223,7 +216,10 @@ class Picture(StrEnum):
     error = "error"
 
 
-@_command
+@_command(
+    "plr-jax plot maze.plr --map maze -o maze.png",
+    "plr-jax plot maze.plr --map maze --kind error -o error.png",
+)
 def plot(
     file: _File,
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
@@ -237,13 +233,7 @@ def plot(
         typer.Option(help="Colors and contours; the partition; a surface; the error (needs --map)."),
     ] = Picture.distance,
 ) -> None:
-    """Draw a .plr file.
-
-    Examples:
-        plr-jax plot maze.plr --map maze -o maze.png
-
-        plr-jax plot maze.plr --map maze --kind error -o error.png
-    """
+    """Draw a .plr file."""
     from plr_jax.plr import load
 
     if goal is not None and map is None:
@@ -271,17 +261,13 @@ def plot(
     typer.echo(f"wrote {output}")
 
 
-@_command
+@_command("plr-jax demo --output pictures")
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")] = Path(
         "plr_jax_demo"
     ),
 ) -> None:
-    """Compress a maze, measure the result beside the exact distance, and draw it.
-
-    Example:
-        plr-jax demo --output pictures
-    """
+    """Compress a maze, measure the result beside the exact distance, and draw it."""
     from plr_jax.cli import _demo
 
     _demo.run(output)
