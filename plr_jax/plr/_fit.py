@@ -47,7 +47,7 @@ class CellFit:
     residual: Float[np.ndarray, "cells k"]
 
 
-def sample_pattern(dim: int, num_samples: int, margin: float, seed: int) -> Float[np.ndarray, "k dim"]:
+def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Float[np.ndarray, "k dim"]:
     """Local coordinates of a cell's samples: its center, its corners, then a scrambled Sobol sequence.
 
     A distance bends most against its plane at a cell's corners, so they are sampled wherever they are few.
@@ -83,7 +83,8 @@ def fit_cells(
     if weight_fn is not None:
         weight *= _call_weights(weight_fn, x).reshape(weight.shape)
     value = np.where(reachable, distance, 0.0)
-    center, half = compute_coefficients(u, value, weight)
+    # A cell to which no weight is given still gets the plane of its samples.
+    center, half = compute_coefficients(u, value, np.where(weight.any(axis=1)[:, None], weight, reachable))
     residual = np.where(reachable, value - (center[:, None] + half @ u.T), 0.0)
     blocked = ~reachable.any(axis=1)
     return CellFit(cells, u, reachable, weight, np.where(blocked, np.inf, center), half, residual)
