@@ -26,9 +26,7 @@ class Box:
     def __init__(self, lo: ArrayLike, hi: ArrayLike):
         lo, hi = _corner("lo", lo), _corner("hi", hi)
         if lo.shape != hi.shape:
-            raise ValueError(
-                f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers."
-            )
+            raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
         flat = np.flatnonzero(hi <= lo)
         if flat.size:
             axis = flat[0]
@@ -55,9 +53,7 @@ class Box:
         return np.all((self.lo <= x) & (x <= self.hi), axis=-1)
 
     def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, Box) and np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
-        )
+        return isinstance(other, Box) and np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
 
     def __hash__(self) -> int:
         return hash((self.lo.tobytes(), self.hi.tobytes()))

@@ -34,7 +34,9 @@ def as_points(name: str, value: ArrayLike, dim: int = 2) -> Float[np.ndarray, "n
     return points
 
 
-def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
+def cross(
+    u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]
+) -> Float[np.ndarray, "..."] | np.float64:
     """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
@@ -45,9 +47,7 @@ def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2
     return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
 
 
-def pseudo_angle(
-    dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]
-) -> Float[np.ndarray, "*batch"]:
+def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
     """A number in [0, 4] that grows with the direction's angle in [0, 2 pi], at the cost of a division.
 
     It turns at between half and the full rate of the angle. The zero vector gives 0.
@@ -104,7 +104,7 @@ def boundary_of(region: Any, tolerance: float) -> Boundary:
     Returns:
         The graph, with the region to the left of each edge.
     """
-    rings = shapely.get_rings(shapely.orient_polygons(region))
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     vertices, index = np.unique(points, axis=0, return_inverse=True)
     inner = ring[1:] == ring[:-1]

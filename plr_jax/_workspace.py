@@ -60,7 +60,7 @@ class Workspace:
         _assign(self, bounds, polygons, squeeze, free)
 
     @classmethod
-    def from_polygons(cls, components: Sequence[Mapping[str, Any]], *, squeeze: bool = False) -> "Workspace":
+    def from_polygons(cls, components: Sequence[Any], *, squeeze: bool = False) -> "Workspace":
         """A workspace whose free space is given, as polygons with holes.
 
         Args:
@@ -110,6 +110,13 @@ class Workspace:
         shapely.prepare(grown)
         return grown
 
+    @cached_property
+    def _walls(self) -> Any:
+        """The boundary of free space as lines, prepared for many queries."""
+        walls = self.free_space.boundary
+        shapely.prepare(walls)
+        return walls
+
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in closed free space.
 
@@ -141,10 +148,7 @@ class Workspace:
         x = as_points("x", x)
         finite = np.isfinite(x).all(axis=1)
         result = np.full(len(x), np.nan)
-        shapely.prepare(self.free_space)
-        walls = self.free_space.boundary
-        shapely.prepare(walls)
-        distance = shapely.distance(shapely.points(x[finite]), walls)
+        distance = shapely.distance(shapely.points(x[finite]), self._walls)
         free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])
         result[finite] = np.where(free, distance, -distance)
         return result
@@ -193,7 +197,7 @@ class Workspace:
             squeezes[s] |= not any(both.all() for both in inside)
         return squeezes
 
-    def _in_sector(self, edge: int, offsets: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def _in_sector(self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether offsets from the first vertex of an edge lie in the closed sector there."""
         boundary = self.boundary
         vertex = boundary.vertices[boundary.edges[edge, 0]]
@@ -276,6 +280,7 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
     region = shapely.simplify(region, _grid(bounds))
+    shapely.prepare(region)
     for name, value in (
         ("bounds", bounds),
         ("obstacles", obstacles),
@@ -307,8 +312,8 @@ def _as_bounds(bounds: Box | ArrayLike) -> Box:
     return bounds
 
 
-def _outer(i: int, part: Mapping[str, Any]) -> Any:
-    if not isinstance(part, Mapping) or "outer" not in part:
+def _outer(i: int, part: Any) -> Any:
+    if not (isinstance(part, Mapping) and "outer" in part):
         raise ValueError(f"Component {i} must be a mapping with an 'outer' ring, got {part!r}.")
     return part["outer"]
 
