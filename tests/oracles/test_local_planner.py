@@ -20,9 +20,7 @@ def sampled_test(resolution, is_free=lambda x: np.ones(len(x), dtype=bool)):
     return checked_is_visible(checked_is_free(LINE, recorded), None, resolution), tested
 
 
-@pytest.mark.parametrize(
-    ("length", "num_inner"), [(0.0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (2.0, 3), (2.1, 4)]
-)
+@pytest.mark.parametrize(("length", "num_inner"), [(0.0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (2.0, 3), (2.1, 4)])
 def test_a_motion_is_tested_evenly_at_steps_of_at_most_the_resolution(length, num_inner):
     is_visible, tested = sampled_test(0.5)
     assert is_visible(np.array([[3.0]]), np.array([[3.0 + length]]))[0]
