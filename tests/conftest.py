@@ -1,0 +1,16 @@
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of third-party instances, named by the environment variable PLR_JAX_DATA."""
+    folder = os.environ.get("PLR_JAX_DATA")
+    if not folder:
+        pytest.skip("third-party instances: set PLR_JAX_DATA to their folder")
+    path = Path(folder)
+    if not path.is_dir():
+        pytest.skip(f"third-party instances: PLR_JAX_DATA={folder} is not a folder")
+    return path

@@ -1,0 +1,340 @@
+"""A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+from shapely.geometry import MultiPolygon, Polygon
+
+from plr_jax._box import Box
+from plr_jax._geometry import Boundary, arc, as_points, boundary_of, cross, left_normal
+from plr_jax._types import ArrayLike
+
+_ARC_SEGMENTS = 8
+"""Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Workspace:
+    """Bounds and polygonal obstacles in the plane.
+
+    Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
+    ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
+    interior of their union. Coordinates are rounded to a grid of about 1e-12 of the extent, so that what
+    touches up to rounding touches.
+
+    Args:
+        bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
+        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) or Shapely polygons, holes allowed.
+        squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
+            a single point. The point itself is free either way.
+
+    Attributes:
+        bounds: The region's Box.
+        obstacles: The obstacles as Shapely polygons, in the order given; for free space given as polygons,
+            and after ``inflate``, the connected parts of the bounds that are not free.
+        squeeze: As given.
+        free_space: The free space as a valid, normalized Shapely Polygon or MultiPolygon without collinear
+            vertices.
+
+    Raises:
+        ValueError: If the bounds are not a 2-D box, an obstacle is not a simple polygon of finite
+            coordinates and positive area, or nothing is free.
+    """
+
+    bounds: Box
+    obstacles: tuple[Polygon | MultiPolygon, ...]
+    squeeze: bool
+    free_space: Polygon | MultiPolygon
+
+    def __init__(self, bounds: Box | ArrayLike, obstacles: Iterable[Any] = (), *, squeeze: bool = False):
+        bounds = _as_bounds(bounds)
+        polygons = tuple(_as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
+        grid = _grid(bounds)
+        region = shapely.box(*bounds.lo, *bounds.hi)
+        free = shapely.difference(region, shapely.union_all(polygons, grid_size=grid), grid_size=grid)
+        _assign(self, bounds, polygons, squeeze, free)
+
+    @classmethod
+    def from_polygons(cls, components: Sequence[Any], *, squeeze: bool = False) -> "Workspace":
+        """A workspace whose free space is given, as polygons with holes.
+
+        Args:
+            components: ``{"outer": ring, "holes": [ring, ...]}`` each (``"holes"`` may be left out). Holes
+                may overlap one another and leave the outer ring; components are united.
+            squeeze: As for the class.
+
+        Returns:
+            The workspace; its bounds are the bounding box of the outer rings.
+
+        Raises:
+            ValueError: If a ring is not simple, finite and of positive area, or nothing is free.
+        """
+        outers = [_as_polygon(f"Outer ring {i}", _outer(i, part)) for i, part in enumerate(components)]
+        if not outers:
+            raise ValueError("Free space needs at least one component, got none.")
+        x0, y0, x1, y1 = shapely.total_bounds(outers)
+        bounds = Box((x0, y0), (x1, y1))
+        grid = _grid(bounds)
+        parts = []
+        for i, (outer, part) in enumerate(zip(outers, components, strict=True)):
+            holes = [_as_polygon(f"Hole {j} of component {i}", r) for j, r in enumerate(part.get("holes", ()))]
+            parts.append(shapely.difference(outer, shapely.union_all(holes, grid_size=grid), grid_size=grid))
+        return cls._from_free_space(bounds, shapely.union_all(parts, grid_size=grid), squeeze)
+
+    @classmethod
+    def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
+        workspace = object.__new__(cls)
+        blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free, grid_size=_grid(bounds))
+        _assign(workspace, bounds, _polygons(blocked), squeeze, free)
+        return workspace
+
+    @property
+    def tolerance(self) -> float:
+        """How far outside free space a point still counts as free: 1e-9 of the larger side of the bounds."""
+        return 1e-9 * float(self.bounds.width.max())
+
+    @cached_property
+    def boundary(self) -> Boundary:
+        """The boundary of free space as vertices and edges, free space on the left of each edge."""
+        return boundary_of(self.free_space, 4 * _grid(self.bounds))
+
+    @cached_property
+    def _tolerant(self) -> Any:
+        """Free space grown by the tolerance, prepared for many queries."""
+        grown = self.free_space.buffer(self.tolerance, join_style="mitre")
+        shapely.prepare(grown)
+        return grown
+
+    @cached_property
+    def _walls(self) -> Any:
+        """The boundary of free space as lines, prepared for many queries."""
+        walls = self.free_space.boundary
+        shapely.prepare(walls)
+        return walls
+
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether points lie in closed free space.
+
+        Args:
+            x: Points, ``(n, 2)``.
+
+        Returns:
+            True where free, walls included (to ``tolerance``); False for points that are not finite.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x)
+        return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
+
+    def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
+        """Signed distance to the nearest obstacle or bound.
+
+        Args:
+            x: Points, ``(n, 2)``.
+
+        Returns:
+            Distance to the boundary of free space, in workspace units: positive in free space, zero on a
+            wall, negative in an obstacle or outside the bounds; NaN for points that are not finite.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x)
+        finite = np.isfinite(x).all(axis=1)
+        result = np.full(len(x), np.nan)
+        distance = shapely.distance(shapely.points(x[finite]), self._walls)
+        free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])
+        result[finite] = np.where(free, distance, -distance)
+        return result
+
+    def is_visible(self, a: ArrayLike, b: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether whole segments lie in closed free space.
+
+        A segment may slide along walls and pass through corners. One that passes through a point in which
+        two obstacles touch, from one side to the other, is not visible unless ``squeeze`` is set.
+
+        Args:
+            a: Start points, ``(n, 2)``.
+            b: End points, ``(n, 2)``.
+
+        Returns:
+            True where every point of the segment is free (to ``tolerance``); False where an end is not
+            finite.
+
+        Raises:
+            ValueError: If the shapes are others or differ.
+        """
+        a, b = as_points("a", a), as_points("b", b)
+        if len(a) != len(b):
+            raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
+        visible = self.is_free(a) & self.is_free(b)
+        moving = np.flatnonzero(visible & (a != b).any(axis=1))
+        segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
+        visible[moving] = shapely.covers(self._tolerant, segments)
+        if not self.squeeze and len(self.boundary.contacts):
+            moving = moving[visible[moving]]
+            visible[moving] = ~self._squeezes(a[moving], b[moving])
+        return visible
+
+    def _squeezes(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether segments in free space change from one sector to another in a point contact."""
+        boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
+        contacts = boundary.vertices[boundary.contacts]
+        tree = shapely.STRtree(shapely.points(contacts))
+        segments = shapely.linestrings(np.stack([a, b], axis=1))
+        segment, contact = tree.query(segments, predicate="dwithin", distance=self.tolerance)
+        for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
+            ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
+            if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
+                continue
+            inside = [self._in_sector(e, ends) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)]
+            squeezes[s] |= not any(both.all() for both in inside)
+        return squeezes
+
+    def _in_sector(self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether offsets from the first vertex of an edge lie in the closed sector there."""
+        boundary = self.boundary
+        vertex = boundary.vertices[boundary.edges[edge, 0]]
+        start = boundary.vertices[boundary.edges[edge, 1]] - vertex
+        end = boundary.vertices[boundary.sector_end[edge]] - vertex
+        left_of_start = cross(start, offsets) >= -self.tolerance * np.linalg.norm(start)
+        right_of_end = cross(end, offsets) <= self.tolerance * np.linalg.norm(end)
+        return left_of_start & right_of_end if cross(start, end) > 0 else left_of_start | right_of_end
+
+    def inflate(self, radius: float) -> "Workspace":
+        """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
+
+        The grown obstacles' sides are exact. Their corners, arcs in truth, become polygons inscribed in the
+        arcs, so a distance in the inflated workspace is never longer than the true one. Passages exactly as
+        wide as the disc are closed.
+
+        Args:
+            radius: Radius of the disc, in workspace units, at least 0.
+
+        Returns:
+            The inflated workspace.
+
+        Raises:
+            ValueError: If the radius is negative or not finite, or leaves no free space.
+        """
+        if not (np.isfinite(radius) and radius >= 0):
+            raise ValueError(f"Inflating needs a finite radius of at least 0, got {radius!r}.")
+        if radius == 0:
+            return self
+        if (self.bounds.width <= 2 * radius).any():
+            raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
+        grid = _grid(self.bounds)
+        grown = shapely.union_all(self._collars(radius), grid_size=grid)
+        free = shapely.difference(self.free_space, grown, grid_size=grid)
+        if shapely.area(free) == 0:
+            raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
+        bounds = Box(self.bounds.lo + radius, self.bounds.hi - radius)
+        return Workspace._from_free_space(bounds, free, self.squeeze)
+
+    def _collars(self, radius: float) -> list[Polygon]:
+        """What a disc's center must avoid: a strip along each wall and a fan around each reflex corner."""
+        boundary = self.boundary
+        offset = radius * left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
+        strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
+        arriving = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
+        fans = []
+        for edge in np.flatnonzero(boundary.is_reflex(_grid(self.bounds))):
+            vertex = boundary.edges[edge, 0]
+            before = arriving[int(boundary.sector_end[edge]), int(vertex)]
+            corner = boundary.vertices[vertex]
+            rim = arc(corner, offset[edge], offset[before], _ARC_SEGMENTS)
+            fans.append(Polygon(np.vstack([corner, rim])))
+        return [*shapely.polygons(strips), *fans]
+
+    def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
+        """Points drawn uniformly from free space.
+
+        Args:
+            n: Number of points.
+            seed: Seed of the generator; the same seed gives the same points.
+
+        Returns:
+            Free points, ``(n, 2)``.
+        """
+        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space))
+        area = shapely.area(triangles)
+        corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+        rng = np.random.default_rng(seed)
+        chosen = corners[rng.choice(len(area), size=n, p=area / area.sum())]
+        # A point of the unit square, folded onto its lower triangle, is uniform there.
+        u, v = rng.random((2, n, 1))
+        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+        return chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0])
+
+
+def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
+    parts = _polygons(free)
+    if not parts:
+        raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
+    # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
+    region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
+    region = shapely.simplify(region, _grid(bounds))
+    shapely.prepare(region)
+    for name, value in (
+        ("bounds", bounds),
+        ("obstacles", obstacles),
+        ("squeeze", squeeze),
+        ("free_space", region),
+    ):
+        object.__setattr__(workspace, name, value)
+
+
+def _grid(bounds: Box) -> float:
+    """A power of two near 1e-12 of the extent, so that integers and dyadic fractions are not rounded."""
+    return float(2.0 ** np.ceil(np.log2(1e-12 * bounds.width.max())))
+
+
+def _polygons(geometry: Any) -> tuple[Polygon, ...]:
+    """The polygons of a geometry, without the points and lines of a degenerate overlay."""
+    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and part.area > 0)
+
+
+def _as_bounds(bounds: Box | ArrayLike) -> Box:
+    if not isinstance(bounds, Box):
+        try:
+            lo, hi = bounds
+        except (TypeError, ValueError):
+            raise ValueError(f"Bounds must be a Box or ((x0, y0), (x1, y1)), got {bounds!r}.") from None
+        bounds = Box(lo, hi)
+    if bounds.dim != 2:
+        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    return bounds
+
+
+def _outer(i: int, part: Any) -> Any:
+    if not (isinstance(part, Mapping) and "outer" in part):
+        raise ValueError(f"Component {i} must be a mapping with an 'outer' ring, got {part!r}.")
+    return part["outer"]
+
+
+def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
+    """A valid polygon, or a ValueError saying what is wrong with it."""
+    if isinstance(ring, Polygon | MultiPolygon):
+        polygon, points = ring, shapely.get_coordinates(ring)
+    else:
+        points = as_points(name, ring)
+        polygon = None
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name} has coordinates that are not finite; remove them.")
+    distinct = np.unique(points, axis=0)
+    if len(distinct) < 3:
+        raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
+    scale = np.ptp(points, axis=0).max()
+    if shapely.convex_hull(shapely.multipoints(distinct)).area <= 1e-12 * scale**2:
+        raise ValueError(f"{name} has zero area: its vertices lie on one line.")
+    polygon = Polygon(points) if polygon is None else polygon
+    if not polygon.is_valid:
+        reason = shapely.is_valid_reason(polygon)
+        raise ValueError(f"{name} is not a simple polygon ({reason}); split it into rings that do not cross.")
+    return polygon
