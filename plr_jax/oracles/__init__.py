@@ -1,1 +1,4 @@
 """Room 1, discover: distance functions computed from an obstacle map or a roadmap."""
+
+from plr_jax.oracles._euclidean import Euclidean as Euclidean
+from plr_jax.oracles._visibility_graph import VisibilityGraph as VisibilityGraph
