@@ -11,7 +11,6 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import qmc
 
 from plr_jax._box import Box
 from plr_jax._types import DistanceFn, Points
@@ -61,6 +60,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     Returns:
         Coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
     """
+    from scipy.stats import qmc  # half a second of import that a query does not need
+
     center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
     rest = num_samples - 1 - len(corners)
