@@ -43,6 +43,43 @@ class _Corners:
         return self.table.num_bytes + sum(a.nbytes for a in arrays)
 
 
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """The corners at which a shortest path to one goal can turn first, and the points it can come from.
+
+    At such a corner the path bends around the obstacle. With the way onward given, that leaves the points
+    between the straight continuation and the far wall of the corner: those in front of two lines through it.
+
+    Args:
+        corner: Indices of the corners, ``(u,)``.
+        points: The corners, ``(u, 2)``.
+        distance: Their distances to the goal, ``(u,)``.
+        normal: Normals of the lines through them, ``(2, u, 2)``; zero where any point will do.
+        slack: How far behind the lines a point may lie.
+    """
+
+    corner: Int[np.ndarray, "u"]
+    points: Float[np.ndarray, "u 2"]
+    distance: Float[np.ndarray, "u"]
+    normal: Float[np.ndarray, "2 u 2"]
+    slack: float
+
+    @property
+    def num_bytes(self) -> int:
+        return sum(a.nbytes for a in (self.corner, self.points, self.distance, self.normal))
+
+    def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n u"]:
+        """Length of the path by way of each corner; inf if it would not bend around the corner."""
+        length = np.square(x[:, :1] - self.points[:, 0])
+        length += np.square(x[:, 1:] - self.points[:, 1])
+        np.sqrt(length, out=length)
+        length += self.distance
+        for normal in self.normal:
+            height = x @ normal.T
+            length[height < (self.points * normal).sum(axis=1) - self.slack] = np.inf
+        return length
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class VisibilityGraph:
     """Exact length of the shortest path to a goal for a point among polygonal obstacles in the plane.
@@ -68,8 +105,8 @@ class VisibilityGraph:
     goal: Float[np.ndarray, "2"]
     _corners: _Corners
     _goal_table: VisibilityTable
-    _distance: Float[np.ndarray, "c"]
     _parent: Int[np.ndarray, "c"]
+    _turns: _Turns
 
     def __init__(self, workspace: Workspace, goal: ArrayLike):
         goal = _free_goal(workspace, goal)
@@ -94,8 +131,8 @@ class VisibilityGraph:
     @property
     def num_bytes(self) -> int:
         """Bytes of the arrays that a query reads, including what oracles of other goals share."""
-        own = self._distance.nbytes + self._parent.nbytes
-        return self._corners.num_bytes + self._goal_table.num_bytes + own
+        own = self._goal_table.num_bytes + self._parent.nbytes + self._turns.num_bytes
+        return self._corners.num_bytes + own
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Length of the shortest path from each point to the goal.
@@ -147,7 +184,7 @@ class VisibilityGraph:
         seen = free[direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         hidden = free[~direct]
-        step = max(1, _CHUNK // max(1, len(self._useful)))
+        step = max(1, _CHUNK // max(1, len(self._turns.corner)))
         for begin in range(0, len(hidden), step):
             rows = hidden[begin : begin + step]
             distance[rows], turn[rows] = self._best_corners(x[rows])
@@ -156,35 +193,22 @@ class VisibilityGraph:
     def _best_corners(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """The least distance by way of a corner that sees the point, and that corner (-1: none does)."""
         best, turn = np.full(len(x), np.inf), np.full(len(x), -1)
-        if not len(self._useful):
-            return best, turn
-        length, active, tries = self._lengths_by_corner(x), np.arange(len(x)), 4
-        while len(active):
-            tries = min(tries, length.shape[1])
-            order = np.argpartition(length, tries - 1, axis=1)[:, :tries]
-            sorting = np.argsort(np.take_along_axis(length, order, axis=1), axis=1)
-            order = np.take_along_axis(order, sorting, axis=1)
-            least = np.take_along_axis(length, order, axis=1)
+        lengths, active, tries = self._turns.path_lengths(x), np.arange(len(x)), 2
+        while len(active) and lengths.shape[1]:
+            tries = min(tries, lengths.shape[1])
+            order = np.argpartition(lengths, tries - 1, axis=1)[:, :tries]
+            order = np.take_along_axis(order, np.argsort(np.take_along_axis(lengths, order, axis=1), axis=1), axis=1)
+            least = np.take_along_axis(lengths, order, axis=1)
             row, column = np.nonzero(np.isfinite(least))
             seen = np.zeros(order.shape, dtype=bool)
-            corner = self._useful[order[row, column]]
-            seen[row, column] = self._corners.table.sees(corner, x[active[row]])
+            corner = self._turns.corner[order]
+            seen[row, column] = self._corners.table.sees(corner[row, column], x[active[row]])
             found, pick = seen.any(axis=1), seen.argmax(axis=1)
             best[active[found]] = least[found, pick[found]]
-            turn[active[found]] = self._useful[order[found, pick[found]]]
-            left = ~found & np.isfinite(least[:, -1]) & (tries < length.shape[1])
-            active, length, tries = active[left], length[left], 8 * tries
+            turn[active[found]] = corner[found, pick[found]]
+            left = ~found & np.isfinite(least[:, -1]) & (tries < lengths.shape[1])
+            active, lengths, tries = active[left], lengths[left], 4 * tries
         return best, turn
-
-    def _lengths_by_corner(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n u"]:
-        """Length of the path by way of each useful corner, inf where it could be cut short there."""
-        corner = self._corners.table.points[self._useful]
-        dx, dy = x[:, :1] - corner[:, 0], x[:, 1:] - corner[:, 1]
-        return self._distance[self._useful] + np.hypot(dx, dy)
-
-    @property
-    def _useful(self) -> Int[np.ndarray, "u"]:
-        return np.flatnonzero(np.isfinite(self._distance))
 
 
 def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: _Corners) -> None:
@@ -195,8 +219,8 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
         ("goal", goal),
         ("_corners", corners),
         ("_goal_table", goal_table),
-        ("_distance", distance),
         ("_parent", parent),
+        ("_turns", _find_turns(corners, distance, parent, goal)),
     ):
         object.__setattr__(oracle, name, value)
 
@@ -285,3 +309,31 @@ def _distances_to_goal(
     distance, parent = dijkstra(graph, indices=c, return_predecessors=True)
     parent = np.where((parent == c) | (parent == _NO_PARENT), -1, parent)
     return distance[:c], parent[:c]
+
+
+def _find_turns(
+    corners: _Corners,
+    distance: Float[np.ndarray, "c"],
+    parent: Int[np.ndarray, "c"],
+    goal: Float[np.ndarray, "2"],
+) -> _Turns:
+    """The corners that bend a shortest path to the goal, with the points that come around them."""
+    points = corners.table.points
+    onward = np.where(parent[:, None] < 0, goal, points[parent]) - points
+    norm = np.linalg.norm(onward, axis=1, keepdims=True)
+    onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
+    onward[(corners.opens == 0).all(axis=1)] = 0.0
+    # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it is to
+    # the left of the way onward, the path comes around the opening wall, else around the closing one.
+    on_left = cross(onward, corners.opens + corners.closes) > 0
+    side = np.where(on_left, 1.0, -1.0)[:, None]
+    wall = np.where(on_left[:, None], corners.opens, corners.closes)
+    normal = np.stack([side * _turned_left(onward), side * _turned_left(wall)])
+    straight_on_is_blocked = (normal[0] * wall).sum(axis=1) < -1e-9
+    useful = np.flatnonzero(np.isfinite(distance) & ~straight_on_is_blocked)
+    slack = 100 * corners.table.walls.tolerance
+    return _Turns(useful, points[useful], distance[useful], normal[:, useful], slack)
+
+
+def _turned_left(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    return np.stack([-u[:, 1], u[:, 0]], axis=1)

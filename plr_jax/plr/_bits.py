@@ -1,7 +1,5 @@
 """Integers of any width, packed without gaps: the body of a PLR file."""
 
-from typing import Self
-
 import numpy as np
 from jaxtyping import Int
 
@@ -12,7 +10,7 @@ class BitWriter:
     def __init__(self) -> None:
         self._bits: list[np.ndarray] = []
 
-    def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> Self:
+    def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
         """Append each value in as many bits as its width says."""
         field, within = _fields(np.broadcast_to(widths, values.shape))
         self._bits.append(((values[field] >> within) & 1).astype(np.uint8))

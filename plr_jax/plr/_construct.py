@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._box import Box
-from plr_jax._types import DistanceFn
+from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import encode, size_in_bytes
 from plr_jax.plr._fit import CellFit, WeightFn, fit_cells, sample_pattern
@@ -78,16 +78,16 @@ class Limits:
 
 def construct(
     distance_fn: DistanceFn,
-    domain: Box,
+    domain: Box | tuple[ArrayLike, ArrayLike],
     *,
     max_depth: int | None = None,
     max_leaves: int | None = None,
     max_bytes: int | None = None,
-    tolerance: float | None = None,
+    tolerance: int | float | None = None,
     should_split: ShouldSplitRule = largest_error,
     split: SplitRule = best_axis,
     num_samples: int = 128,
-    margin: float = 0.0,
+    margin: int | float = 0,
     weight_fn: WeightFn | None = None,
     coefficient_bits: int | None = None,
     seed: int = 0,
@@ -102,7 +102,7 @@ def construct(
 
     Args:
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` where it cannot be reached.
-        domain: The box to cover.
+        domain: The box to cover, a ``Box`` or its two corners.
         max_depth: Largest number of splits between the root and a leaf, at most 60.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes.
@@ -128,7 +128,8 @@ def construct(
     References:
         Section III-B of the paper.
     """
-    limits = _check_limits(domain.dim, max_depth, max_leaves, max_bytes, tolerance, coefficient_bits)
+    domain = domain if isinstance(domain, Box) else Box(*domain)
+    limits = _check_limits(max_depth, max_leaves, max_bytes, tolerance, coefficient_bits)
     if not isinstance(num_samples, int | np.integer) or num_samples < domain.dim + 1:
         raise ValueError(
             f"num_samples must be at least dim + 1 = {domain.dim + 1} to determine a plane, got {num_samples}."
@@ -161,6 +162,7 @@ def _grow(fit, dim: int, limits: Limits) -> Nodes:
         try:
             while len(batch := _next_batch(nodes, limits)):
                 children = fit(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
+                _check_memory(float(len(nodes.key) + len(children.key)))
                 nodes.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
                 nodes = nodes.append(children)
                 progress.update(len(batch))
@@ -319,11 +321,10 @@ def _node_of_fit(
 
 
 def _check_limits(
-    dim: int,
     max_depth: int | None,
     max_leaves: int | None,
     max_bytes: int | None,
-    tolerance: float | None,
+    tolerance: int | float | None,
     coefficient_bits: int | None,
 ) -> Limits:
     """Limits with every None replaced, after checking their ranges."""
@@ -345,12 +346,8 @@ def _check_limits(
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
     most_leaves = min(max_leaves or np.inf, 8 * (max_bytes or np.inf), 2.0 ** (max_depth or MAX_DEPTH))
-    if tolerance is None and most_leaves * _BYTES_A_NODE * 2 > _machine_bytes():
-        raise ValueError(
-            f"The limits allow {most_leaves:.3g} leaves, which would need about "
-            f"{most_leaves * _BYTES_A_NODE * 2 / 2**30:.3g} GiB; this machine has {_machine_bytes() / 2**30:.3g}. "
-            "Lower max_depth, or also give max_leaves, max_bytes or a tolerance."
-        )
+    if tolerance is None:
+        _check_memory(2.0 * most_leaves)
     return Limits(
         max_depth=MAX_DEPTH if max_depth is None else int(max_depth),
         max_leaves=np.iinfo(np.int64).max if max_leaves is None else int(max_leaves),
@@ -358,6 +355,16 @@ def _check_limits(
         tolerance=0.0 if tolerance is None else float(tolerance),
         coefficient_bits=coefficient_bits,
     )
+
+
+def _check_memory(num_nodes: float) -> None:
+    needed = num_nodes * _BYTES_A_NODE
+    if needed > _machine_bytes():
+        raise ValueError(
+            f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
+            f"this machine has {_machine_bytes() / 2**30:.3g}. Lower max_depth, or also give max_leaves, max_bytes "
+            "or a tolerance."
+        )
 
 
 def _machine_bytes() -> float:

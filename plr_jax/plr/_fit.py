@@ -11,7 +11,6 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import qmc
 
 from plr_jax._box import Box
 from plr_jax._types import DistanceFn, Points
@@ -47,7 +46,7 @@ class CellFit:
     residual: Float[np.ndarray, "cells k"]
 
 
-def sample_pattern(dim: int, num_samples: int, margin: float, seed: int) -> Float[np.ndarray, "k dim"]:
+def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Float[np.ndarray, "k dim"]:
     """Local coordinates of a cell's samples: its center, its corners, then a scrambled Sobol sequence.
 
     A distance bends most against its plane at a cell's corners, so they are sampled wherever they are few.
@@ -61,6 +60,8 @@ def sample_pattern(dim: int, num_samples: int, margin: float, seed: int) -> Floa
     Returns:
         Coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
     """
+    from scipy.stats import qmc  # half a second of import that a query does not need
+
     center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
     rest = num_samples - 1 - len(corners)
@@ -83,7 +84,8 @@ def fit_cells(
     if weight_fn is not None:
         weight *= _call_weights(weight_fn, x).reshape(weight.shape)
     value = np.where(reachable, distance, 0.0)
-    center, half = compute_coefficients(u, value, weight)
+    # A cell to which no weight is given still gets the plane of its samples.
+    center, half = compute_coefficients(u, value, np.where(weight.any(axis=1)[:, None], weight, reachable))
     residual = np.where(reachable, value - (center[:, None] + half @ u.T), 0.0)
     blocked = ~reachable.any(axis=1)
     return CellFit(cells, u, reachable, weight, np.where(blocked, np.inf, center), half, residual)

@@ -47,7 +47,7 @@ class StoredPlanes:
         return StoredPlanes(self.bits, self.offset, self.step, self.center[index], self.half[index])
 
 
-def blocked_code(bits: int) -> float:
+def blocked_code(bits: int) -> int | float:
     """The center value that marks a blocked leaf."""
     return np.inf if bits == FLOAT_BITS else (1 << bits) - 1
 

@@ -17,7 +17,7 @@ from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import decode, file_size
 from plr_jax.plr._neighbors import fill_blocked
 from plr_jax.plr._planes import StoredPlanes
-from plr_jax.plr._tables import Tables, build_tables, evaluate_tables
+from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
 
 
 @jax.tree_util.register_dataclass
@@ -34,7 +34,7 @@ class PLR:
     """
 
     tables: Tables
-    file: UInt8[np.ndarray, "padded"]
+    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
@@ -124,7 +124,8 @@ def from_bytes(data: bytes) -> PLR:
     center, half = planes.decode()
     lo, hi = cells.boxes(domain)
     slope = half * 2 / (hi - lo)
-    at_corner = np.where(planes.blocked, 0.0, center) - np.sum(slope * ((lo + hi) / 2 - domain.lo), axis=1)
+    to_center = (lo + hi) / 2 - table_corners(domain)[0]
+    at_corner = np.where(planes.blocked, 0.0, center) - np.sum(slope * to_center, axis=1)
     slope, at_corner = fill_blocked(cells, planes.blocked, slope, at_corner)
     padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
     padded[: len(data)] = np.frombuffer(data, np.uint8)
@@ -138,7 +139,8 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
 
     Args:
         plr: The PLR.
-        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision.
+        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in
+            their own precision, at least 32 bits.
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
@@ -149,11 +151,20 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long.
     """
-    if not isinstance(x, (np.ndarray, jax.Array)) or not jnp.issubdtype(x.dtype, jnp.floating):
-        x = np.asarray(x, np.float64)
+    if not isinstance(x, np.ndarray | jax.Array):
+        x = _as_array(x)
     if x.ndim == 0 or x.shape[-1] != plr.dim:
         raise ValueError(f"Points must have shape (..., {plr.dim}), got {x.shape}.")
+    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
     return _evaluate(plr.tables, x)
+
+
+def _as_array(x: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(x)
+    except ValueError as error:
+        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
 
 
 _evaluate = jax.jit(evaluate_tables)

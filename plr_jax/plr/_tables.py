@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, Float, Int, Integer, Num
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
@@ -32,9 +32,9 @@ class Blocks:
         offset: Where the block's own table starts in ``leaf_of_slot``.
     """
 
-    shift: Int[ArrayLike, "dim"]
-    shape: Int[ArrayLike, "blocks"]
-    offset: Int[ArrayLike, "blocks"]
+    shift: Int[Array, "dim"]
+    shape: Int[Array, "blocks"]
+    offset: Int[Array, "blocks"]
 
 
 @jax.tree_util.register_dataclass
@@ -54,15 +54,15 @@ class Tables:
         intercept: Value of each leaf's plane at ``lo``.
     """
 
-    lo: Float[ArrayLike, "dim"]
-    hi: Float[ArrayLike, "dim"]
-    scale: Float[ArrayLike, "dim"]
-    last: Int[ArrayLike, "dim"]
-    stride: Int[ArrayLike, "dim"]
+    lo: Float[Array, "dim"]
+    hi: Float[Array, "dim"]
+    scale: Float[Array, "dim"]
+    last: Int[Array, "dim"]
+    stride: Int[Array, "dim"]
     blocks: Blocks | None
-    leaf_of_slot: Int[ArrayLike, "slots"]
-    slope: tuple[Float[ArrayLike, "leaves"], ...]
-    intercept: Float[ArrayLike, "leaves"]
+    leaf_of_slot: Integer[Array, "slots"]
+    slope: tuple[Float[Array, "leaves"], ...]
+    intercept: Float[Array, "leaves"]
 
 
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> Int[Array, "*batch"]:
@@ -75,10 +75,11 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> Int[Array, "*batch"
     return _gather(tables.leaf_of_slot, index).astype(jnp.int32)
 
 
-def evaluate_tables(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch"]:
+def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's plane at each point; ``inf`` outside the closed domain, NaN for NaN."""
+    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     leaf = lookup(tables, jax.lax.stop_gradient(x))
-    lo, hi = jnp.asarray(tables.lo, x.dtype), jnp.asarray(tables.hi, x.dtype)
+    lo, hi = tables.lo.astype(x.dtype), tables.hi.astype(x.dtype)
     value = _gather(tables.intercept, leaf).astype(x.dtype)
     outside = jnp.zeros(x.shape[:-1], bool)
     for axis, slope in enumerate(tables.slope):
@@ -88,47 +89,57 @@ def evaluate_tables(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Arra
     return jnp.where(outside, jnp.inf, value)
 
 
+def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it."""
+    lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
+    return (
+        np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
+        np.where(hi < domain.hi, np.nextafter(hi, np.float32(np.inf)), hi),
+    )
+
+
 def build_tables(
     domain: Box, cells: Cells, slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
 ) -> Tables:
-    """Tables of a partition whose leaf ``i`` is ``cells[i]`` with plane ``slope[i], intercept[i]``."""
+    """Tables of a partition: leaf ``i`` is ``cells[i]``, its plane ``intercept[i]`` high at ``table_corners``."""
     bits = cells.depth.max(axis=0)
     block_bits = _choose_block_bits(cells, bits)
     shape = _block_shapes(cells, block_bits)
     size = np.int64(1) << shape.sum(axis=1)
     offset = np.concatenate([[0], np.cumsum(size)])
-    leaf_of_slot = np.zeros(_power_of_two(offset[-1]), np.uint16 if len(cells) <= 2**16 else np.int32)
+    leaf_of_slot = np.zeros(_power_of_two(int(offset[-1])), np.uint16 if len(cells) <= 2**16 else np.int32)
     _fill_slots(leaf_of_slot, cells, block_bits, shape, offset)
     padded = _power_of_two(len(cells))
     blocks = None
     if block_bits.any():
         packed = (shape << (_SHAPE_BITS * np.arange(cells.dim))).sum(axis=1)
         blocks = Blocks(
-            shift=np.asarray(bits - block_bits, np.int32),
-            shape=jnp.asarray(packed, jnp.int32),
-            offset=jnp.asarray(offset[:-1], jnp.int32),
+            shift=jnp.asarray((bits - block_bits).astype(np.int32)),
+            shape=jnp.asarray(packed.astype(np.int32)),
+            offset=jnp.asarray(offset[:-1].astype(np.int32)),
         )
+    lo, hi = table_corners(domain)
     return Tables(
-        lo=domain.lo,
-        hi=domain.hi,
-        scale=np.ldexp(1.0, bits) / domain.width,
-        last=np.asarray((1 << bits) - 1, np.int32),
+        lo=jnp.asarray(lo),
+        hi=jnp.asarray(hi),
+        scale=jnp.asarray((np.ldexp(1.0, bits) / domain.width).astype(np.float32)),
+        last=jnp.asarray(((1 << bits) - 1).astype(np.int32)),
         stride=_strides(bits if blocks is None else block_bits),
         blocks=blocks,
         leaf_of_slot=jnp.asarray(leaf_of_slot),
-        slope=tuple(jnp.asarray(_pad(column, padded), jnp.float32) for column in slope.T),
-        intercept=jnp.asarray(_pad(intercept, padded), jnp.float32),
+        slope=tuple(jnp.asarray(_pad(column.astype(np.float32), padded)) for column in slope.T),
+        intercept=jnp.asarray(_pad(intercept.astype(np.float32), padded)),
     )
 
 
 def _slot(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Array, "*batch"]:
-    offset = x[..., axis] - jnp.asarray(tables.lo, x.dtype)[axis]
-    slot = (offset * jnp.asarray(tables.scale, x.dtype)[axis]).astype(jnp.int32)
+    offset = x[..., axis] - tables.lo[axis].astype(x.dtype)
+    slot = (offset * tables.scale[axis].astype(x.dtype)).astype(jnp.int32)
     return jnp.clip(slot, 0, tables.last[axis])
 
 
 def _index_in_blocks(
-    blocks: Blocks, stride: Int[ArrayLike, "dim"], slots: list[Int[Array, "*batch"]]
+    blocks: Blocks, stride: Int[Array, "dim"], slots: list[Int[Array, "*batch"]]
 ) -> Int[Array, "*batch"]:
     """Index into ``leaf_of_slot``: find the block, then the slot in the block's own table."""
     block = _ravel([slot >> blocks.shift[axis] for axis, slot in enumerate(slots)], stride)
@@ -141,15 +152,15 @@ def _index_in_blocks(
     return _gather(blocks.offset, block) + index
 
 
-def _ravel(slots: list[Int[Array, "*batch"]], stride: Int[ArrayLike, "dim"]) -> Int[Array, "*batch"]:
+def _ravel(slots: list[Int[Array, "*batch"]], stride: Int[Array, "dim"]) -> Int[Array, "*batch"]:
     index = slots[0] * stride[0]
     for axis in range(1, len(slots)):
         index += slots[axis] * stride[axis]
     return index
 
 
-def _gather(table: Int[Array, "n"] | Float[Array, "n"], index: Int[Array, "*batch"]):
-    return jnp.asarray(table).at[index].get(mode="promise_in_bounds")
+def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: Int[Array, "*batch"]):
+    return table.at[index].get(mode="promise_in_bounds")
 
 
 def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
@@ -206,7 +217,7 @@ def _enumerate_boxes(
 
 
 def _fill_slots(
-    leaf_of_slot: Int[np.ndarray, "slots"],
+    leaf_of_slot: Integer[np.ndarray, "slots"],
     cells: Cells,
     block_bits: Int[np.ndarray, "dim"],
     shape: Int[np.ndarray, "blocks dim"],
@@ -225,13 +236,13 @@ def _fill_slots(
     leaf_of_slot[offset[index[pair]] + within] = leaf[pair]
 
 
-def _strides(bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+def _strides(bits: Int[np.ndarray, "dim"]) -> Int[Array, "dim"]:
     above = np.cumsum(bits[::-1])[::-1] - bits
-    return np.asarray(np.int64(1) << above, np.int32)
+    return jnp.asarray((1 << above).astype(np.int32))
 
 
 def _power_of_two(n: int) -> int:
-    return 1 << (int(n) - 1).bit_length()
+    return 1 << (n - 1).bit_length()
 
 
 def _pad(values: Float[np.ndarray, "n"], size: int) -> Float[np.ndarray, "size"]:

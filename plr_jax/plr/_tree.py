@@ -44,7 +44,7 @@ def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
         split = axis[node[active]]
         below = cells.depth[active, split] - node_depth[node[active], split] - 1
         upper = (cells.position[active, split] >> below) & 1
-        path[active] |= upper << (MAX_DEPTH - len(levels))
+        path[active] |= upper << (MAX_DEPTH + 1 - len(levels))
         node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
         node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
     return levels, np.argsort(path, kind="stable")
@@ -59,5 +59,5 @@ def cells_of(levels: list[Level], dim: int) -> Cells:
         paths.append(path[~level.inner])
         nodes = nodes[level.inner].split(level.axis)
         path = np.repeat(path[level.inner], 2)
-        path[1::2] |= 1 << (MAX_DEPTH - 1 - depth)
+        path[1::2] |= 1 << (MAX_DEPTH - depth)
     return leaves[np.argsort(np.concatenate(paths), kind="stable")]

@@ -1,0 +1,30 @@
+import math
+
+import numpy as np
+import pytest
+
+from plr_jax.oracles import Euclidean
+
+
+def test_distance_in_any_dimension():
+    np.testing.assert_allclose(Euclidean((0, 0))(np.array([[3, 4], [0, 0]])), [5, 0])
+    np.testing.assert_allclose(Euclidean((1, 1, 1, 1))(np.array([[2.0, 2, 2, 2]])), [2])
+    np.testing.assert_allclose(Euclidean([2.0])(np.array([[-1.5]])), [3.5])
+    result = Euclidean((0, 0))(np.array([[np.nan, 0.0]], dtype=np.float32))
+    assert result.dtype == np.float64
+    assert math.isnan(result[0])
+
+
+@pytest.mark.parametrize(
+    ("goal", "x", "message"),
+    [
+        ((0, np.nan), None, "finite numbers"),
+        (3.0, None, "vector of finite numbers"),
+        ("goal", None, "vector of finite numbers"),
+        ((0, 0), np.zeros((2, 3)), r"shape \(n, 2\), got \(2, 3\)"),
+        ((0, 0), np.zeros(2), r"x\[None\]"),
+    ],
+)
+def test_bad_input_is_refused(goal, x, message):
+    with pytest.raises(ValueError, match=message):
+        Euclidean(goal)(x)
