@@ -7,7 +7,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._geometry import as_points
+from plr_jax._geometry import as_points, cross
 from plr_jax._types import ArrayLike, Distances
 from plr_jax._workspace import Workspace
 from plr_jax.oracles._euclidean import as_goal
