@@ -1,3 +1,71 @@
-"""Distance functions over configuration spaces, compressed into kilobytes of planes."""
+"""Distance functions over configuration spaces, compressed into kilobytes of planes.
 
-from plr_jax._box import Box as Box
+Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
+(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``).
+
+Names are loaded when they are first used: a program that only loads and queries a PLR imports neither SciPy nor
+Shapely nor NetworkX.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from plr_jax import metrics as metrics
+    from plr_jax import plot as plot
+    from plr_jax import scenes as scenes
+    from plr_jax._box import Box as Box
+    from plr_jax._problem import Problem as Problem
+    from plr_jax._robot import PointRobot as PointRobot
+    from plr_jax._workspace import Workspace as Workspace
+    from plr_jax.oracles import Euclidean as Euclidean
+    from plr_jax.oracles import Roadmap as Roadmap
+    from plr_jax.oracles import VisibilityGraph as VisibilityGraph
+    from plr_jax.plr import PLR as PLR
+    from plr_jax.plr import best_axis as best_axis
+    from plr_jax.plr import center_error as center_error
+    from plr_jax.plr import construct as construct
+    from plr_jax.plr import cyclic_axis as cyclic_axis
+    from plr_jax.plr import evaluate as evaluate
+    from plr_jax.plr import from_bytes as from_bytes
+    from plr_jax.plr import largest_error as largest_error
+    from plr_jax.plr import load as load
+    from plr_jax.plr import maximum_depth as maximum_depth
+    from plr_jax.plr import save as save
+
+_MODULES = ("metrics", "plot", "scenes")
+_HOME = {
+    "Box": "_box",
+    "Problem": "_problem",
+    "PointRobot": "_robot",
+    "Workspace": "_workspace",
+    "Euclidean": "oracles",
+    "Roadmap": "oracles",
+    "VisibilityGraph": "oracles",
+    "PLR": "plr",
+    "best_axis": "plr",
+    "center_error": "plr",
+    "construct": "plr",
+    "cyclic_axis": "plr",
+    "evaluate": "plr",
+    "from_bytes": "plr",
+    "largest_error": "plr",
+    "load": "plr",
+    "maximum_depth": "plr",
+    "save": "plr",
+}
+
+__all__ = sorted([*_MODULES, *_HOME])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"plr_jax.{name}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'plr_jax' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"plr_jax.{_HOME[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -21,7 +21,18 @@ DIAGONAL = [box(3, 3, 5, 5), box(5, 5, 7, 7), np.array([[2.0, 0], [1, 1], [3, 1]
 
 
 def test_free_space_is_closed():
-    x = [[0, 0], [10, 10], [3, 3], [5, 3], [3, 4], [5, 5], [3 + 1e-10, 4], [3 + 1e-6, 4], [10.001, 5], [np.nan, 1]]
+    x = [
+        [0, 0],
+        [10, 10],
+        [3, 3],
+        [5, 3],
+        [3, 4],
+        [5, 5],
+        [3 + 1e-10, 4],
+        [3 + 1e-6, 4],
+        [10.001, 5],
+        [np.nan, 1],
+    ]
     expected = [True, True, True, True, True, False, True, False, False, False]
     np.testing.assert_array_equal(BLOCK.is_free(np.array(x)), expected)
     assert not BLOCK.is_free(np.array([[np.inf, 1.0]]))[0]
@@ -179,7 +190,10 @@ def test_samples_are_free_uniform_and_repeatable():
 @pytest.mark.parametrize(
     ("ring", "message"),
     [
-        (np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]), "Obstacle 1 is not a simple polygon.*Self-intersection"),
+        (
+            np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]),
+            "Obstacle 1 is not a simple polygon.*Self-intersection",
+        ),
         (np.array([[1.0, 1], [2, 2]]), "Obstacle 1 has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "Obstacle 1 has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [3, 3]]), "Obstacle 1 has zero area"),

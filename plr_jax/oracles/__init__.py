@@ -1,4 +1,5 @@
 """Room 1, discover: distance functions computed from an obstacle map or a roadmap."""
 
 from plr_jax.oracles._euclidean import Euclidean as Euclidean
+from plr_jax.oracles._roadmap import Roadmap as Roadmap
 from plr_jax.oracles._visibility_graph import VisibilityGraph as VisibilityGraph

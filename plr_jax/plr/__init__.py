@@ -1,1 +1,13 @@
 """Room 2, store: piecewise linear regressions over a binary space partition."""
+
+from plr_jax.plr._construct import construct as construct
+from plr_jax.plr._plr import PLR as PLR
+from plr_jax.plr._plr import evaluate as evaluate
+from plr_jax.plr._plr import from_bytes as from_bytes
+from plr_jax.plr._plr import load as load
+from plr_jax.plr._plr import save as save
+from plr_jax.plr._split import best_axis as best_axis
+from plr_jax.plr._split import center_error as center_error
+from plr_jax.plr._split import cyclic_axis as cyclic_axis
+from plr_jax.plr._split import largest_error as largest_error
+from plr_jax.plr._split import maximum_depth as maximum_depth

@@ -1,0 +1,278 @@
+"""The commands themselves.
+
+Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
+"""
+
+import functools
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from jaxtyping import Float
+
+from plr_jax.cli._inputs import SCENES, parse_goal, parse_points, read_map, read_text
+
+if TYPE_CHECKING:
+    from plr_jax._workspace import Workspace
+
+_DEFAULT_BYTES = 16_384
+_ERROR_POINTS = 20_000
+_SIGINT_EXIT = 130
+
+app = typer.Typer(
+    name="plr-jax",
+    help="Distance functions over maps, compressed into kilobytes of planes.",
+    epilog="Start with: plr-jax demo",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line; the entry point of ``plr-jax``."""
+    app()
+
+
+def _command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(*args: object, **kwargs: object) -> None:
+            try:
+                function(*args, **kwargs)
+            except KeyboardInterrupt:
+                typer.echo("Interrupted.", err=True)
+                raise typer.Exit(_SIGINT_EXIT) from None
+            except BrokenPipeError:
+                raise  # a reader such as `head` that has seen enough
+            except OSError as error:
+                # strerror and filename alone read better than "[Errno 2] ...".
+                where = f"{error.filename}: " if error.filename else ""
+                _fail(f"{where}{error.strerror or error}")
+            except ValueError as error:
+                _fail(str(error))
+
+        return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
+
+    return register
+
+
+def _fail(message: str) -> None:
+    typer.echo(f"Error: {message}", err=True)
+    raise typer.Exit(2)
+
+
+_Map = Annotated[
+    str,
+    typer.Argument(
+        metavar="MAP",
+        help=f"A scene ({', '.join(SCENES)}), a scene file (.json), a Moving AI grid (.map), "
+        "or polygons with holes (.json).",
+        show_default=False,
+    ),
+]
+_File = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
+_Goal = Annotated[
+    str | None,
+    typer.Option("--goal", "-g", metavar="X,Y", help="The goal; a scene brings its own.", show_default=False),
+]
+
+
+@_command(
+    "plr-jax build maze -o maze.plr --max-bytes 2048",
+    "plr-jax build arena.map --goal 10.5,30",
+)
+def build(
+    map: _Map,
+    goal: _Goal = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The file to write.", show_default="MAP's name with .plr"),
+    ] = None,
+    max_bytes: Annotated[
+        int | None,
+        typer.Option(help="Largest size of the file.", show_default=f"{_DEFAULT_BYTES} where no limit is given"),
+    ] = None,
+    max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
+    max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="Sample error (workspace units) at which to stop.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
+) -> None:
+    """Compress the exact distance to a goal in a MAP into a small file."""
+    began = time.perf_counter()
+    from plr_jax import metrics
+    from plr_jax.oracles import VisibilityGraph
+    from plr_jax.plr import construct, save
+
+    workspace, goal_point = _map_and_goal(map, goal)
+    if goal_point is None:
+        raise ValueError(f"{map} has no goal of its own: give one with --goal X,Y.")
+    output = output or Path(f"{Path(map).stem}.plr")
+    if max_bytes is max_leaves is max_depth is None:
+        max_bytes = _DEFAULT_BYTES
+    oracle = VisibilityGraph(workspace, goal_point)
+    with _interruptible():
+        plr = construct(
+            oracle,
+            workspace.bounds,
+            max_bytes=max_bytes,
+            max_leaves=max_leaves,
+            max_depth=max_depth,
+            tolerance=tolerance,
+            seed=seed,
+        )
+    save(plr, output)
+    built = time.perf_counter() - began
+    # A seed of its own, so that the error is not measured where the planes were fitted.
+    report = metrics.error_map(plr, oracle, workspace, resolution=0, num_random=_ERROR_POINTS, seed=seed + 1)
+    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
+    typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
+    typer.echo(
+        f"        mean is {100 * report.mean / report.max_distance:.2g} % of the largest distance, "
+        f"{report.max_distance:.4g}"
+    )
+    if report.num_unreachable:
+        typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
+    if report.num_unanswered:
+        typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
+    typer.echo(f"time    {built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C end a build: construct by itself only warns, and returns what it has so far."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="construct was interrupted")
+        try:
+            yield
+        except UserWarning:
+            raise KeyboardInterrupt from None
+
+
+@_command(
+    "plr-jax query maze.plr points.csv",
+    "echo 0.93,0.95 | plr-jax query maze.plr",
+)
+def query(
+    file: _File,
+    points: Annotated[
+        str, typer.Argument(metavar="[POINTS.csv | -]", help="Points, one x,y a line; - is stdin.")
+    ] = "-",
+    gradient: Annotated[
+        bool, typer.Option("--gradient", help="Print distance,dx,dy: the gradient beside the distance.")
+    ] = False,
+) -> None:
+    """Print the distance of each point, one a line; inf where the goal cannot be reached.
+
+    A first line that is no row of numbers is taken as a header.
+    """
+    from plr_jax.plr import load
+
+    plr = load(file)
+    name, text = read_text(points)
+    x = parse_points(name, text, plr.domain.dim)
+    answers = np.asarray(plr(x))[:, None]
+    if gradient:
+        import jax
+
+        answers = np.hstack([answers, jax.vmap(jax.grad(plr))(x)])
+    sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)
+
+
+@_command("plr-jax info maze.plr")
+def info(file: _File) -> None:
+    """Say what is in a .plr file."""
+    from plr_jax.plr import load
+
+    plr = load(file)
+    finite = int(np.isfinite(np.asarray(plr.intercept)).sum())
+    typer.echo(f"file       {file}")
+    typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D)")
+    typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_leaves - finite:,} unreachable")
+    typer.echo(f"depth      {plr.depth}")
+    typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
+
+
+class Picture(StrEnum):
+    """What ``plr-jax plot`` draws."""
+
+    distance = "distance"
+    cells = "cells"
+    surface = "surface"
+    error = "error"
+
+
+@_command(
+    "plr-jax plot maze.plr --map maze -o maze.png",
+    "plr-jax plot maze.plr --map maze --kind error -o error.png",
+)
+def plot(
+    file: _File,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
+    map: Annotated[
+        str | None,
+        typer.Option("--map", metavar="MAP", help="Draw this map's obstacles.", show_default=False),
+    ] = None,
+    goal: _Goal = None,
+    kind: Annotated[
+        Picture,
+        typer.Option(help="Colors and contours; the partition; a surface; the error (needs --map)."),
+    ] = Picture.distance,
+) -> None:
+    """Draw a .plr file."""
+    from plr_jax.plr import load
+
+    if goal is not None and map is None:
+        raise ValueError("--goal needs --map.")
+    plr = load(file)
+    workspace, goal_point = (None, None) if map is None else _map_and_goal(map, goal)
+    from plr_jax import metrics
+    from plr_jax import plot as draw
+
+    match kind:
+        case Picture.distance:
+            ax = draw.plot_contours(plr, workspace=workspace, goal=goal_point)
+        case Picture.cells:
+            ax = draw.plot_cells(plr, workspace=workspace)
+        case Picture.surface:
+            ax = draw.plot_surface(plr, workspace=workspace)
+        case Picture.error:
+            if workspace is None or goal_point is None:
+                raise ValueError("The error needs a map with its goal: give --map, and --goal X,Y.")
+            from plr_jax.oracles import VisibilityGraph
+
+            errors = metrics.error_grid(plr, VisibilityGraph(workspace, goal_point), workspace)
+            ax = draw.plot_error(errors, workspace)
+    draw.save(ax, output)
+    typer.echo(f"wrote {output}")
+
+
+@_command("plr-jax demo --output pictures")
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")] = Path(
+        "plr_jax_demo"
+    ),
+) -> None:
+    """Compress a maze, measure the result beside the exact distance, and draw it."""
+    from plr_jax.cli import _demo
+
+    _demo.run(output)
+
+
+def _map_and_goal(map: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
+    workspace, own = read_map(map)
+    return workspace, own if goal is None else parse_goal(goal)

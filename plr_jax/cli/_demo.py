@@ -1,0 +1,88 @@
+"""``plr-jax demo``: the maze in a few kilobytes, beside the oracle it was made from."""
+
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import typer
+
+from plr_jax import metrics, plot, scenes
+from plr_jax._types import ArrayLike, DistanceFn
+from plr_jax._workspace import Workspace
+from plr_jax.oracles import VisibilityGraph
+from plr_jax.plr import PLR, construct, save
+
+_MAX_BYTES = 2_048
+_PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
+_ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
+
+
+def run(output: Path) -> None:
+    """Build the maze's PLR, measure it beside its oracle, and draw it.
+
+    Args:
+        output: Folder for the file and the pictures; made where missing.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    problem = scenes.maze()
+    workspace, goal = problem.workspace, problem.goals[0]
+    typer.echo(f"A maze of six walls; the distance from anywhere to {tuple(goal.tolist())}, to be stored.")
+
+    began = time.perf_counter()
+    oracle = VisibilityGraph(workspace, goal)
+    plr = construct(oracle, workspace.bounds, max_bytes=_MAX_BYTES)
+    seconds = time.perf_counter() - began
+    save(plr, output / "maze.plr")
+    typer.echo(f"  built   {plr.num_leaves} planes in {seconds:.1f} s")
+    typer.echo(f"  size    {plr.num_bytes:,} bytes in the file, {plr.resident_bytes:,} in memory")
+
+    report = metrics.error_map(plr, oracle, workspace)
+    typer.echo(
+        f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {report.num_points:,} free points "
+        f"(distances reach {report.max_distance:.2f})"
+    )
+    typer.echo("  asking  a batch of random free points, warm, on " + _device())
+    points = workspace.sample_free(_PLR_POINTS, seed=1)
+    plr_rate = _rate(plr, jnp.asarray(points, jnp.float32), _PLR_REPEATS)
+    oracle_rate = _rate(oracle, points[:_ORACLE_POINTS], _ORACLE_REPEATS)
+    typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points a second")
+    typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points a second")
+    typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
+
+    for path in _draw(plr, oracle, workspace, goal, output):
+        typer.echo(f"  wrote   {path}")
+    typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
+
+
+def _device() -> str:
+    device = jax.devices()[0]
+    return "this machine's CPU" if device.platform == "cpu" else device.device_kind
+
+
+def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
+    """Points answered a second: the median of several runs after one that compiles."""
+    jax.block_until_ready(function(points))
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(function(points))
+        seconds.append(time.perf_counter() - began)
+    return len(points) / statistics.median(seconds)
+
+
+def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, output: Path) -> list[Path]:
+    distance = plot.plot_contours(plr, workspace=workspace, goal=goal)
+    plot.plot_cells(plr, distance, color="white")
+    pictures = {
+        "distance": distance,
+        "error": plot.plot_error(metrics.error_grid(plr, oracle, workspace), workspace),
+        "surface": plot.plot_surface(plr, workspace=workspace),
+    }
+    paths = []
+    for name, ax in pictures.items():
+        paths.append(output / f"maze_{name}.png")
+        plot.save(ax, paths[-1])
+    return paths

@@ -1,0 +1,110 @@
+"""What the commands are given: maps, goals, points."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from plr_jax._workspace import Workspace
+
+SCENES = ("maze", "thin_maze")
+
+
+def read_map(name: str) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
+    """The workspace that a MAP argument means, and its goal if it has one.
+
+    Args:
+        name: Name of a scene, or path of a scene file, a Moving AI grid or a polygon file.
+
+    Returns:
+        The workspace, and the goal of a scene with one robot.
+
+    Raises:
+        ValueError: If it is none of these.
+        OSError: If the file cannot be read.
+    """
+    from plr_jax import scenes
+
+    path = Path(name)
+    if name in SCENES:
+        problem = getattr(scenes, name)()
+    elif path.suffix == ".map":
+        return scenes.read_map(path), None
+    elif path.suffix == ".json":
+        if not scenes.is_scene(path):
+            return scenes.read_polygons(path), None
+        problem = scenes.load(path)
+    else:
+        raise ValueError(
+            f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in .map or .json, got {name!r}."
+        )
+    return problem.workspace, problem.goals[0, :2] if len(problem.robots) == 1 else None
+
+
+def parse_goal(text: str) -> Float[np.ndarray, "2"]:
+    """The point that ``X,Y`` means."""
+    try:
+        goal = np.array([float(field) for field in text.split(",")])
+    except ValueError:
+        goal = np.empty(0)
+    if goal.shape != (2,) or not np.isfinite(goal).all():
+        raise ValueError(f"--goal must be two numbers X,Y, got {text!r}.")
+    return goal
+
+
+def read_text(source: str) -> tuple[str, str]:
+    """Name and text of a file, or of standard input for ``-``."""
+    try:
+        if source == "-":
+            return "stdin", sys.stdin.read()
+        return source, Path(source).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{'stdin' if source == '-' else source} is not a text file.") from None
+
+
+def parse_points(name: str, text: str, dim: int) -> Float[np.ndarray, "n dim"]:
+    """The points of a CSV text: ``dim`` numbers a line, after an optional header.
+
+    Args:
+        name: What the text is called in errors.
+        text: The text.
+        dim: Numbers a line.
+
+    Returns:
+        The points.
+
+    Raises:
+        ValueError: If a line is blank, malformed or not finite, named by its number; or there is none.
+    """
+    lines = text.rstrip().splitlines()
+    first = 1 if lines and _is_header(lines[0]) else 0
+    rows = [_row(name, number, line, dim) for number, line in enumerate(lines[first:], start=first + 1)]
+    if not rows:
+        raise ValueError(f"{name} has no points: expected {dim} comma-separated numbers a line.")
+    return np.array(rows)
+
+
+def _is_header(line: str) -> bool:
+    """Whether no field of the line is a number (a half-broken first line is an error, not a header)."""
+    return bool(line.strip()) and not any(_is_number(field) for field in line.split(","))
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _row(name: str, number: int, line: str, dim: int) -> list[float]:
+    try:
+        row = [float(field) for field in line.split(",")]
+    except ValueError:
+        row = []
+    if len(row) != dim or not all(map(np.isfinite, row)):
+        raise ValueError(f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}.")
+    return row

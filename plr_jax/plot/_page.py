@@ -1,0 +1,122 @@
+"""The page of a picture: figures, axes, color bars, and what of a PLR is drawn."""
+
+import os
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+
+from plr_jax._box import Box
+from plr_jax._types import ArrayLike
+
+INK = "#262626"
+DISTANCE_COLORS = "viridis"
+DISTANCE_LABEL = "distance to the goal (workspace units)"
+FONT_SIZE = 9
+_PANEL = 4.2  # inches along the longer side of the plotted box
+_DPI = 200
+
+
+@runtime_checkable
+class Partition(Protocol):
+    """What a picture needs of a PLR."""
+
+    @property
+    def domain(self) -> Box: ...
+    @property
+    def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
+    @property
+    def slope(self) -> ArrayLike: ...
+    @property
+    def intercept(self) -> ArrayLike: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+def require_2d(plr: Partition) -> None:
+    """Refuse a PLR that is not over the plane."""
+    if plr.domain.dim != 2:
+        raise ValueError(f"Only a 2-D PLR can be drawn, got one of {plr.domain.dim} dimensions.")
+
+
+def cell_corners(plr: Partition) -> Float[np.ndarray, "leaves 4 2"]:
+    """Corners of every cell, counterclockwise."""
+    lo, hi = plr.leaf_boxes
+    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
+    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
+    return np.stack([x, y], axis=-1)
+
+
+def save(ax: Axes, path: str | os.PathLike[str]) -> None:
+    """Write the picture that axes belong to.
+
+    Args:
+        ax: Any axes of the picture.
+        path: The file; its ending says how: ``.png``, ``.pdf``, ``.svg`` and what else Matplotlib knows.
+
+    Raises:
+        ValueError: If the ending is none that Matplotlib knows.
+        OSError: If the file cannot be written.
+    """
+    ax.figure.canvas.figure.savefig(path)
+
+
+def dressed_axes(ax: Axes | None, box: Box, *, room_for_colorbar: bool = True) -> Axes:
+    """The axes, or new ones, set up to show a box: limits, labels, ink."""
+    ax = ax or _new_axes(box, room_for_colorbar)
+    ax.set_xlim(box.lo[0], box.hi[0])
+    ax.set_ylim(box.lo[1], box.hi[1])
+    ax.set_aspect("equal")
+    ax.set_xlabel("x (workspace units)")
+    ax.set_ylabel("y (workspace units)")
+    _ink(ax)
+    ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)
+    return ax
+
+
+def _new_axes(box: Box, room_for_colorbar: bool) -> Axes:
+    width, height = _PANEL * box.width / box.width.max()
+    total = np.array([width + (1.6 if room_for_colorbar else 0.75), height + 0.8])
+    figure = Figure(figsize=tuple(total), dpi=_DPI, facecolor="white")
+    return figure.add_axes((0.6 / total[0], 0.5 / total[1], width / total[0], height / total[1]))
+
+
+def new_axes_3d(box: Box) -> Axes3D:
+    """New axes for a surface over a box, with room for a color bar at their right."""
+    figure = Figure(figsize=(6.2, 4.6), dpi=_DPI, facecolor="white")
+    ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
+    assert isinstance(ax, Axes3D)
+    ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
+    ax.view_init(elev=32, azim=-125)
+    ax.set_xlabel("x (workspace units)")
+    ax.set_ylabel("y (workspace units)")
+    ax.set_zlabel("distance", labelpad=6)
+    _ink(ax)
+    return ax
+
+
+def _ink(ax: Axes) -> None:
+    axes = [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else [])
+    for axis in axes:
+        axis.label.set(fontsize=FONT_SIZE, color=INK)
+    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
+
+
+def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
+    """Set a color bar beside flat axes."""
+    # An inset is exactly as high as the axes, whatever their aspect.
+    place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
+    style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
+
+
+def style_colorbar(bar: Colorbar, label: str) -> None:
+    """Label a color bar and give it the ink of the axes."""
+    bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
+    bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)
+    bar.set_label(label, fontsize=FONT_SIZE, color=INK)
+    bar.ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
+    bar.outline.set(linewidth=0.7, edgecolor=INK)

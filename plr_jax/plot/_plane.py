@@ -1,0 +1,196 @@
+"""Pictures in the plane: workspaces, contours, cells, errors."""
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import MaxNLocator
+
+from plr_jax._box import Box
+from plr_jax._types import ArrayLike
+from plr_jax._workspace import Workspace
+from plr_jax.plot._page import (
+    DISTANCE_COLORS,
+    DISTANCE_LABEL,
+    FONT_SIZE,
+    INK,
+    Partition,
+    add_colorbar,
+    cell_corners,
+    dressed_axes,
+    require_2d,
+)
+
+_QUIET = "#6e6e6e"
+_OBSTACLE = "#ececec"
+_ERROR_COLORS = "inferno"
+
+
+def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
+    """Draw the obstacles of a workspace and its outline.
+
+    Args:
+        workspace: What to draw.
+        ax: Axes to draw on; a new figure where not given.
+
+    Returns:
+        The axes.
+    """
+    ax = dressed_axes(ax, workspace.bounds, room_for_colorbar=False)
+    bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
+    for polygon in shapely.get_parts(blocked):
+        if polygon.geom_type == "Polygon":
+            ax.add_patch(PathPatch(_outline(polygon), facecolor=_OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
+    return ax
+
+
+def plot_contours(
+    plr: Partition,
+    ax: Axes | None = None,
+    *,
+    workspace: Workspace | None = None,
+    goal: ArrayLike | None = None,
+    resolution: int = 800,
+) -> Axes:
+    """Draw a 2-D distance function as colors with contour lines.
+
+    Args:
+        plr: The PLR.
+        ax: Axes to draw on; a new figure where not given.
+        workspace: Its obstacles are drawn on top. Without it, the values inside obstacles show, which mean
+            nothing.
+        goal: A point to mark with a star, ``(2,)``.
+        resolution: Number of samples along the longer side of the domain.
+
+    Returns:
+        The axes. Points without an answer stay blank.
+
+    Raises:
+        ValueError: If the PLR is not 2-D, or no point has an answer.
+    """
+    require_2d(plr)
+    ax = dressed_axes(ax, plr.domain)
+    x, y = _grid(plr.domain, resolution)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
+    # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
+    shown = values if workspace is None else values[workspace.is_free(points.reshape(-1, 2)).reshape(values.shape)]
+    if not shown.count():
+        raise ValueError("There is nothing to draw: no point has an answer in free space.")
+    largest = float(shown.max())
+    lo, hi = plr.domain.lo, plr.domain.hi
+    image = ax.imshow(
+        values,
+        origin="lower",
+        extent=(lo[0], hi[0], lo[1], hi[1]),
+        cmap=DISTANCE_COLORS,
+        vmin=0.0,
+        vmax=largest,
+        interpolation="nearest",
+    )
+    levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
+    ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.9)
+    if workspace is not None:
+        plot_workspace(workspace, ax)
+    if goal is not None:
+        ax.plot(*np.asarray(goal), "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
+    add_colorbar(ax, image, DISTANCE_LABEL)
+    return ax
+
+
+def plot_cells(
+    plr: Partition, ax: Axes | None = None, *, workspace: Workspace | None = None, color: str = _QUIET
+) -> Axes:
+    """Draw the cells of a 2-D partition, one rectangle a leaf.
+
+    Args:
+        plr: The PLR.
+        ax: Axes to draw on; a new figure where not given.
+        workspace: Its obstacles are drawn on top.
+        color: Color of the lines.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: If the PLR is not 2-D.
+    """
+    require_2d(plr)
+    ax = dressed_axes(ax, plr.domain, room_for_colorbar=False)
+    cells = cell_corners(plr)
+    closed = np.concatenate([cells, cells[:, :1]], axis=1)
+    ax.add_collection(LineCollection(list(closed), colors=color, linewidths=0.4, alpha=0.7, zorder=2.5))
+    if workspace is not None:
+        plot_workspace(workspace, ax)
+    return ax
+
+
+def plot_error(
+    errors: Float[np.ndarray, "rows columns"],
+    workspace: Workspace,
+    ax: Axes | None = None,
+    *,
+    largest: float | None = None,
+) -> Axes:
+    """Draw the error of an approximation over free space, as in Fig. 2 of the paper.
+
+    Args:
+        errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as
+            ``metrics.error_grid`` gives them. NaN is blank; points without an answer (infinite) are red.
+        workspace: Its obstacles are drawn on top.
+        ax: Axes to draw on; a new figure where not given.
+        largest: Error at the upper end of the colors, beyond which they stay the same; where not given, the
+            error that 99.9 % of the points do not exceed. Give the same number to pictures that are to be
+            compared.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: If no error is finite.
+
+    References:
+        Putman et al., Section IV-A, Fig. 2: ``epsilon_g(x) = |L_g(x) - V_g(x)|``.
+    """
+    finite = errors[np.isfinite(errors)]
+    if finite.size == 0:
+        raise ValueError("There is nothing to draw: no error is finite.")
+    ax = dressed_axes(ax, workspace.bounds)
+    lo, hi = workspace.bounds.lo, workspace.bounds.hi
+    extent = (lo[0], hi[0], lo[1], hi[1])
+    largest = float(np.quantile(finite, 0.999)) if largest is None else largest
+    image = ax.imshow(
+        np.ma.masked_invalid(errors),
+        origin="lower",
+        extent=extent,
+        cmap=_ERROR_COLORS,
+        vmin=0.0,
+        vmax=largest or None,
+        interpolation="nearest",
+    )
+    unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
+    if unanswered.count():
+        ax.imshow(unanswered, origin="lower", extent=extent, cmap="autumn", vmin=1.0, vmax=2.0)
+    plot_workspace(workspace, ax)
+    clipped = "max" if finite.max() > largest else "neither"
+    add_colorbar(ax, image, "error $|L - V|$ (workspace units)", extend=clipped)
+    ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
+    return ax
+
+
+def _grid(domain: Box, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cell centers along each axis of a grid of square cells."""
+    columns, rows = np.maximum(2, np.rint(resolution * domain.width / domain.width.max())).astype(int)
+    return (
+        domain.lo[0] + domain.width[0] * (np.arange(columns) + 0.5) / columns,
+        domain.lo[1] + domain.width[1] * (np.arange(rows) + 0.5) / rows,
+    )
+
+
+def _outline(polygon: shapely.Polygon) -> Path:
+    rings = [polygon.exterior, *polygon.interiors]
+    return Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))

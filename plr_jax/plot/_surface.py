@@ -1,0 +1,83 @@
+"""The picture of a distance function as a surface."""
+
+from typing import TypeAlias
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from plr_jax._workspace import Workspace
+from plr_jax.plot._page import (
+    DISTANCE_COLORS,
+    DISTANCE_LABEL,
+    Partition,
+    cell_corners,
+    new_axes_3d,
+    require_2d,
+    style_colorbar,
+)
+
+Corners: TypeAlias = Float[np.ndarray, "_ 2"]
+
+
+def plot_surface(plr: Partition, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
+    """Draw a 2-D distance function as a surface of plane pieces, as in Fig. 1 of the paper.
+
+    Args:
+        plr: The PLR.
+        ax: 3-D axes to draw on; a new figure where not given.
+        workspace: Cells are cut to its free space, beyond which their planes mean nothing.
+
+    Returns:
+        The axes. Leaves without an answer are left out.
+
+    Raises:
+        ValueError: If the PLR is not 2-D, or no leaf has an answer.
+    """
+    require_2d(plr)
+    pieces = _plane_pieces(plr, workspace)
+    if not pieces:
+        raise ValueError("There is nothing to draw: no leaf has an answer in free space.")
+    heights = np.array([piece[:, 2].mean() for piece in pieces])
+    colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
+    if ax is None:
+        ax = new_axes_3d(plr.domain)
+        bar = ax.figure.colorbar(colors, cax=ax.figure.add_axes((0.86, 0.2, 0.025, 0.6)))
+    else:
+        bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
+    style_colorbar(bar, DISTANCE_LABEL)
+    # Lines are paler the more there are, so that they do not blacken the surface.
+    lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
+    ax.add_collection3d(
+        Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
+    )
+    ax.set_xlim(plr.domain.lo[0], plr.domain.hi[0])
+    ax.set_ylim(plr.domain.lo[1], plr.domain.hi[1])
+    ax.set_zlim(0.0, max(piece[:, 2].max() for piece in pieces))
+    return ax
+
+
+def _plane_pieces(plr: Partition, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
+    """Every leaf's plane over the leaf (or over the free part of it), as polygons in space."""
+    slope, intercept = np.asarray(plr.slope, dtype=np.float64), np.asarray(plr.intercept, dtype=np.float64)
+    pieces = []
+    for cell, a, b in zip(cell_corners(plr), slope, intercept, strict=True):
+        if np.isfinite(b):
+            for corners in [cell] if workspace is None else _free_parts(cell, workspace):
+                pieces.append(np.column_stack([corners, corners @ a + b]))
+    return pieces
+
+
+def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
+    parts = shapely.get_parts(shapely.intersection(shapely.Polygon(cell), workspace.free_space))
+    solid = []
+    for part in parts:
+        if part.geom_type == "Polygon" and not part.is_empty:
+            # A polygon in space has no holes: cut the rare cell around an obstacle into triangles.
+            whole = shapely.get_num_interior_rings(part) == 0
+            solid += [part] if whole else list(shapely.constrained_delaunay_triangles(part).geoms)
+    return [shapely.get_coordinates(part)[:-1] for part in solid]

@@ -1,0 +1,194 @@
+"""The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from plr_jax._atomic import write_atomically
+from plr_jax._box import Box
+from plr_jax._types import ArrayLike
+from plr_jax.plr._cells import Cells
+from plr_jax.plr._file import decode, file_size
+from plr_jax.plr._neighbors import fill_blocked
+from plr_jax.plr._planes import StoredPlanes
+from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class PLR:
+    """A distance function stored as planes over a binary space partition (Section III of the paper).
+
+    Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
+    jitted function can close over it or take it as an argument, and it is cheap to copy to a device.
+
+    Attributes:
+        tables: What a query reads, derived from ``file`` alone.
+        file: The bytes that :func:`save` writes, padded with zeros to a power of two.
+    """
+
+    tables: Tables
+    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Same as :func:`evaluate`."""
+        return evaluate(self, x)
+
+    @cached_property
+    def _leaves(self) -> tuple[Box, Cells, StoredPlanes]:
+        return decode(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file that :func:`save` writes."""
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def domain(self) -> Box:
+        """The closed box that the PLR covers."""
+        return self._leaves[0]
+
+    @property
+    def cells(self) -> Cells:
+        """The leaves' cells, in the order of the tree's left-to-right traversal."""
+        return self._leaves[1]
+
+    @property
+    def planes(self) -> StoredPlanes:
+        """The leaves' planes as the file stores them."""
+        return self._leaves[2]
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return len(self.tables.slope)
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves of the partition, each with a plane."""
+        return len(self.cells)
+
+    @property
+    def depth(self) -> int:
+        """Largest number of splits between the root and a leaf."""
+        return int(self.cells.depth.sum(axis=1).max())
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file that :func:`save` writes."""
+        return file_size(np.asarray(self.file).tobytes())
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        return sum(leaf.nbytes for leaf in jax.tree_util.tree_leaves(self.tables))
+
+    @property
+    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
+        """Lower and upper corners of the leaves."""
+        return self.cells.boxes(self.domain)
+
+    @property
+    def slope(self) -> Float[np.ndarray, "leaves dim"]:
+        """Slope of every leaf's plane, the gradient of the PLR in that leaf."""
+        columns = [np.asarray(column)[: self.num_leaves] for column in self.tables.slope]
+        return np.stack(columns, axis=1).astype(np.float64)
+
+    @property
+    def intercept(self) -> Float[np.ndarray, "leaves"]:
+        """Intercept of every leaf: its plane is ``slope . x + intercept``; ``inf`` in an unreachable leaf."""
+        at_corner = np.asarray(self.tables.intercept)[: self.num_leaves].astype(np.float64)
+        return at_corner - self.slope @ np.asarray(self.tables.lo, np.float64)
+
+    def __repr__(self) -> str:
+        return f"PLR(dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, {self.domain})"
+
+
+def from_bytes(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold: fill blocked leaves from their neighbors, then build the tables.
+
+    Every PLR comes into being here, so a loaded one equals the one that was saved, bit for bit.
+
+    Args:
+        data: What :meth:`PLR.to_bytes` gave.
+
+    Raises:
+        ValueError: If the bytes are not those of a PLR file of a version this release reads.
+    """
+    domain, cells, planes = decode(data)
+    center, half = planes.decode()
+    lo, hi = cells.boxes(domain)
+    slope = half * 2 / (hi - lo)
+    to_center = (lo + hi) / 2 - table_corners(domain)[0]
+    at_corner = np.where(planes.blocked, 0.0, center) - np.sum(slope * to_center, axis=1)
+    slope, at_corner = fill_blocked(cells, planes.blocked, slope, at_corner)
+    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
+    padded[: len(data)] = np.frombuffer(data, np.uint8)
+    return PLR(build_tables(domain, cells, slope, at_corner), padded)
+
+
+def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
+    """Approximate distance at each point: the plane of the leaf that holds it (Section III-A of the paper).
+
+    Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is the leaf's slope.
+
+    Args:
+        plr: The PLR.
+        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in
+            their own precision, at least 32 bits.
+
+    Returns:
+        Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
+        value, in an obstacle too, except in leaves none of whose samples reaches the goal and that touch no leaf
+        with one that does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. The
+        upper edge of the domain belongs to the last cell.
+
+    Raises:
+        ValueError: If the last axis of ``x`` is not ``dim`` long.
+    """
+    if not isinstance(x, np.ndarray | jax.Array):
+        x = _as_array(x)
+    if x.ndim == 0 or x.shape[-1] != plr.dim:
+        raise ValueError(f"Points must have shape (..., {plr.dim}), got {x.shape}.")
+    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
+    return _evaluate(plr.tables, x)
+
+
+def _as_array(x: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(x)
+    except ValueError as error:
+        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
+
+
+_evaluate = jax.jit(evaluate_tables)
+
+
+def save(plr: PLR, path: str | os.PathLike) -> None:
+    """Write a PLR to a file of ``plr.num_bytes`` bytes; the format is documented in ``plr_jax/plr/_file.py``.
+
+    The file is complete or absent: it is written under another name first, then renamed.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    write_atomically(Path(path), plr.to_bytes())
+
+
+def load(path: str | os.PathLike) -> PLR:
+    """Read a PLR that :func:`save` wrote; it equals the saved one bit for bit.
+
+    Raises:
+        ValueError: If the file is truncated, corrupt, no PLR file, or of a newer format.
+        OSError: If the file cannot be read.
+    """
+    try:
+        return from_bytes(Path(path).read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

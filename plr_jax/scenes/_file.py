@@ -1,0 +1,159 @@
+"""The scene file: a problem as JSON.
+
+Version 1 is one object with these keys; coordinates are in workspace units::
+
+    "format":     "plr_jax scene"
+    "version":    1
+    "workspace":  {"bounds": [[x0, y0], [x1, y1]],
+                   "squeeze": whether paths may pass between obstacles that touch in one point,
+                   "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
+    "robots":     [{"shape": "point"}, ...]
+    "starts":     [[x, y], ...]     one configuration a robot
+    "goals":      [[x, y], ...]
+
+Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a list of ``[x, y]``
+points. Numbers are written with as many digits as it takes to read the same float64 back.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import shapely
+
+from plr_jax._atomic import write_atomically
+from plr_jax._problem import Problem
+from plr_jax._robot import PointRobot, Robot
+from plr_jax._workspace import Workspace
+from plr_jax.scenes._polygons import read_json
+
+_FORMAT = "plr_jax scene"
+_VERSION = 1
+_KEYS = ("workspace", "robots", "starts", "goals")
+
+
+def save(problem: Problem, path: str | os.PathLike[str]) -> None:
+    """Write a problem as a scene file.
+
+    The file appears whole or not at all: an interrupted save leaves an older file as it was.
+
+    Args:
+        problem: The problem.
+        path: Where; usually ends in ``.json``.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    scene = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "workspace": _workspace_entry(problem.workspace),
+        "robots": [{"shape": "point"} for _ in problem.robots],
+        "starts": problem.starts.tolist(),
+        "goals": problem.goals.tolist(),
+    }
+    write_atomically(Path(path), (json.dumps(scene, indent=1) + "\n").encode())
+
+
+def load(path: str | os.PathLike[str]) -> Problem:
+    """Read a scene file.
+
+    Args:
+        path: A file that :func:`save` wrote, or one made by hand after the module's description.
+
+    Returns:
+        The problem: its bounds, obstacles, starts and goals equal the saved ones exactly.
+
+    Raises:
+        ValueError: If the file is no scene, is damaged, was written by a newer version, or describes an
+            impossible problem.
+        OSError: If the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        scene = read_json(path)
+        _check_header(scene)
+        robots = [_robot(i, entry) for i, entry in enumerate(scene["robots"])]
+        return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def is_scene(path: str | os.PathLike[str]) -> bool:
+    """Whether a JSON file says that it is a scene file, of whatever version.
+
+    Args:
+        path: The file.
+
+    Returns:
+        False for files that are no JSON, too.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    try:
+        scene = read_json(Path(path))
+    except ValueError:
+        return False
+    return isinstance(scene, dict) and scene.get("format") == _FORMAT
+
+
+def _check_header(scene: Any) -> None:
+    if not isinstance(scene, dict) or scene.get("format") != _FORMAT:
+        raise ValueError(f'expected a scene file, with "format": "{_FORMAT}".')
+    version = scene.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise ValueError(f"expected a version number of at least 1, got {version!r}.")
+    if version > _VERSION:
+        raise ValueError(f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax.")
+    missing = [key for key in _KEYS if key not in scene]
+    if missing:
+        raise ValueError(f"expected the keys {', '.join(_KEYS)}; missing {', '.join(missing)}.")
+    if not isinstance(scene["robots"], list):
+        raise ValueError(f'expected "robots" to be a list, got {scene["robots"]!r}.')
+
+
+def _robot(i: int, entry: Any) -> Robot:
+    if entry != {"shape": "point"}:
+        raise ValueError(f'expected robot {i} to be {{"shape": "point"}}, got {entry!r}.')
+    return PointRobot()
+
+
+def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
+    return {
+        "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
+        "squeeze": workspace.squeeze,
+        "obstacles": [
+            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
+            for polygon in shapely.get_parts(workspace.obstacles)
+        ],
+    }
+
+
+def _ring(ring: shapely.LinearRing) -> list[list[float]]:
+    return shapely.get_coordinates(ring)[:-1].tolist()
+
+
+def _workspace(entry: Any) -> Workspace:
+    keys = ("bounds", "obstacles", "squeeze")
+    if not isinstance(entry, dict) or any(key not in entry for key in keys):
+        raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {entry!r:.80}.')
+    if not isinstance(entry["squeeze"], bool):
+        raise ValueError(f'expected "squeeze" to be true or false, got {entry["squeeze"]!r}.')
+    if not isinstance(entry["obstacles"], list):
+        raise ValueError(f'expected "obstacles" to be a list, got {entry["obstacles"]!r:.80}.')
+    obstacles = [_obstacle(i, obstacle) for i, obstacle in enumerate(entry["obstacles"])]
+    return Workspace(entry["bounds"], obstacles, squeeze=entry["squeeze"])
+
+
+def _obstacle(i: int, entry: Any) -> Any:
+    """A ring, whose faults the workspace explains, or a polygon where there are holes."""
+    if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
+        raise ValueError(f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}.')
+    if not entry.get("holes"):
+        return entry["outer"]
+    try:
+        return shapely.Polygon(entry["outer"], entry["holes"])
+    except (TypeError, ValueError, shapely.errors.ShapelyError) as error:
+        raise ValueError(f"a ring of obstacle {i} is no list of at least three points ({error}).") from None

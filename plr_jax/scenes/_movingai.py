@@ -1,0 +1,160 @@
+"""Readers of the grid maps (``.map``) and scenarios (``.scen``) of the Moving AI benchmarks."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+
+from plr_jax._workspace import Workspace
+
+_PASSABLE = ".GS"
+_HEADER_LINES = 4
+_SCEN_COLUMNS = 9
+
+
+def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
+    """Read a Moving AI ``.map`` grid as a polygonal workspace.
+
+    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing
+    downward as in the file (a picture with ``y`` up shows the map upside down), so an integer point is a
+    lattice corner. Free space is the closed union of the
+    passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost). Any other letter is an
+    obstacle.
+
+    Args:
+        path: The ``.map`` file.
+        squeeze: Whether a path may pass between two blocked cells that touch in one corner.
+
+    Returns:
+        The workspace; its bounds are the bounding box of the free cells.
+
+    Raises:
+        ValueError: If the file is no Moving AI map, its rows do not match its header, or no cell is passable.
+        OSError: If the file cannot be read.
+
+    References:
+        N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
+        https://movingai.com/benchmarks/formats.html.
+    """
+    free = _passable_cells(Path(path))
+    polygons = shapely.get_parts(_union_of_cells(free))
+    components = [
+        {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
+        for polygon in polygons
+    ]
+    return Workspace.from_polygons(components, squeeze=squeeze)
+
+
+def _passable_cells(path: Path) -> Bool[np.ndarray, "rows columns"]:
+    lines = _text(path).splitlines()
+    rows, columns = _header(path, lines)
+    grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
+    if len(grid) < rows:
+        raise ValueError(f"{path} is cut short: its header promises {rows} rows, it has {len(grid)}.")
+    for number, line in enumerate(grid, start=_HEADER_LINES + 1):
+        if len(line) != columns:
+            raise ValueError(f"{path}, line {number}: expected {columns} cells, got {len(line)}.")
+    free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
+    if not free.any():
+        raise ValueError(f"{path} has no passable cell (one of {', '.join(_PASSABLE)}).")
+    return free
+
+
+def _header(path: Path, lines: list[str]) -> tuple[int, int]:
+    """Rows and columns promised by ``type ... / height N / width N / map``."""
+    words = [line.split() for line in lines[:_HEADER_LINES]]
+    match words:
+        case [["type", _], ["height", height], ["width", width], ["map"]] if (
+            height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
+        ):
+            return int(height), int(width)
+    raise ValueError(
+        f"{path} is not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' "
+        "at its beginning."
+    )
+
+
+def _union_of_cells(free: Bool[np.ndarray, "rows columns"]) -> shapely.Geometry:
+    # Runs of free cells along a row are boxes already; the union only has to join rows.
+    steps = np.diff(free.astype(np.int8), axis=1, prepend=0, append=0)
+    row, first = np.nonzero(steps == 1)
+    _, last = np.nonzero(steps == -1)
+    runs = shapely.box(first, row, last, row + 1)
+    # Tolerance 0 drops the points that the union leaves where two rows meet on a straight wall.
+    return shapely.simplify(shapely.union_all(runs), 0.0)
+
+
+def _ring(ring: shapely.LinearRing) -> Float[np.ndarray, "points 2"]:
+    return shapely.get_coordinates(ring)[:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """The queries of a Moving AI ``.scen`` file, one a row, in the order of the file.
+
+    Attributes:
+        map_name: Name of the map the queries are for, as the file gives it.
+        starts: Start points, ``(n, 2)``, lattice corners as in :func:`read_map`.
+        goals: Goal points, ``(n, 2)``.
+        octile_lengths: Published length of the shortest path over the 8-connected grid, ``(n,)``, printed
+            to about six digits. Never below the Euclidean shortest path by more than that rounding.
+    """
+
+    map_name: str
+    starts: Float[np.ndarray, "n 2"]
+    goals: Float[np.ndarray, "n 2"]
+    octile_lengths: Float[np.ndarray, "n"]
+
+
+def read_scen(path: str | os.PathLike[str]) -> Scenario:
+    """Read the queries of a Moving AI ``.scen`` file.
+
+    Args:
+        path: The ``.scen`` file.
+
+    Returns:
+        Its starts, goals and published octile lengths.
+
+    Raises:
+        ValueError: If the file is no Moving AI scenario, or a line is malformed (named by its number).
+        OSError: If the file cannot be read.
+
+    References:
+        https://movingai.com/benchmarks/formats.html.
+    """
+    path = Path(path)
+    lines = _text(path).splitlines()
+    if not lines or lines[0].split()[:1] != ["version"]:
+        raise ValueError(f"{path} is not a Moving AI scenario: expected its first line to be 'version 1'.")
+    rows = [_query(path, number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
+    if not rows:
+        raise ValueError(f"{path} has no queries.")
+    numbers = np.array([row[1] for row in rows])
+    return Scenario(rows[0][0], numbers[:, 0:2], numbers[:, 2:4], numbers[:, 4])
+
+
+def _query(path: Path, number: int, line: str) -> tuple[str, list[float]]:
+    """Map name and ``start x, start y, goal x, goal y, length`` of one line."""
+    fields = line.split("\t") if "\t" in line else line.split()
+    try:
+        if len(fields) != _SCEN_COLUMNS:
+            raise ValueError
+        numbers = [float(field) for field in fields[4:]]
+        if not np.isfinite(numbers).all():
+            raise ValueError
+    except ValueError:
+        raise ValueError(
+            f"{path}, line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
+            f"and octile length, got {line!r}."
+        ) from None
+    return fields[1], numbers
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a text file.") from None

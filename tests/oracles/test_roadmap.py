@@ -1,0 +1,349 @@
+import csv
+import itertools
+import json
+import os
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from jaxtyping import TypeCheckError
+
+from plr_jax._box import Box
+from plr_jax._workspace import Workspace
+from plr_jax.oracles._roadmap import Roadmap, prm_star_radius
+
+UNIT = Box((0, 0), (1, 1))
+
+
+class Boxes:
+    """Axis-aligned obstacles in any dimension, open, so that their boundary is free."""
+
+    def __init__(self, *boxes):
+        dim = len(boxes[0]) // 2 if boxes else 0
+        self.lo, self.hi = np.array([b[:dim] for b in boxes]), np.array([b[dim:] for b in boxes])
+
+    def is_free(self, x):
+        return np.array([not any(np.all((lo < p) & (p < hi)) for lo, hi in self.each()) for p in x], dtype=bool)
+
+    def is_visible(self, a, b):
+        return np.array(
+            [not any(crosses(p, q, *box) for box in self.each()) for p, q in zip(a, b, strict=True)], bool
+        )
+
+    def each(self):
+        return zip(self.lo, self.hi, strict=True)
+
+    def union(self):
+        return shapely.union_all([shapely.box(*lo, *hi) for lo, hi in self.each()])
+
+
+def crosses(a, b, lo, hi):
+    """Whether the open box meets the segment: slab by slab."""
+    enter, leave = 0.0, 1.0
+    for start, end, low, high in zip(a, b, lo, hi, strict=True):
+        if start == end:
+            if not low < start < high:
+                return False
+            continue
+        t = sorted([(low - start) / (end - start), (high - start) / (end - start)])
+        enter, leave = max(enter, t[0]), min(leave, t[1])
+    return enter < leave
+
+
+NOTHING = Boxes()
+# A wall from floor to ceiling but for a gap in y in [0.8, 0.9].
+GAP = Boxes((0.45, -1.0, 0.55, 0.8), (0.45, 0.9, 0.55, 2.0))
+# A wall without a gap.
+CUT = Boxes((0.45, -1.0, 0.55, 2.0))
+
+
+def roadmap(obstacles, goal=(0.1, 0.1), num_samples=300, domain=UNIT, **options):
+    options.setdefault("is_visible", obstacles.is_visible)
+    return Roadmap(domain, obstacles.is_free, goal, num_samples, **options)
+
+
+def free_points(obstacles, n, seed=9):
+    x = np.random.default_rng(seed).random((n, 2))
+    return x[obstacles.is_free(x)]
+
+
+def test_empty_box_is_near_euclidean_and_never_below():
+    x = free_points(NOTHING, 500)
+    oracle = roadmap(NOTHING, num_samples=2000)
+    euclidean = np.linalg.norm(x - oracle.goal, axis=1)
+    excess = oracle(x) - euclidean
+    assert excess.min() >= -1e-12
+    assert excess.max() < 0.05
+    near = euclidean <= oracle.radius
+    assert near.any()
+    np.testing.assert_allclose(oracle(x[near]), euclidean[near], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("dim", "excess"), [(3, 0.06), (4, 0.10)])
+def test_empty_box_in_higher_dimensions(dim, excess):
+    goal = np.full(dim, 0.2)
+    oracle = roadmap(NOTHING, goal, 1500, Box(np.zeros(dim), np.ones(dim)))
+    x = np.random.default_rng(3).random((200, dim))
+    difference = oracle(x) - np.linalg.norm(x - goal, axis=1)
+    assert difference.min() >= -1e-12
+    assert difference.mean() < excess
+    path = oracle.shortest_path(x[0])
+    assert path.shape[1] == dim
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(oracle(x[:1])[0])
+
+
+def test_wall_with_a_gap():
+    oracle = roadmap(GAP, num_samples=1500)
+    # Exact: over the two corners of the gap's lower edge.
+    corner_left, corner_right = np.array([0.45, 0.8]), np.array([0.55, 0.8])
+    start = np.array([0.9, 0.1])
+    exact = np.linalg.norm(start - corner_right) + 0.1 + np.linalg.norm(corner_left - oracle.goal)
+    assert exact <= oracle(start[None])[0] < 1.06 * exact
+
+
+def test_a_wall_in_three_dimensions_is_rounded():
+    wall = Boxes((0.45, -1.0, -1.0, 0.55, 2.0, 0.7))
+    oracle = roadmap(wall, (0.2, 0.5, 0.2), 1500, Box((0, 0, 0), (1, 1, 1)))
+    start = np.array([[0.8, 0.5, 0.2]])
+    exact = 0.1 + 2 * np.hypot(0.25, 0.5)
+    assert exact <= oracle(start)[0] < 1.15 * exact
+    blind = roadmap(wall, (0.2, 0.5, 0.2), 1500, Box((0, 0, 0), (1, 1, 1)), is_visible=None, resolution=0.02)
+    assert 0.98 * exact <= blind(start)[0] < 1.15 * exact
+
+
+def test_the_other_side_of_a_closed_wall_is_unreachable():
+    oracle = roadmap(CUT)
+    x = np.array([[0.2, 0.9], [0.8, 0.9], [0.8, 0.1], [0.5, 0.5], [0.45, 0.3], [0.55, 0.3]])
+    np.testing.assert_array_equal(np.isfinite(oracle(x)), [True, False, False, False, True, False])
+    assert oracle.shortest_path(x[1]).shape == (0, 2)
+    assert oracle.shortest_path(x[3]).shape == (0, 2)
+
+
+def test_no_answer_outside_the_domain_or_for_nan():
+    oracle = roadmap(NOTHING)
+    x = np.array([[1.1, 0.5], [0.5, -1e-9], [np.nan, 0.5], [0.5, np.inf], [1.0, 1.0]])
+    np.testing.assert_array_equal(np.isfinite(oracle(x)), [False, False, False, False, True])
+    assert oracle.shortest_path(x[2]).shape == (0, 2)
+
+
+def test_the_goal_and_the_vertices_are_answered_exactly():
+    oracle = roadmap(GAP)
+    assert oracle(oracle.goal[None])[0] == 0.0
+    np.testing.assert_array_equal(oracle.shortest_path(oracle.goal), oracle.goal[None])
+    np.testing.assert_allclose(oracle(oracle.graph.vertices), oracle.distances, rtol=0, atol=1e-12)
+
+
+def brute_force_graph(oracle, obstacles):
+    """Every pair within the radius, tested by Shapely one at a time."""
+    vertices, union = oracle.graph.vertices, obstacles.union()
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(vertices)))
+    for i, j in itertools.combinations(range(len(vertices)), 2):
+        segment = shapely.LineString(vertices[[i, j]])
+        if segment.length <= oracle.radius and not segment.relate_pattern(union, "T********"):
+            graph.add_edge(i, j, weight=segment.length)
+    return graph
+
+
+def brute_force_query(oracle, obstacles, distances, x):
+    """Every vertex tested, by Shapely; the radius doubles until one is seen."""
+    vertices, union = oracle.graph.vertices, obstacles.union()
+    seen = [not shapely.LineString([x, v]).relate_pattern(union, "T********") for v in vertices]
+    length = np.linalg.norm(vertices - x, axis=1)
+    radius = oracle.radius
+    while not np.any(seen & (length <= radius)):
+        if radius > 4:
+            return np.inf
+        radius *= 2
+    return min(length[v] + distances.get(v, np.inf) for v in np.flatnonzero(seen & (length <= radius)))
+
+
+@pytest.mark.parametrize(("obstacles", "num_samples"), [(GAP, 25), (GAP, 120), (CUT, 60)])
+def test_brute_force_twin(obstacles, num_samples):
+    oracle = roadmap(obstacles, num_samples=num_samples, seed=4)
+    expected = brute_force_graph(oracle, obstacles)
+    assert {frozenset(e) for e in oracle.graph.edges.tolist()} == {frozenset(e) for e in expected.edges}
+    distances = nx.single_source_dijkstra_path_length(expected, 0)
+    np.testing.assert_allclose(oracle.distances, [distances.get(v, np.inf) for v in range(num_samples + 1)])
+    x = free_points(obstacles, 120)
+    np.testing.assert_allclose(oracle(x), [brute_force_query(oracle, obstacles, distances, p) for p in x])
+
+
+def test_a_point_that_sees_no_vertex_nearby_looks_farther():
+    # A closet in the corner, open to the right, too small to be hit by a sample.
+    closet = Boxes((0.0, 0.979, 0.1, 0.98), (0.0, 0.90, 0.02, 0.979))
+    oracle = roadmap(closet, (0.9, 0.99), 60, seed=0)
+    x = np.array([[0.001, 0.981]])
+    length = np.linalg.norm(oracle.graph.vertices - x, axis=1)
+    seen = oracle._is_visible(np.repeat(x, len(length), 0), oracle.graph.vertices)
+    assert not np.any(seen & (length <= oracle.radius))
+    assert seen.any()
+    assert np.linalg.norm(x[0] - oracle.goal) <= oracle(x)[0] < 1.0
+    path = oracle.shortest_path(x[0])
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(oracle(x)[0])
+
+
+def test_a_point_that_sees_nothing_at_all_is_unconnected():
+    # A sealed chamber too small to be hit by a sample.
+    sealed = Boxes(
+        (0.5, 0.5, 0.52, 0.5001),
+        (0.5, 0.5, 0.5001, 0.52),
+        (0.5, 0.5199, 0.52, 0.52),
+        (0.5199, 0.5, 0.52, 0.52),
+    )
+    oracle = roadmap(sealed, num_samples=60)
+    assert not oracle._is_visible(np.full((61, 2), 0.51), oracle.graph.vertices).any()
+    assert oracle(np.array([[0.51, 0.51]]))[0] == np.inf
+    assert oracle.shortest_path([0.51, 0.51]).shape == (0, 2)
+
+
+def test_networkx_agrees():
+    oracle = roadmap(GAP)
+    exported = oracle.to_networkx()
+    distances = nx.single_source_dijkstra_path_length(exported, 0)
+    np.testing.assert_allclose([distances[v] for v in range(oracle.num_vertices)], oracle.distances)
+    assert exported.nodes[0]["pos"] == (0.1, 0.1)
+
+
+def test_astar_agrees_with_the_query_and_its_path_is_free():
+    oracle = roadmap(GAP)
+    x = free_points(GAP, 40)
+    for start, distance in zip(x, oracle(x), strict=True):
+        path = oracle.shortest_path(start)
+        np.testing.assert_array_equal(path[[0, -1]], [start, oracle.goal])
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(distance, abs=1e-12)
+        assert GAP.is_visible(path[:-1], path[1:]).all()
+
+
+def test_a_batch_is_its_points_one_by_one():
+    oracle = roadmap(GAP)
+    x = np.random.default_rng(2).random((60, 2))
+    np.testing.assert_array_equal(oracle(x), [oracle(p[None])[0] for p in x])
+    assert oracle(np.empty((0, 2))).shape == (0,)
+    assert oracle(x.tolist()).dtype == np.float64
+
+
+def test_batches_larger_than_memory_allows_are_cut(monkeypatch):
+    x = free_points(GAP, 200)
+    expected, sampled = roadmap(GAP)(x), roadmap(GAP, is_visible=None, resolution=0.01)(x)
+    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
+    monkeypatch.setattr("plr_jax.oracles._local_planner._BATCH", 64)
+    np.testing.assert_array_equal(roadmap(GAP)(x), expected)
+    np.testing.assert_array_equal(roadmap(GAP, is_visible=None, resolution=0.01)(x), sampled)
+
+
+def test_seeds():
+    x = free_points(GAP, 50)
+    first, again, other = (roadmap(GAP, seed=seed)(x) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    fewer, more = roadmap(GAP, num_samples=50), roadmap(GAP, num_samples=2500)
+    np.testing.assert_array_equal(more.graph.vertices[:51], fewer.graph.vertices)
+
+
+def test_more_samples_converge():
+    x = free_points(NOTHING, 200)
+    excess = [
+        np.mean(oracle(x) - np.linalg.norm(x - oracle.goal, axis=1))
+        for oracle in (roadmap(NOTHING, num_samples=n) for n in (100, 1000, 10_000))
+    ]
+    assert 0 < excess[2] < excess[1] < excess[0]
+
+
+def test_sampled_motions_approach_the_exact_test():
+    x = free_points(GAP, 100)
+    exact, sampled = roadmap(GAP), roadmap(GAP, is_visible=None, resolution=0.002)
+    edges = {frozenset(e) for e in exact.graph.edges.tolist()}
+    missed = {frozenset(e) for e in sampled.graph.edges.tolist()} - edges
+    assert edges <= {frozenset(e) for e in sampled.graph.edges.tolist()}  # a free motion is never refused
+    assert len(missed) <= 0.01 * len(edges)  # what clips a corner by less than the step
+    assert np.all(sampled(x) <= exact(x) + 1e-12)
+
+
+def test_radius_is_that_of_prm_star():
+    assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
+    assert prm_star_radius(500, 3, 2.0) == pytest.approx(
+        2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
+    )
+    assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
+    assert roadmap(CUT, num_samples=1999).radius == pytest.approx(prm_star_radius(2000, 2, 0.9), rel=0.02)
+
+
+def test_counts_and_bytes():
+    oracle = roadmap(GAP, num_samples=100)
+    assert oracle.num_vertices == 101
+    assert oracle.num_edges == len(oracle.graph.edges)
+    assert oracle.num_bytes == 101 * 2 * 8 + oracle.num_edges * (2 * 4 + 8)
+    assert oracle.domain == UNIT
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"goal": (0.5, 0.5)}, "in an obstacle; move it"),
+        ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
+        ({"goal": (np.nan, 0.5)}, "outside the domain"),
+        ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
+        ({"num_samples": 0}, "num_samples"),
+        ({"is_visible": None}, "Give either is_visible"),
+        ({"resolution": 0.1}, "Give either is_visible"),
+        ({"is_visible": None, "resolution": 0.0}, "positive length"),
+        ({"is_visible": None, "resolution": np.nan}, "positive length"),
+        ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
+        ({"is_visible": lambda a, b: True}, "is_visible must return one boolean"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        roadmap(CUT, **{"goal": (0.1, 0.1), **change})
+
+
+def test_a_fractional_number_of_samples_is_refused():
+    with pytest.raises((ValueError, TypeCheckError), match="num_samples"):
+        roadmap(NOTHING, num_samples=1e3)
+
+
+@pytest.mark.parametrize("answer", [lambda x: np.ones(len(x)), lambda x: x > 0, lambda x: np.True_, lambda x: None])
+def test_a_test_that_does_not_answer_one_boolean_a_point_is_refused(answer):
+    with pytest.raises(ValueError, match="is_free must return one boolean"):
+        Roadmap(UNIT, answer, (0.1, 0.1), 10, resolution=0.1)
+
+
+def test_vanishing_free_space_is_refused():
+    with pytest.raises(ValueError, match="tighten the domain"):
+        Roadmap(UNIT, lambda x: np.all(x < 1e-3, axis=1), (0, 0), 10, resolution=0.1)
+
+
+@pytest.mark.parametrize("x", [[0.1, 0.2], [[0.1, 0.2, 0.3]], 0.5, [[[0.1, 0.2]]]])
+def test_points_of_the_wrong_shape_are_refused(x):
+    with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
+        roadmap(NOTHING, num_samples=10)(x)
+
+
+def test_a_start_of_the_wrong_shape_is_refused():
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+        roadmap(NOTHING, num_samples=10).shortest_path([[0.1, 0.2]])
+
+
+def test_a_workspace_gives_the_roadmap_of_its_parts():
+    workspace = Workspace(((0, 0), (1, 1)), [shapely.box(0.45, 0.0, 0.55, 0.8), shapely.box(0.45, 0.9, 0.55, 1.0)])
+    short = Roadmap.from_workspace(workspace, (0.1, 0.1), 300, seed=2)
+    assert short.domain == UNIT
+    x = free_points(GAP, 200)
+    np.testing.assert_allclose(short(x), roadmap(GAP, seed=2)(x), rtol=1e-12)
+    with pytest.raises(ValueError, match="in an obstacle"):
+        Roadmap.from_workspace(workspace, (0.5, 0.5), 300)
+
+
+@pytest.mark.skipif("PLR_JAX_DATA" not in os.environ, reason="needs the published lengths in PLR_JAX_DATA")
+def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena():
+    folder = Path(os.environ["PLR_JAX_DATA"]) / "polyanya_arena"
+    workspace = Workspace.from_polygons([json.loads((folder / "arena_polygons.json").read_text())])
+    with (folder / "arena_euclid.csv").open() as file:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    for row in rows[-1::-40]:
+        oracle = Roadmap.from_workspace(workspace, (row["goal_x"], row["goal_y"]), 2000)
+        distance = oracle([[row["start_x"], row["start_y"]]])[0]
+        assert row["euclid_length"] - 1e-4 <= distance <= 1.1 * row["euclid_length"]

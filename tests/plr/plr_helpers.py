@@ -1,0 +1,50 @@
+"""Distance functions and slow twins that several tests of the PLR room share."""
+
+import numpy as np
+
+from plr_jax.plr._cells import Cells
+
+
+def cone(x):
+    return np.sqrt(np.sum(x * x, axis=1))
+
+
+def walled(x):
+    """Distance to (0.1, 0.1) in the unit square with a wall x in [0.4, 0.5], y <= 0.7, around whose top one walks."""
+    goal, left, right = np.array([0.1, 0.1]), np.array([0.4, 0.7]), np.array([0.5, 0.7])
+    from_left = np.linalg.norm(left - goal)
+    sees_goal = (x[:, 0] <= 0.4) | (x[:, 1] - 0.1 >= 2 * (x[:, 0] - 0.1))
+    value = np.where(
+        x[:, 1] >= 0.7,
+        np.linalg.norm(x - left, axis=1) + from_left,
+        np.linalg.norm(x - right, axis=1) + 0.1 + from_left,
+    )
+    value = np.where(sees_goal, np.linalg.norm(x - goal, axis=1), value)
+    in_wall = (x[:, 0] > 0.4) & (x[:, 0] < 0.5) & (x[:, 1] < 0.7)
+    return np.where(in_wall, np.inf, value)
+
+
+def leaf_by_search(plr, x):
+    """Index of the leaf that holds each point, by comparing it with every leaf's box."""
+    lo, hi = plr.leaf_boxes
+    last = hi >= plr.domain.hi  # the upper edge of the domain belongs to the last cell
+    inside = (x[:, None] >= lo) & ((x[:, None] < hi) | (last & (x[:, None] <= hi)))
+    found = inside.all(axis=2)
+    assert (found.sum(axis=1) == 1).all(), "the leaves do not tile the domain"
+    return found.argmax(axis=1)
+
+
+def evaluate_by_search(plr, x):
+    leaf = leaf_by_search(plr, x)
+    return plr.intercept[leaf] + np.sum(plr.slope[leaf] * x, axis=1)
+
+
+def random_partition(seed, dim, num_splits):
+    """Leaves of a tree grown by splitting random leaves along random axes, in traversal order."""
+    rng = np.random.default_rng(seed)
+    leaves = Cells.root(dim)
+    for _ in range(num_splits):
+        chosen = rng.integers(len(leaves))
+        children = leaves[[chosen]].split(rng.integers(dim, size=1))
+        leaves = leaves[:chosen].append(children).append(leaves[chosen + 1 :])
+    return leaves

@@ -1,0 +1,203 @@
+import heapq
+
+import numpy as np
+import pytest
+from plr_helpers import cone, walled
+
+from plr_jax._box import Box
+from plr_jax.plr import (
+    _construct,
+    best_axis,
+    center_error,
+    construct,
+    cyclic_axis,
+    largest_error,
+    maximum_depth,
+)
+from plr_jax.plr._cells import Cells
+from plr_jax.plr._fit import fit_cells, sample_pattern
+
+SQUARE = Box((0, 0), (1, 1))
+
+
+def best_first_twin(distance_fn, max_leaves):
+    """Best-first construction with a priority queue, one leaf at a time: boxes of the leaves."""
+    u = sample_pattern(2, 128, 0.0, 0)
+
+    def push(queue, cells):
+        for cell in range(len(cells)):
+            fit = fit_cells(cells[[cell]], SQUARE, distance_fn, None, u)
+            heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
+
+    queue, done = [], []
+    push(queue, Cells.root(2))
+    while queue and len(queue) + len(done) < max_leaves:
+        priority, _, axis, cells = heapq.heappop(queue)
+        if priority < -1e-6:
+            push(queue, cells.split(axis))
+        else:
+            done.append(cells)
+    leaves = [entry[3] for entry in queue] + done
+    return {(*leaf.depth[0], *leaf.position[0]) for leaf in leaves}
+
+
+@pytest.mark.parametrize("distance_fn", [walled, cone])
+@pytest.mark.parametrize("max_leaves", [1, 2, 17, 60])
+def test_rounds_build_the_tree_of_a_priority_queue(distance_fn, max_leaves):
+    cells = construct(distance_fn, SQUARE, max_leaves=max_leaves).cells
+    found = {(*depth, *position) for depth, position in zip(cells.depth, cells.position, strict=True)}
+    assert found == best_first_twin(distance_fn, max_leaves)
+
+
+def test_a_plane_needs_one_leaf():
+    plr = construct(lambda x: 1 + 2 * x[:, 0] - x[:, 1], SQUARE, max_leaves=100)
+    assert plr.num_leaves == 1 and plr.depth == 0
+    np.testing.assert_allclose(plr.slope, [[2, -1]], atol=1e-6)
+    np.testing.assert_allclose(plr.intercept, [1], atol=1e-6)
+
+
+def test_the_papers_configuration_splits_every_cell_nine_times_in_turn():
+    plr = construct(cone, SQUARE, max_depth=9, should_split=maximum_depth, split=cyclic_axis)
+    assert plr.num_leaves == 512
+    np.testing.assert_array_equal(np.unique(plr.cells.depth, axis=0), [[5, 4]])
+
+
+def test_center_error_with_a_tolerance_splits_until_the_centers_are_close():
+    plr = construct(cone, SQUARE, tolerance=0.01, should_split=center_error, split=cyclic_axis)
+    lo, hi = plr.leaf_boxes
+    assert np.abs(plr((lo + hi) / 2) - cone((lo + hi) / 2)).max() <= 0.01 + 1e-6
+    assert 4 < plr.num_leaves < 100
+
+
+def test_a_tolerance_bounds_the_error_at_the_samples():
+    plr = construct(walled, SQUARE, tolerance=0.004)
+    x = np.random.default_rng(0).random((20_000, 2))
+    free = np.isfinite(walled(x))
+    error = np.abs(np.asarray(plr(x))[free] - walled(x)[free])
+    assert np.quantile(error, 0.999) <= 0.004 and error.max() <= 0.008
+
+
+@pytest.mark.parametrize("budget", [80, 100, 1000, 4000])
+@pytest.mark.parametrize("bits", [None, 16, 32])
+def test_a_budget_of_bytes_is_kept_and_used(budget, bits):
+    if bits == 32 and budget < 100:
+        return
+    plr = construct(walled, SQUARE, max_bytes=budget, coefficient_bits=bits)
+    assert plr.num_bytes <= budget
+    if budget >= 1000:
+        assert plr.num_bytes > budget - 20
+
+
+def test_limits_combine():
+    plr = construct(walled, SQUARE, max_leaves=50, max_depth=4, max_bytes=10_000)
+    assert plr.num_leaves <= 16 and plr.depth == 4
+
+
+def test_no_limit_means_512_leaves():
+    assert construct(walled, SQUARE).num_leaves == 512
+
+
+def test_error_falls_with_leaves():
+    x = np.random.default_rng(0).random((20_000, 2))
+    free = np.isfinite(walled(x))
+    errors = []
+    for max_leaves in (16, 64, 256, 1024):
+        plr = construct(walled, SQUARE, max_leaves=max_leaves)
+        errors.append(np.abs(np.asarray(plr(x))[free] - walled(x)[free]).mean())
+    # Planes are of second order: in 2-D four times the leaves should give about a quarter of the error.
+    assert np.all(np.array(errors[1:]) < 0.45 * np.array(errors[:-1]))
+
+
+def test_the_same_seed_gives_the_same_plr_and_another_seed_another():
+    first, again, other = (construct(walled, SQUARE, max_leaves=60, seed=seed) for seed in (1, 1, 2))
+    assert first.to_bytes() == again.to_bytes() != other.to_bytes()
+
+
+def test_a_margin_takes_samples_from_beyond_the_cell():
+    seen = []
+    construct(lambda x: seen.append(x) or cone(x), SQUARE, max_leaves=1, margin=0.5)
+    assert np.concatenate(seen).min() < -0.4 and np.concatenate(seen).max() > 1.4
+
+
+def test_weights_say_where_accuracy_matters():
+    left = construct(walled, SQUARE, max_leaves=60, weight_fn=lambda x: np.where(x[:, 0] < 0.4, 10.0, 0.1))
+    even = construct(walled, SQUARE, max_leaves=60)
+    x = np.random.default_rng(0).random((5000, 2)) * [0.4, 1]
+    error = [np.abs(np.asarray(plr(x)) - walled(x)).mean() for plr in (left, even)]
+    assert error[0] < 0.5 * error[1]
+
+
+def test_an_own_rule_can_be_given():
+    plr = construct(
+        cone, SQUARE, max_leaves=8, split=lambda fit: np.zeros(len(fit.cells), int), should_split=maximum_depth
+    )
+    np.testing.assert_array_equal(plr.cells.depth, [[3, 0]] * 8)
+
+
+def test_any_dimension():
+    for dim in (1, 3, 6):
+        plr = construct(cone, Box(np.full(dim, -1.0), np.full(dim, 2.0)), max_leaves=300)
+        x = np.random.default_rng(0).uniform(-1, 2, size=(2000, dim))
+        assert np.abs(np.asarray(plr(x)) - cone(x)).mean() < 0.1 * np.sqrt(dim)
+
+
+def test_chunks_of_samples_change_nothing(monkeypatch):
+    whole = construct(walled, SQUARE, max_leaves=80)
+    monkeypatch.setattr(_construct, "_SAMPLES_AT_ONCE", 300)
+    assert construct(walled, SQUARE, max_leaves=80).to_bytes() == whole.to_bytes()
+
+
+def test_an_interrupt_keeps_what_is_there():
+    calls = []
+
+    def interrupted(x):
+        calls.append(len(x))
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return walled(x)
+
+    with pytest.warns(UserWarning, match="interrupted; the PLR holds the .* leaves built so far"):
+        plr = construct(interrupted, SQUARE, max_leaves=500)
+    assert 4 <= plr.num_leaves < 500
+    assert np.isfinite(np.asarray(plr(np.random.default_rng(0).random((100, 2))))).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_depth": -1}, "max_depth must be an integer >= 0, got -1"),
+        ({"max_depth": 61}, "max_depth must be at most 60"),
+        ({"max_depth": 60}, "would need about .* GiB; this machine has"),
+        ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
+        ({"max_leaves": 10**12}, "would need about"),
+        ({"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes 6. bytes"),
+        ({"tolerance": -0.1}, "tolerance must be a finite distance >= 0"),
+        ({"tolerance": np.nan}, "tolerance must be a finite distance >= 0"),
+        ({"num_samples": 2}, "num_samples must be at least dim \\+ 1 = 3"),
+        ({"margin": -0.1}, "margin must be"),
+        ({"margin": np.inf}, "margin must be"),
+        ({"coefficient_bits": 21}, "coefficient_bits must be 32"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        construct(cone, SQUARE, **({"max_leaves": 4} | options if "max_depth" not in options else options))
+
+
+def test_a_goal_that_no_sample_reaches_is_an_error():
+    with pytest.raises(ValueError, match="found nothing reachable"):
+        construct(lambda x: np.full(len(x), np.inf), SQUARE)
+
+
+def test_a_domain_without_width_is_refused():
+    with pytest.raises(ValueError, match="positive width"):
+        construct(cone, ((0, 0), (1, 0)))
+
+
+@pytest.mark.parametrize(
+    ("oracle", "message"),
+    [(lambda x: x, "one distance a point"), (lambda x: np.full(len(x), np.nan), "got nan at")],
+)
+def test_bad_oracles_are_refused(oracle, message):
+    with pytest.raises(ValueError, match=message):
+        construct(oracle, SQUARE)

@@ -1,0 +1,152 @@
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from plr_jax import scenes
+
+DATA = os.environ.get("PLR_JAX_DATA")
+needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party maps are absent")
+PAIRS = [
+    "movingai/dao/den009d",
+    "movingai/dao/den101d",
+    "movingai/dao/den312d",
+    "movingai/dao/den520d",
+    "movingai/da2/ht_store",
+    "polyanya_arena/arena",
+]
+
+
+def write_map(path, rows, header=None):
+    header = header or f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap\n"
+    path.write_text(header + "\n".join(rows) + "\n")
+    return path
+
+
+def test_letters_become_unit_squares_with_lattice_corners(tmp_path):
+    path = write_map(tmp_path / "small.map", ["@....", "T.@..", "OWSG@"])
+    workspace = scenes.read_map(path)
+    passable = {(1, 0), (2, 0), (3, 0), (4, 0), (1, 1), (3, 1), (4, 1), (2, 2), (3, 2)}
+    centers = np.array([(x + 0.5, y + 0.5) for x in range(5) for y in range(3)])
+    expected = [(x, y) in passable for x in range(5) for y in range(3)]
+    # The cell (2, 2) touches (1, 1) in a corner only, and (3, 2) along a side.
+    np.testing.assert_array_equal(workspace.is_free(centers[workspace.bounds.contains(centers)]),
+                                  np.array(expected)[workspace.bounds.contains(centers)])  # fmt: skip
+    assert workspace.free_space.area == len(passable)
+    np.testing.assert_array_equal(workspace.bounds.lo, [1, 0])
+    np.testing.assert_array_equal(workspace.bounds.hi, [5, 3])
+
+
+def test_boundaries_of_blocked_cells_are_free(tmp_path):
+    workspace = scenes.read_map(write_map(tmp_path / "ring.map", ["...", ".@.", "..."]))
+    assert workspace.is_free(np.array([(1.0, 1.0), (1.5, 1.0), (2.0, 1.7)])).all()
+    assert not workspace.is_free(np.array([(1.5, 1.5)])).any()
+
+
+def test_straight_walls_have_no_points_between_their_corners(tmp_path):
+    rows = ["." * 9] * 4 + ["..." + "@@@" + "..."] * 3 + ["." * 9] * 4
+    workspace = scenes.read_map(write_map(tmp_path / "hole.map", rows))
+    assert shapely.get_num_coordinates(workspace.free_space) <= 2 * (5 + 1)
+
+
+def test_the_squeeze_choice_reaches_the_workspace(tmp_path):
+    path = write_map(tmp_path / "touch.map", [".@", "@."])
+    assert scenes.read_map(path, squeeze=True).squeeze
+    assert not scenes.read_map(path).squeeze
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a Moving AI map"),
+        ("type octile\nheight 2\nwidth x\nmap\n..\n..\n", "not a Moving AI map"),
+        ("type octile\nheight 0\nwidth 2\nmap\n", "not a Moving AI map"),
+        ("type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "cut short: its header promises 3 rows, it has 2"),
+        ("type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
+        ("type octile\nheight 1\nwidth 2\nmap\n@T\n", "no passable cell"),
+    ],
+)
+def test_broken_maps_are_refused(text, message, tmp_path):
+    path = tmp_path / "broken.map"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"broken\.map.*{message}"):
+        scenes.read_map(path)
+
+
+def test_a_binary_file_is_no_map(tmp_path):
+    path = tmp_path / "binary.map"
+    path.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(ValueError, match="not a text file"):
+        scenes.read_map(path)
+
+
+@needs_data
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_map_equals_its_published_polygons(name):
+    from_cells = scenes.read_map(Path(DATA, f"{name}.map"))
+    from_polygons = scenes.read_polygons(Path(DATA, f"{name}_polygons.json"))
+    difference = shapely.symmetric_difference(from_cells.free_space, from_polygons.free_space)
+    assert difference.area == 0.0
+    assert from_cells.bounds == from_polygons.bounds
+    text = Path(DATA, f"{name}.map").read_text()
+    assert from_cells.free_space.area == text.split("map\n", 1)[1].count(".")
+
+
+def test_scenarios_are_read_row_by_row(tmp_path):
+    path = tmp_path / "two.scen"
+    path.write_text("version 1\n0\ta b.map\t9\t9\t1\t2\t3\t4\t2.82843\n1\ta b.map\t9\t9\t5\t6\t5\t8\t2\n")
+    scenario = scenes.read_scen(path)
+    assert scenario.map_name == "a b.map"
+    np.testing.assert_array_equal(scenario.starts, [[1, 2], [5, 6]])
+    np.testing.assert_array_equal(scenario.goals, [[3, 4], [5, 8]])
+    np.testing.assert_array_equal(scenario.octile_lengths, [2.82843, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a Moving AI scenario"),
+        ("0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "not a Moving AI scenario"),
+        ("version 1\n", "no queries"),
+        ("version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\n", "line 2: expected bucket"),
+        (
+            "version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\t1\n0\ta.map\t9\t9\t1\t2\t3\tfour\t1\n",
+            "line 3: expected bucket",
+        ),
+        ("version 1\n0\ta.map\t9\t9\t1\t2\t3\tnan\t1\n", "line 2: expected bucket"),
+    ],
+)
+def test_broken_scenarios_are_refused(text, message, tmp_path):
+    path = tmp_path / "broken.scen"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"broken\.scen.*{message}"):
+        scenes.read_scen(path)
+
+
+@needs_data
+def test_the_arena_scenario_holds_the_published_queries():
+    """Every published query of `arena_euclid.csv` is a row of `arena.scen`, with the same octile length."""
+    scenario = scenes.read_scen(Path(DATA, "polyanya_arena/arena.scen"))
+    lengths = {
+        (*start, *goal): length
+        for start, goal, length in zip(scenario.starts, scenario.goals, scenario.octile_lengths, strict=True)
+    }
+    with Path(DATA, "polyanya_arena/arena_euclid.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 160
+    for row in rows:
+        query = tuple(float(row[key]) for key in ("start_x", "start_y", "goal_x", "goal_y"))
+        assert lengths[query] == float(row["octile_length"])
+
+
+@needs_data
+def test_starts_and_goals_of_scenarios_are_free():
+    for name in ("movingai/dao/den101d", "movingai/da2/ht_store", "movingai/mapf/random-32-32-10"):
+        workspace = scenes.read_map(Path(DATA, f"{name}.map"))
+        scen = next(Path(DATA, name).parent.glob(f"{Path(name).name}*.scen"))
+        scenario = scenes.read_scen(scen)
+        assert workspace.is_free(scenario.starts).all()
+        assert workspace.is_free(scenario.goals).all()

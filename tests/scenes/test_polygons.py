@@ -1,0 +1,68 @@
+import json
+import os
+from pathlib import Path
+
+import pytest
+import shapely
+
+from plr_jax import scenes
+
+DATA = os.environ.get("PLR_JAX_DATA")
+needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party maps are absent")
+
+SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
+HOLE = [[1, 1], [1, 2], [2, 2], [2, 1]]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"components": [{"outer": SQUARE, "holes": [HOLE]}], "source": "ignored"},
+        {"outer": SQUARE, "holes": [HOLE]},
+        {"boundary": SQUARE, "holes": [HOLE]},
+    ],
+)
+def test_all_three_shapes_of_file_are_understood(data, tmp_path):
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps(data))
+    workspace = scenes.read_polygons(path)
+    assert shapely.equals(workspace.free_space, shapely.Polygon(SQUARE, [HOLE]))
+    assert scenes.read_polygons(path, squeeze=True).squeeze
+
+
+def test_holes_may_be_missing(tmp_path):
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps({"outer": SQUARE}))
+    assert scenes.read_polygons(path).free_space.area == 16
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected JSON"),
+        ("[1, 2", "expected JSON"),
+        ("[1, 2]", 'expected {"components"'),
+        ('{"holes": []}', 'expected {"components"'),
+        ('{"components": 3}', 'expected {"components"'),
+        ('{"components": [3]}', "expected every component"),
+        ('{"components": [{"holes": []}]}', "expected every component"),
+        ('{"components": []}', "."),
+        ('{"outer": [[0, 0], [4, 0], [4, 4]], "holes": 3}', "expected every component"),
+        ('{"outer": [[0, 0], [4, 0]]}', "."),
+        ('{"outer": [[0, 0], [4, 4], [4, 0], [0, 4]]}', "."),
+        ('{"outer": [[0, 0], [4, NaN], [4, 0]]}', "."),
+        ('{"outer": "ring"}', "."),
+    ],
+)
+def test_broken_files_are_refused(text, message, tmp_path):
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"broken\.json: .*{message}"):
+        scenes.read_polygons(path)
+
+
+@needs_data
+def test_extremitypathfinder_environment():
+    workspace = scenes.read_polygons(Path(DATA, "extremitypathfinder/example.json"))
+    # Shoelace formula by hand: a 10 x 10 square with a dent of 5, less holes of 3.75 and 1.
+    assert workspace.free_space.area == pytest.approx(95 - 3.75 - 1)

@@ -1,0 +1,246 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from plr_jax import scenes
+from plr_jax.cli import app
+from plr_jax.cli._inputs import parse_goal, parse_points, read_map
+from plr_jax.plr import load
+
+runner = CliRunner()
+
+
+def run(*arguments, **kwargs):
+    return runner.invoke(app, [str(argument) for argument in arguments], **kwargs)
+
+
+def mistake(*arguments, **kwargs):
+    """What a command says about a mistake; fails unless that is one line with exit code 2."""
+    result = run(*arguments, **kwargs)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("Error: ")
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def maze(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plr") / "maze.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 600)
+    assert result.exit_code == 0, result.output
+    return path
+
+
+def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
+    path = tmp_path / "out.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 700)
+    assert result.exit_code == 0
+    assert path.stat().st_size <= 700
+    plr = load(path)
+    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves} leaves, depth {plr.depth}" in result.stdout
+    for word in ("error   max 0.0", "mean 0.0", "% of the largest distance", "s to build"):
+        assert word in result.stdout
+
+
+def test_build_takes_every_kind_of_map(tmp_path):
+    (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
+    scenes.save(scenes.maze(), tmp_path / "scene.json")
+    (tmp_path / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
+    for name, goal in [("small.map", "0.5,0.5"), ("scene.json", None), ("polygons.json", "1,1")]:
+        path = tmp_path / f"{name}.plr"
+        given = ["--goal", goal] if goal else []
+        result = run("build", tmp_path / name, *given, "-o", path, "--max-leaves", 8)
+        assert result.exit_code == 0, result.output
+        assert load(path).num_leaves <= 8
+
+
+def test_build_is_deterministic_and_its_goal_can_be_chosen(tmp_path):
+    for name, extra in [("a", []), ("b", []), ("c", ["--goal", "0.9,0.1"])]:
+        assert run("build", "maze", "-o", tmp_path / name, "--max-leaves", 20, *extra).exit_code == 0
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    at_goal = np.asarray(load(tmp_path / "c")(np.array([[0.9, 0.1]])))
+    assert at_goal[0] < 0.1 < np.asarray(load(tmp_path / "a")(np.array([[0.9, 0.1]])))[0]
+
+
+def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("build", "maze", "--max-depth", 3).exit_code == 0
+    assert load(tmp_path / "maze.plr").depth <= 3
+
+
+def test_build_explains_mistakes(tmp_path):
+    (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
+    (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
+    out = ("-o", tmp_path / "out.plr")
+    assert "must be a scene (maze, thin_maze) or a file" in mistake("build", "mace", *out)
+    assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
+    assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
+    assert "--goal must be two numbers X,Y" in mistake("build", "maze", "--goal", "1;2", *out)
+    assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
+    assert "oal" in mistake("build", "maze", "--goal", "0.5,0.45", *out)  # inside a wall
+    assert "oal" in mistake("build", "maze", "--goal", "1.5,0.5", *out)  # outside the bounds
+    assert "byte" in mistake("build", "maze", "--max-bytes", "3", *out)
+    assert not (tmp_path / "out.plr").exists()
+
+
+def test_query_prints_what_the_plr_answers(maze, tmp_path):
+    points = np.random.default_rng(0).random((50, 2))
+    (tmp_path / "points.csv").write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in points.tolist()))
+    result = run("query", maze, tmp_path / "points.csv")
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose([float(line) for line in result.stdout.splitlines()], load(maze)(points), rtol=1e-8)
+
+
+def test_query_reads_standard_input_and_prints_gradients(maze):
+    result = run("query", maze, "--gradient", input="0.1,0.1\n3,3\n")
+    plr = load(maze)
+    first, outside = (list(map(float, line.split(","))) for line in result.stdout.splitlines())
+    x, shift = np.array([0.1, 0.1]), 2e-3
+    assert first[0] == pytest.approx(float(plr(x)), rel=1e-6)
+    for axis in range(2):
+        step = shift * np.eye(2)[axis]
+        assert first[1 + axis] == pytest.approx(float(plr(x + step) - plr(x - step)) / (2 * shift), abs=1e-3)
+    assert outside[0] == np.inf
+
+
+def test_query_explains_mistakes(maze, tmp_path):
+    assert "stdin, line 2: expected 2 comma-separated finite numbers, got 'a,b'" in mistake(
+        "query", maze, input="0.1,0.2\na,b\n"
+    )
+    assert "stdin has no points" in mistake("query", maze, input="")
+    assert "No such file" in mistake("query", maze, tmp_path / "none.csv")
+    assert "No such file" in mistake("query", tmp_path / "none.plr", input="0,0\n")
+    (tmp_path / "foreign.plr").write_text("not a PLR at all, but long enough to hold a header")
+    assert "foreign.plr" in mistake("query", tmp_path / "foreign.plr", input="0,0\n")
+    (tmp_path / "points.csv").write_bytes(b"\xff\xfe\x00")
+    assert "points.csv is not a text file" in mistake("query", maze, tmp_path / "points.csv")
+    assert "is a directory" in mistake("query", maze, tmp_path).lower()
+
+
+def test_info_says_what_is_in_the_file(maze):
+    result = run("info", maze)
+    plr = load(maze)
+    assert result.exit_code == 0
+    assert "[0.0, 0.0] to [1.0, 1.0] (2-D)" in result.stdout
+    assert f"{plr.num_leaves:,}, of which 0 unreachable" in result.stdout
+    assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
+
+
+@pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])
+def test_plot_writes_pictures(kind, maze, tmp_path):
+    path = tmp_path / "picture.png"
+    result = run("plot", maze, "--map", "maze", "--kind", kind, "-o", path)
+    assert result.exit_code == 0, result.output
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {path}" in result.stdout
+
+
+def test_plot_needs_no_map(maze, tmp_path):
+    assert run("plot", maze, "-o", tmp_path / "picture.svg").exit_code == 0
+    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
+
+
+def test_plot_explains_mistakes(maze, tmp_path):
+    assert "give --map" in mistake("plot", maze, "--kind", "error", "-o", tmp_path / "a.png")
+    assert "docx" in mistake("plot", maze, "-o", tmp_path / "a.docx")
+    assert "No such file" in mistake("plot", maze, "-o", tmp_path / "none" / "a.png")
+    assert "--goal needs --map" in mistake("plot", maze, "--goal", "0,0", "-o", tmp_path / "a.png")
+
+
+def test_demo_writes_what_it_says(tmp_path, monkeypatch):
+    from plr_jax.cli import _demo
+
+    monkeypatch.setattr(_demo, "_PLR_POINTS", 1000)
+    monkeypatch.setattr(_demo, "_ORACLE_POINTS", 100)
+    result = run("demo", "--output", tmp_path / "new" / "folder")
+    assert result.exit_code == 0, result.output
+    for name in ("maze.plr", "maze_distance.png", "maze_error.png", "maze_surface.png"):
+        path = tmp_path / "new" / "folder" / name
+        assert path.stat().st_size > 0
+        assert str(path) in result.stdout
+    for word in ("bytes in the file", "max 0.0", "mean 0.0", "PLR / oracle"):
+        assert word in result.stdout
+
+
+def test_interrupting_a_build_ends_with_a_line_and_130(tmp_path, monkeypatch):
+    calls = []
+
+    def interrupt_later(self, x):
+        calls.append(len(x))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return np.hypot(*x.T)
+
+    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
+    result = run("build", "maze", "-o", tmp_path / "out.plr")
+    assert result.exit_code == 130
+    assert result.stderr == "Interrupted.\n"
+    assert len(calls) == 3
+    assert not (tmp_path / "out.plr").exists()
+
+
+@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["demo"]])
+def test_help_has_an_example(command):
+    result = run(*command, "--help")
+    assert result.exit_code == 0
+    assert f"plr-jax {command[0] if command else 'demo'}" in result.stdout
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from plr_jax.cli import app\n"
+        "try: app(['--help'])\n"
+        "except SystemExit: pass\n"
+        "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1"])
+def test_a_goal_is_two_finite_numbers(text):
+    with pytest.raises(ValueError, match="--goal must be two numbers"):
+        parse_goal(text)
+    np.testing.assert_array_equal(parse_goal("1, -2.5e1"), [1, -25])
+
+
+@pytest.mark.parametrize(
+    "text", ["1,2\n3,4", "1,2\n3,4\n", "x,y\n1,2\n3,4\n\n", " 1 , 2 \r\n3,4\r\n", '"x","y"\n1,2\n3,4\n']
+)
+def test_points_come_with_or_without_a_header(text):
+    np.testing.assert_array_equal(parse_points("p", text, 2), [[1, 2], [3, 4]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1,2\n\n3,4\n", "p, line 2: .*got ''"),
+        ("x,y\n1,2\n3,nan\n", "p, line 3: .*got '3,nan'"),
+        ("1,2\n3,inf\n", "p, line 2"),
+        ("1,2\n3\n", "p, line 2"),
+        ("1,2,3\n", "p, line 1"),
+        ("1,b\n1,2\n", "p, line 1"),  # half a number: no header
+        ("1;2\n1,2\n1;2\n", "p, line 3"),
+        ("nan,nan\n1,2\n", "p, line 1"),
+        ("\n1,2\n", "p, line 1"),
+        ("x,y\n", "p has no points"),
+        ("\n\n", "p has no points"),
+    ],
+)
+def test_broken_points_are_refused_by_line(text, message):
+    with pytest.raises(ValueError, match=message):
+        parse_points("p", text, 2)
+
+
+def test_a_scene_of_two_robots_leaves_the_goal_to_the_user(tmp_path):
+    problem = scenes.maze()
+    double = type(problem)(problem.workspace, problem.robots * 2, [problem.starts[0]] * 2, [problem.goals[0]] * 2)
+    scenes.save(double, tmp_path / "two.json")
+    workspace, goal = read_map(str(tmp_path / "two.json"))
+    assert goal is None
+    assert workspace.bounds == problem.workspace.bounds
