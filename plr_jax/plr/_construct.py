@@ -17,7 +17,7 @@ from plr_jax._box import Box
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import encode, size_in_bytes
-from plr_jax.plr._fit import CellFit, WeightFn, fit_cells, sample_pattern
+from plr_jax.plr._fit import CellFit, Pattern, WeightFn, fit_cells, sample_pattern
 from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, encode_planes
 from plr_jax.plr._plr import PLR, from_bytes
 from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_error
@@ -86,7 +86,7 @@ def construct(
     tolerance: int | float | None = None,
     should_split: ShouldSplitRule = largest_error,
     split: SplitRule = best_axis,
-    num_samples: int = 128,
+    num_samples: int = 192,
     margin: int | float = 0,
     weight_fn: WeightFn | None = None,
     coefficient_bits: int | None = None,
@@ -110,7 +110,7 @@ def construct(
             most this are not split, in units of distance.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own.
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own.
-        num_samples: Samples of a cell, its center and a Sobol sequence; at least ``dim + 1``.
+        num_samples: Samples of a cell, at its center, inside and on its faces; at least ``dim + 1``.
         margin: How far samples reach beyond their cell, as a fraction of its width ("within or near the cell").
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
         coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
@@ -136,10 +136,10 @@ def construct(
         )
     if not 0 <= margin < np.inf:
         raise ValueError(f"margin must be a finite fraction >= 0 of a cell's width, got {margin}.")
-    u = sample_pattern(domain.dim, int(num_samples), margin, seed)
+    pattern = sample_pattern(domain.dim, int(num_samples), margin, seed)
 
     def fit(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-        return _fit_nodes(cells, bound, domain, distance_fn, weight_fn, u, should_split, split, limits)
+        return _fit_nodes(cells, bound, domain, distance_fn, weight_fn, pattern, should_split, split, limits)
 
     nodes = _grow(fit, domain.dim, limits)
     leaf, bits = _choose_leaves(nodes, limits)
@@ -275,17 +275,17 @@ def _fit_nodes(
     domain: Box,
     distance_fn: DistanceFn,
     weight_fn: WeightFn | None,
-    u: Float[np.ndarray, "k dim"],
+    pattern: Pattern,
     should_split: ShouldSplitRule,
     split: SplitRule,
     limits: Limits,
 ) -> Nodes:
     """COMPUTECOEFFICIENTS for a round's cells, and the priority and axis of each one's own split."""
-    at_once = max(1, _SAMPLES_AT_ONCE // len(u))
+    at_once = max(1, _SAMPLES_AT_ONCE // len(pattern))
     parts = []
     for start in range(0, len(cells), at_once):
         part = slice(start, start + at_once)
-        fit = fit_cells(cells[part], domain, distance_fn, weight_fn, u)
+        fit = fit_cells(cells[part], domain, distance_fn, weight_fn, pattern)
         parts.append(_node_of_fit(fit, bound[part], should_split(fit), split(fit), limits))
     nodes = parts[0]
     for part in parts[1:]:
@@ -301,8 +301,8 @@ def _node_of_fit(
     limits: Limits,
 ) -> Nodes:
     depth = fit.cells.depth
-    reachable = fit.reachable.mean(axis=1)
-    error = np.abs(fit.residual).sum(axis=1) / np.maximum(fit.reachable.sum(axis=1), 1)
+    volume = fit.reachable @ fit.pattern.weight
+    error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     at_limit = depth.sum(axis=1) >= limits.max_depth
     at_limit |= depth[np.arange(len(depth)), axis] >= _MAX_SLOT_BITS // max(fit.cells.dim, 2)
     # Errors below the resolution of 32-bit floats are noise, not something a split could mend.
@@ -313,7 +313,7 @@ def _node_of_fit(
         center=fit.center,
         half=fit.half,
         error=error,
-        share=reachable * np.ldexp(1.0, -depth.sum(axis=1)),
+        share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -depth.sum(axis=1)),
         axis=axis,
         key=np.where(worth_it, np.minimum(priority, bound), _NEVER),
         child=np.full(len(depth), -1),

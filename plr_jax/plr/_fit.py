@@ -7,6 +7,7 @@ without blocked samples is the same for all cells, so its pseudo-inverse is comp
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -21,6 +22,40 @@ WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 # Ridge on the slope, relative to the number of samples: small enough to leave a determined fit as it is (relative
 # change below 1e-8), large enough that a direction in which no sample varies gets slope zero.
 _RIDGE = 1e-9
+_FACE_WEIGHT = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where a cell is sampled, the same in every cell.
+
+    Attributes:
+        u: Local coordinates of the samples; ``[-1, 1]`` spans the cell.
+        weight: Weight of each sample in the fit.
+    """
+
+    u: Float[np.ndarray, "k dim"]
+    weight: Float[np.ndarray, "k"]
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @cached_property
+    def design(self) -> Float[np.ndarray, "k terms"]:
+        """Rows ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
+        return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
+
+    @cached_property
+    def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
+        """Maps the values at all samples to the least-squares plane."""
+        root = np.sqrt(self.weight)
+        return np.linalg.pinv(self.design * root[:, None]) * root
+
+    @cached_property
+    def halves(self) -> list[list[tuple[Bool[np.ndarray, "k"], "Pattern"]]]:
+        """For each axis the lower and the upper half: which samples, and the pattern they make."""
+        sides = [(self.u[:, axis] <= 0, self.u[:, axis] > 0) for axis in range(self.u.shape[1])]
+        return [[(side, Pattern(self.u[side], self.weight[side])) for side in pair] for pair in sides]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +64,16 @@ class CellFit:
 
     Attributes:
         cells: The cells.
-        u: Local coordinates of the samples, the same in every cell; the first is the center.
+        pattern: Where they were sampled; the first sample is the center.
         reachable: Which samples reach the goal.
-        weight: Weight of each sample; 0 where the goal cannot be reached.
+        weight: Weight that the caller gives each sample; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
         half: Half-difference of the plane along each axis of the cell.
         residual: Sampled distance minus plane; 0 where the goal cannot be reached.
     """
 
     cells: Cells
-    u: Float[np.ndarray, "k dim"]
+    pattern: Pattern
     reachable: Bool[np.ndarray, "cells k"]
     weight: Float[np.ndarray, "cells k"]
     center: Float[np.ndarray, "cells"]
@@ -46,10 +81,11 @@ class CellFit:
     residual: Float[np.ndarray, "cells k"]
 
 
-def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Float[np.ndarray, "k dim"]:
-    """Local coordinates of a cell's samples: its center, its corners, then a scrambled Sobol sequence.
+def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
+    """The center, a scrambled Sobol sequence inside the cell, its corners if they are few, and its faces.
 
-    A distance bends most against its plane at a cell's corners, so they are sampled wherever they are few.
+    A third of the samples lie on the faces. They find the free slivers behind a wall and the corners at which a
+    distance bends most against its plane; they check the fit more than they shape it, so their weight is small.
 
     Args:
         dim: Number of axes.
@@ -58,15 +94,25 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
         seed: Seed of the scrambling.
 
     Returns:
-        Coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
+        A pattern with coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
     """
-    from scipy.stats import qmc  # half a second of import that a query does not need
-
+    rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
-    rest = num_samples - 1 - len(corners)
-    sobol = qmc.Sobol(dim, rng=np.random.default_rng(seed)).random_base2(max(rest - 1, 0).bit_length())[:rest]
-    return np.concatenate([center, corners, 2 * sobol - 1]) * (1 + 2 * margin)
+    faces = _sobol(dim, num_samples // 3, rng)
+    face = np.arange(len(faces)) % (2 * dim)
+    faces[np.arange(len(faces)), face // 2] = 2.0 * (face % 2) - 1
+    inside = _sobol(dim, num_samples - 1 - len(corners) - len(faces), rng)
+    u = np.concatenate([center, inside, corners, faces]) * (1 + 2 * margin)
+    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + len(inside), len(corners) + len(faces)])
+    return Pattern(u, weight)
+
+
+def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
+    from scipy.stats import qmc  # half a second of import that a query does not need
+
+    exponent = max(num_points - 1, 0).bit_length()
+    return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
 
 
 def fit_cells(
@@ -74,27 +120,28 @@ def fit_cells(
     domain: Box,
     distance_fn: DistanceFn,
     weight_fn: WeightFn | None,
-    u: Float[np.ndarray, "k dim"],
+    pattern: Pattern,
 ) -> CellFit:
     """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
-    x = cells.points(u, domain).reshape(-1, cells.dim)
-    distance = _call_oracle(distance_fn, x).reshape(len(cells), len(u))
+    x = cells.points(pattern.u, domain).reshape(-1, cells.dim)
+    distance = _call_oracle(distance_fn, x).reshape(len(cells), len(pattern))
     reachable = np.isfinite(distance)
     weight = reachable.astype(np.float64)
     if weight_fn is not None:
         weight *= _call_weights(weight_fn, x).reshape(weight.shape)
     value = np.where(reachable, distance, 0.0)
     # A cell to which no weight is given still gets the plane of its samples.
-    center, half = compute_coefficients(u, value, np.where(weight.any(axis=1)[:, None], weight, reachable))
-    residual = np.where(reachable, value - (center[:, None] + half @ u.T), 0.0)
-    blocked = ~reachable.any(axis=1)
-    return CellFit(cells, u, reachable, weight, np.where(blocked, np.inf, center), half, residual)
+    fit_weight = np.where(np.any(weight > 0, axis=1, keepdims=True), weight, reachable)
+    center, half = compute_coefficients(pattern, value, fit_weight)
+    residual = np.where(reachable, value - (center[:, None] + half @ pattern.u.T), 0.0)
+    blocked = ~np.any(reachable, axis=1)
+    return CellFit(cells, pattern, reachable, weight, np.where(blocked, np.inf, center), half, residual)
 
 
 def compute_coefficients(
-    u: Float[np.ndarray, "k dim"], value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
-    """Weighted least-squares plane of every cell.
+    """Weighted least-squares plane of every cell; a sample's weight is the pattern's times ``weight``.
 
     Where the samples of positive weight do not determine the plane, the slope of least norm is taken: one
     sample gives its value with slope zero, none gives zero.
@@ -102,11 +149,10 @@ def compute_coefficients(
     Returns:
         The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
     """
-    design = np.concatenate([np.ones((len(u), 1)), u], axis=1)
-    full = (weight == 1).all(axis=1)
-    plane = np.empty((len(value), design.shape[1]))
-    plane[full] = value[full] @ np.linalg.pinv(design).T
-    plane[~full] = _solve_normal_equations(design, value[~full], weight[~full])
+    full = np.all(weight == 1, axis=1)
+    plane = np.empty((len(value), pattern.design.shape[1]))
+    plane[full] = value[full] @ pattern.pseudo_inverse.T
+    plane[~full] = _solve_normal_equations(pattern.design, value[~full], weight[~full] * pattern.weight)
     return plane[:, 0], plane[:, 1:]
 
 
@@ -131,12 +177,12 @@ def sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     A least-squares problem over the residuals of the cell's own plane, which lies in the span of both halves.
     """
     squares = np.zeros(fit.half.shape)
-    for axis in range(fit.u.shape[1]):
-        for side in (fit.u[:, axis] <= 0, fit.u[:, axis] > 0):
-            u, residual, weight = fit.u[side], fit.residual[:, side], fit.weight[:, side]
-            center, half = compute_coefficients(u, residual, weight)
-            rest = residual - (center[:, None] + half @ u.T)
-            squares[:, axis] += np.sum(weight * rest * rest, axis=1)
+    for axis, halves in enumerate(fit.pattern.halves):
+        for side, pattern in halves:
+            residual, weight = fit.residual[:, side], fit.weight[:, side]
+            center, half = compute_coefficients(pattern, residual, weight)
+            rest = residual - (center[:, None] + half @ pattern.u.T)
+            squares[:, axis] += (weight * rest * rest) @ pattern.weight
     return squares
 
 

@@ -15,9 +15,9 @@ from plr_jax.plr._fit import CellFit, sum_of_squares_after_split
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
 
-# The longest side of a cell is at most 2**4 times its shortest: enough for thin walls, and it stops a cell that
-# mostly lies in an obstacle from being halved along the wall for ever, which never separates its free part.
-MAX_ASPECT_BITS = 4
+# The longest side of a cell is at most 2**3 times its shortest (in fractions of the domain): enough for thin walls,
+# and it stops a cell that mostly lies in an obstacle from being halved along the wall for ever.
+MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:

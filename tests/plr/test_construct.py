@@ -22,11 +22,11 @@ SQUARE = Box((0, 0), (1, 1))
 
 def best_first_twin(distance_fn, max_leaves):
     """Best-first construction with a priority queue, one leaf at a time: boxes of the leaves."""
-    u = sample_pattern(2, 128, 0.0, 0)
+    pattern = sample_pattern(2, 192, 0.0, 0)
 
     def push(queue, cells):
         for cell in range(len(cells)):
-            fit = fit_cells(cells[[cell]], SQUARE, distance_fn, None, u)
+            fit = fit_cells(cells[[cell]], SQUARE, distance_fn, None, pattern)
             heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
 
     queue, done = [], []

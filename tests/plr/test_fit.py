@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._fit import compute_coefficients, fit_cells, sample_pattern, sum_of_squares_after_split
+from plr_jax.plr._fit import Pattern, compute_coefficients, fit_cells, sample_pattern, sum_of_squares_after_split
 
 
 def lstsq_twin(u, value, weight):
@@ -18,52 +18,62 @@ def lstsq_twin(u, value, weight):
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 5))
 def test_batched_fit_equals_lstsq_cell_by_cell(seed, dim):
     rng = np.random.default_rng(seed)
-    u = sample_pattern(dim, 40, 0.0, seed)
+    pattern = sample_pattern(dim, 40, 0.0, seed)
     value = rng.normal(size=(6, 40))
     weight = np.ones((6, 40))
     weight[2:] = rng.random((4, 40)) < 0.6
     weight[4:] *= rng.uniform(0.1, 3, size=(2, 40))
-    center, half = compute_coefficients(u, value, weight)
+    center, half = compute_coefficients(pattern, value, weight)
     for cell in range(6):
-        expected = lstsq_twin(u, value[cell], weight[cell])
+        expected = lstsq_twin(pattern.u, value[cell], weight[cell] * pattern.weight)
         np.testing.assert_allclose(np.r_[center[cell], half[cell]], expected, rtol=1e-6, atol=1e-7)
 
 
 def test_undetermined_directions_get_slope_zero():
-    u = np.array([[0.0, 0.0], [0.5, 0.25], [-0.5, 0.25], [0.3, -0.9]])
+    pattern = Pattern(np.array([[0.0, 0.0], [0.5, 0.25], [-0.5, 0.25], [0.3, -0.9]]), np.ones(4))
     value = np.array([[7.0, 0, 0, 0], [0, 3.0, 1.0, 0], [5.0, 5.0, 5.0, 5.0]])
     weight = np.array([[1.0, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]])
-    center, half = compute_coefficients(u, value, weight)
+    center, half = compute_coefficients(pattern, value, weight)
     np.testing.assert_allclose(center, [7, 2, 0], atol=1e-6)
     np.testing.assert_allclose(half, [[0, 0], [2, 0], [0, 0]], atol=1e-6)
 
 
 def test_least_squares_leaves_the_range_of_its_samples():
     """The false step of the paper's Theorem 2: V = 0, 0, 1 at 0, 1, 2 gives the line -1/6 at 0."""
-    center, half = compute_coefficients(np.array([[-1.0], [0], [1]]), np.array([[0.0, 0, 1]]), np.ones((1, 3)))
+    pattern = Pattern(np.array([[-1.0], [0], [1]]), np.ones(3))
+    center, half = compute_coefficients(pattern, np.array([[0.0, 0, 1]]), np.ones((1, 3)))
     assert center[0] - half[0, 0] == pytest.approx(-1 / 6)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 6])
 def test_pattern_starts_at_the_center_and_fills_the_cell(dim):
-    u = sample_pattern(dim, 100, 0.0, 0)
-    assert u.shape == (100, dim)
-    np.testing.assert_array_equal(u[0], 0)
-    assert np.abs(u).max() <= 1
+    pattern = sample_pattern(dim, 100, 0.0, 0)
+    assert pattern.u.shape == (100, dim) and len(pattern.weight) == 100
+    np.testing.assert_array_equal(pattern.u[0], 0)
+    assert np.abs(pattern.u).max() <= 1
     # Low discrepancy: each half of each axis holds close to half of the samples.
-    assert np.all(np.abs(np.mean(u > 0, axis=0) - 0.5) <= 0.06)
-    np.testing.assert_array_equal(u, sample_pattern(dim, 100, 0.0, 0))
-    assert not np.array_equal(u, sample_pattern(dim, 100, 0.0, 1))
+    assert np.all(np.abs(np.mean(pattern.u > 0, axis=0) - 0.5) <= 0.06)
+    np.testing.assert_array_equal(pattern.u, sample_pattern(dim, 100, 0.0, 0).u)
+    assert not np.array_equal(pattern.u, sample_pattern(dim, 100, 0.0, 1).u)
+
+
+def test_every_face_is_sampled_with_little_weight():
+    pattern = sample_pattern(3, 90, 0.0, 0)
+    on_face = np.abs(pattern.u) == 1
+    for axis in range(3):
+        for side in (-1, 1):
+            assert np.count_nonzero(pattern.u[:, axis] == side) >= 5
+    assert pattern.weight[on_face.any(axis=1)].max() < 0.1 * pattern.weight[~on_face.any(axis=1)].min()
 
 
 def test_margin_reaches_beyond_the_cell():
-    assert np.abs(sample_pattern(2, 200, 0.25, 0)).max() == pytest.approx(1.5)
+    assert np.abs(sample_pattern(2, 200, 0.25, 0).u).max() == pytest.approx(1.5)
 
 
 def test_fit_marks_blocked_cells_and_keeps_residuals():
     cells = Cells.root(1).split(np.array([0]))
-    u = sample_pattern(1, 16, 0.0, 0)
-    fit = fit_cells(cells, Box([0.0], [2.0]), lambda x: np.where(x[:, 0] < 1, 3 + 2 * x[:, 0], np.inf), None, u)
+    pattern = sample_pattern(1, 16, 0.0, 0)
+    fit = fit_cells(cells, Box([0.0], [2.0]), lambda x: np.where(x[:, 0] < 1, 3 + 2 * x[:, 0], np.inf), None, pattern)
     assert np.isfinite(fit.center[0]) and np.isinf(fit.center[1])
     np.testing.assert_allclose([fit.center[0], fit.half[0, 0]], [4.0, 1.0], atol=1e-7)
     assert np.abs(fit.residual).max() < 1e-7
@@ -72,31 +82,30 @@ def test_fit_marks_blocked_cells_and_keeps_residuals():
 
 def test_weights_pull_the_plane_and_zero_weights_do_not_void_it():
     bend = lambda x: np.abs(x[:, 0] - 1.0)  # noqa: E731
-    u = sample_pattern(1, 64, 0.0, 0)
+    pattern = sample_pattern(1, 64, 0.0, 0)
     root, domain = Cells.root(1), Box([0.0], [2.0])
-    left = fit_cells(root, domain, bend, lambda x: 1.0 * (x[:, 0] < 1), u)
+    left = fit_cells(root, domain, bend, lambda x: 1.0 * (x[:, 0] < 1), pattern)
     np.testing.assert_allclose(left.half[0, 0], -1.0, atol=1e-6)
-    unweighted = fit_cells(root, domain, bend, None, u)
-    nowhere = fit_cells(root, domain, bend, lambda x: np.zeros(len(x)), u)
+    unweighted = fit_cells(root, domain, bend, None, pattern)
+    nowhere = fit_cells(root, domain, bend, lambda x: np.zeros(len(x)), pattern)
     np.testing.assert_allclose(nowhere.center, unweighted.center, atol=1e-8)
 
 
 def test_sum_of_squares_after_split_equals_two_separate_fits():
     rng = np.random.default_rng(3)
-    u = sample_pattern(2, 50, 0.0, 0)
+    pattern = sample_pattern(2, 50, 0.0, 0)
     blocked = rng.random((2, 50)) < [[0.0], [0.4]]
     table = np.where(blocked, np.inf, rng.random((2, 50)))
-    fit = fit_cells(
-        Cells.root(2).split(np.array([0])), Box((0, 0), (1, 1)), lambda x: table.ravel()[: len(x)], None, u
-    )
+    halves = Cells.root(2).split(np.array([0]))
+    fit = fit_cells(halves, Box((0, 0), (1, 1)), lambda x: table.ravel(), None, pattern)
     for cell in range(2):
         for axis in range(2):
             expected = 0.0
-            for side in (u[:, axis] <= 0, u[:, axis] > 0):
+            for side in (pattern.u[:, axis] <= 0, pattern.u[:, axis] > 0):
                 keep = side & ~blocked[cell]
-                design = np.concatenate([np.ones((keep.sum(), 1)), u[keep]], axis=1)
-                plane = np.linalg.lstsq(design, table[cell, keep], rcond=None)[0]
-                expected += np.sum((table[cell, keep] - design @ plane) ** 2)
+                plane = lstsq_twin(pattern.u[keep], table[cell, keep], pattern.weight[keep])
+                rest = table[cell, keep] - plane[0] - pattern.u[keep] @ plane[1:]
+                expected += np.sum(pattern.weight[keep] * rest**2)
             assert sum_of_squares_after_split(fit)[cell, axis] == pytest.approx(expected, rel=1e-6)
 
 

@@ -20,10 +20,11 @@ def test_best_axis_is_the_one_along_which_the_function_bends():
 
 
 def test_best_axis_never_makes_needles():
-    cells = Cells.root(2)
+    cells, aspects = Cells.root(2), set()
     for _ in range(10):
         cells = cells.split(best_axis(fit(lambda x: (x[:, 0] > 1 / 3) * 1.0, cells)))
-    assert np.ptp(cells.depth, axis=1).max() == MAX_ASPECT_BITS
+        aspects.add(int(np.ptp(cells.depth, axis=1).max()))
+    assert max(aspects) == MAX_ASPECT_BITS
 
 
 def test_cyclic_axis_takes_turns():
@@ -36,7 +37,7 @@ def test_cyclic_axis_takes_turns():
 
 def test_largest_error_is_the_largest_weighted_residual():
     found = fit(lambda x: (x[:, 0] > 0.9) * 1.0, weight_fn=lambda x: 2.0 - x[:, 0])
-    x = found.cells.points(found.u, SQUARE)[0]
+    x = found.cells.points(found.pattern.u, SQUARE)[0]
     expected = np.max((2 - x[:, 0]) * np.abs(found.residual[0]))
     np.testing.assert_allclose(largest_error(found), expected)
     assert expected > 0.1
