@@ -185,8 +185,7 @@ def _block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nd
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = _leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
-    index = np.ravel_multi_index(tuple(block.T), tuple(1 << block_bits)) if block_bits.any() else 0 * leaf
-    np.maximum.at(shape, index, below[leaf])
+    np.maximum.at(shape, _row_major(block, block_bits), below[leaf])
     return shape
 
 
@@ -225,15 +224,22 @@ def _fill_slots(
 ) -> None:
     """Write every leaf into the slots it covers in the tables of the blocks that it meets."""
     leaf, block = _leaves_in_blocks(cells, block_bits)
-    index = np.ravel_multi_index(tuple(block.T), tuple(1 << block_bits)) if block_bits.any() else 0 * leaf
+    index = _row_major(block, block_bits)
     bits = shape[index]
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
     first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (bits - below)
     pair, slot = _enumerate_boxes(first, np.int64(1) << (bits - below))
-    within = np.zeros(len(pair), np.int64)
-    for axis in range(cells.dim):
-        within = (within << bits[pair, axis]) | slot[:, axis]
-    leaf_of_slot[offset[index[pair]] + within] = leaf[pair]
+    leaf_of_slot[offset[index[pair]] + _row_major(slot, bits[pair])] = leaf[pair]
+
+
+def _row_major(
+    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
+) -> Int[np.ndarray, "n"]:
+    """Index of each slot in a table of ``2**bits`` slots along the axes."""
+    index = np.zeros(len(slots), np.int64)
+    for axis in range(slots.shape[1]):
+        index = (index << bits[..., axis]) | slots[:, axis]
+    return index
 
 
 def _strides(bits: Int[np.ndarray, "dim"]) -> Int[Array, "dim"]:

@@ -37,7 +37,7 @@ def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
     while len(active):
         narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
         np.minimum.at(narrower, node[active], cells.depth[active] - node_depth[node[active]])
-        inner = narrower.any(axis=1)
+        inner = np.any(narrower, axis=1)
         axis = np.argmax(narrower > 0, axis=1)
         levels.append(Level(inner, axis[inner]))
         active = active[inner[node[active]]]
