@@ -1,0 +1,83 @@
+"""From a map to a file of kilobytes that answers: what the package promises as a whole."""
+
+import numpy as np
+import pytest
+import shapely
+
+import plr_jax
+from plr_jax.metrics import error_map
+
+
+def arena(data_dir):
+    workspace = plr_jax.scenes.read_polygons(data_dir / "polyanya_arena" / "arena_polygons.json")
+    return workspace, np.array([1.0, 11.0])
+
+
+def scene(name):
+    problem = getattr(plr_jax.scenes, name)()
+    return problem.workspace, problem.goals[0]
+
+
+def beside_walls(workspace, n, seed):
+    """Free float32 points on the walls, or at most one rounding away from them."""
+    rng = np.random.default_rng(seed)
+    wall = workspace.free_space.boundary
+    x = shapely.get_coordinates(shapely.line_interpolate_point(wall, rng.uniform(0, wall.length, 4 * n)))
+    x = x.astype(np.float32)
+    toward = rng.choice(np.array([-np.inf, 0, np.inf], np.float32), size=x.shape)
+    x = np.where(toward == 0, x, np.nextafter(x, toward))
+    x = x[workspace.bounds.contains(x) & workspace.is_free(x.astype(np.float64))]
+    assert len(x) >= n
+    return x[:n]
+
+
+@pytest.mark.parametrize("max_bytes", [1024, 6144])
+@pytest.mark.parametrize("name", ["maze", "thin_maze", "arena"])
+def test_every_free_point_has_an_answer(name, max_bytes, request):
+    workspace, goal = arena(request.getfixturevalue("data_dir")) if name == "arena" else scene(name)
+    oracle = plr_jax.VisibilityGraph(workspace, goal)
+    plr = plr_jax.construct(oracle, workspace.bounds, max_bytes=max_bytes)
+    assert plr.num_bytes <= max_bytes
+    assert np.isfinite(plr(workspace.sample_free(1_000_000, seed=0))).all()
+    near = beside_walls(workspace, 10_000, seed=1)
+    answers = np.asarray(plr(near))
+    assert np.isfinite(answers).all()
+    # A point beside a wall is answered from its own side of the wall.
+    distance = oracle(near.astype(np.float64))
+    assert np.quantile(np.abs(answers - distance), 0.99) <= 0.02 * distance.max()
+
+
+@pytest.mark.parametrize("name", ["maze", "thin_maze"])
+@pytest.mark.parametrize(
+    ("max_bytes", "largest", "mean"), [(1024, 0.018, 0.007), (2048, 0.008, 0.0008), (6144, 0.0035, 0.0004)]
+)
+def test_errors_at_a_budget_of_bytes(name, max_bytes, largest, mean):
+    """Table I of the paper, 0.018 and 0.007 at 30.24 KB, at a fraction of its memory."""
+    workspace, goal = scene(name)
+    oracle = plr_jax.VisibilityGraph(workspace, goal)
+    plr = plr_jax.construct(oracle, workspace.bounds, max_bytes=max_bytes)
+    report = error_map(plr, oracle, workspace, resolution=400, num_random=200_000)
+    assert plr.num_bytes <= max_bytes
+    assert report.num_unanswered == 0
+    assert report.max <= largest and report.mean <= mean
+
+
+def test_a_roadmap_is_summarized_with_less_error_than_its_own():
+    workspace, goal = scene("maze")
+    exact = plr_jax.VisibilityGraph(workspace, goal)
+    roadmap = plr_jax.Roadmap.from_workspace(workspace, goal, 10_000)
+    plr = plr_jax.construct(roadmap, workspace.bounds, max_bytes=2048)
+    x = workspace.sample_free(100_000, seed=0)
+    own, ours = np.abs(roadmap(x) - exact(x)), np.abs(np.asarray(plr(x)) - exact(x))
+    assert ours.max() < own.max() and ours.max() <= 0.134
+    assert ours.mean() <= 1.05 * own.mean()
+
+
+def test_a_saved_map_answers_after_loading(tmp_path, data_dir):
+    workspace, goal = arena(data_dir)
+    oracle = plr_jax.VisibilityGraph(workspace, goal)
+    plr = plr_jax.construct(oracle, workspace.bounds, max_bytes=4096)
+    plr_jax.save(plr, tmp_path / "arena.plr")
+    x = workspace.sample_free(50_000, seed=0)
+    error = np.abs(np.asarray(plr_jax.load(tmp_path / "arena.plr")(x)) - oracle(x))
+    assert error.mean() <= 0.003 * oracle(x).max()
