@@ -97,8 +97,8 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """How far outside free space a point still counts as free: 1e-9 of the larger side of the bounds."""
-        return 1e-9 * float(self.bounds.width.max())
+        """How far outside free space a point still counts as free: about 1e-9 of the extent."""
+        return 1e3 * _rounding(self.bounds)
 
     @cached_property
     def boundary(self) -> Boundary:
@@ -292,10 +292,14 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
         object.__setattr__(workspace, name, value)
 
 
+def _rounding(bounds: Box) -> float:
+    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
+    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
+
+
 def _grid(bounds: Box) -> float:
-    """A power of two near 1e-12 of the extent, so that integers and dyadic fractions are not rounded."""
-    rounding = 1e-15 * max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max())
-    return float(2.0 ** np.ceil(np.log2(max(1e-12 * bounds.width.max(), rounding))))
+    """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
+    return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
 
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
