@@ -251,7 +251,7 @@ class Workspace:
             corner = boundary.vertices[vertex]
             rim = arc(corner, offset[edge], offset[before], _ARC_SEGMENTS)
             fans.append(Polygon(np.vstack([corner, rim])))
-        return [*shapely.polygons(strips), *fans]
+        return [*map(Polygon, strips), *fans]
 
     def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
         """Points drawn uniformly from free space.
@@ -304,7 +304,7 @@ def _grid(bounds: Box) -> float:
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
-    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and part.area > 0)
+    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and shapely.area(part) > 0)
 
 
 def _as_bounds(bounds: Box | ArrayLike) -> Box:

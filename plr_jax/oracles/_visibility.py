@@ -238,7 +238,7 @@ def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "c v"]:
     change = np.zeros(fan.start.shape, dtype=int)
     np.add.at(change, (views.owner, begin), 1)
     np.add.at(change, (views.owner, end), -1)
-    np.add.at(change, (views.owner[begin >= end], 0), 1)
+    np.add.at(change[:, 0], views.owner[begin >= end], 1)
     everywhere = np.bincount(views.owner, minlength=len(change)) == 0
     return (np.cumsum(change, axis=1)[:, :-1] > 0) | everywhere[:, None]
 
@@ -282,7 +282,7 @@ def _ranges(
     is seen from its free side exactly if its range runs counterclockwise. Ranges are split at the cut.
     """
     first, last = walls.boundary.edges.T
-    turn = np.asarray(cross(fan.offset[:, first], fan.offset[:, last]))
+    turn = cross(fan.offset[:, first], fan.offset[:, last])
     row, edge = np.nonzero(turn > 0)
     segments = walls.boundary.segments[edge]
     height = turn[row, edge] / np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
