@@ -38,11 +38,9 @@ def as_points(name: str, value: ArrayLike, dim: int = 2) -> Float[np.ndarray, "n
     return points
 
 
-def cross(
-    u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]
-) -> Float[np.ndarray, "..."] | np.float64:
+def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
     """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
-    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
 def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

@@ -97,8 +97,8 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """How far outside free space a point still counts as free: 1e-9 of the larger side of the bounds."""
-        return 1e-9 * float(self.bounds.width.max())
+        """How far outside free space a point still counts as free: about 1e-9 of the extent."""
+        return 1e3 * _rounding(self.bounds)
 
     @cached_property
     def boundary(self) -> Boundary:
@@ -251,7 +251,7 @@ class Workspace:
             corner = boundary.vertices[vertex]
             rim = arc(corner, offset[edge], offset[before], _ARC_SEGMENTS)
             fans.append(Polygon(np.vstack([corner, rim])))
-        return [*shapely.polygons(strips), *fans]
+        return [*map(Polygon, strips), *fans]
 
     def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
         """Points drawn uniformly from free space.
@@ -292,15 +292,19 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
         object.__setattr__(workspace, name, value)
 
 
+def _rounding(bounds: Box) -> float:
+    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
+    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
+
+
 def _grid(bounds: Box) -> float:
-    """A power of two near 1e-12 of the extent, so that integers and dyadic fractions are not rounded."""
-    rounding = 1e-15 * max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max())
-    return float(2.0 ** np.ceil(np.log2(max(1e-12 * bounds.width.max(), rounding))))
+    """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
+    return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
 
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
-    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and part.area > 0)
+    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and shapely.area(part) > 0)
 
 
 def _as_bounds(bounds: Box | ArrayLike) -> Box:

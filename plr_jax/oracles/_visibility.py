@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._geometry import Boundary, left_normal, pseudo_angle
+from plr_jax._geometry import Boundary, cross, left_normal, pseudo_angle
 
-_SAME_DIRECTION = 1e-11
 _CHUNK = 1 << 18
 
 
@@ -178,43 +177,52 @@ def _angle(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
 class _Fan:
     """The intervals around each viewpoint: ``count[v]`` directions, closed by the first one again."""
 
+    offset: Float[np.ndarray, "c v 2"]
     unit: Float[np.ndarray, "c v1 2"]
     start: Float[np.ndarray, "c v1"]
     count: Int[np.ndarray, "c"]
     index: Int[np.ndarray, "c v"]
 
 
-def _fan(vertices: Float[np.ndarray, "v 2"], points: Float[np.ndarray, "c 2"], cut: Float[np.ndarray, "c 2"]) -> _Fan:
-    """The distinct directions of all vertices from each point, and the place of each vertex among them."""
+def _fan(walls: Walls, points: Float[np.ndarray, "c 2"], cut: Float[np.ndarray, "c 2"]) -> _Fan:
+    """The distinct directions of all vertices from each point, and the place of each vertex among them.
+
+    Directions that rounding of the vertices could make equal are one: between them there might be nothing to
+    see but a wall edge-on, behind which no tolerance could tell near from far.
+    """
+    vertices = walls.boundary.vertices
     c, num_vertices = len(points), len(vertices)
     offset = vertices - points[:, None]
     # A viewpoint's own vertex has no direction; its neighbor in the list stands in.
     own = (offset == 0).all(axis=2)
-    offset[own] = np.roll(offset, 1, axis=1)[own]
-    (dx, dy), (cx, cy) = offset.transpose(2, 0, 1), cut.T[:, :, None]
+    towards = np.where(own[:, :, None], np.roll(offset, 1, axis=1), offset)
+    (dx, dy), (cx, cy) = towards.transpose(2, 0, 1), cut.T[:, :, None]
     angle = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
     order = np.argsort(angle, axis=1)
     ascending = np.take_along_axis(angle, order, axis=1)
-    new = np.diff(ascending, axis=1, prepend=-1.0) > _SAME_DIRECTION
+    blur = 0.01 * walls.tolerance / np.linalg.norm(towards, axis=2)
+    blur = np.take_along_axis(blur, order, axis=1)
+    new = np.ones(angle.shape, dtype=bool)
+    new[:, 1:] = np.diff(ascending, axis=1) > np.maximum(blur[:, 1:], blur[:, :-1])
     place = np.cumsum(new, axis=1) - 1
     index = np.empty_like(order)
     np.put_along_axis(index, order, place, axis=1)
     row, column = np.nonzero(new)
     start, unit = np.full((c, num_vertices + 1), np.inf), np.zeros((c, num_vertices + 1, 2))
     start[row, place[row, column]] = ascending[row, column]
-    towards = offset[row, order[row, column]]
+    towards = towards[row, order[row, column]]
     unit[row, place[row, column]] = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     count = place[:, -1] + 1
     unit[np.arange(c), count] = unit[:, 0]
-    return _Fan(unit, start, count, index)
+    return _Fan(offset, unit, start, count, index)
 
 
 def _sweep(
     walls: Walls, views: Viewpoints, cut: Float[np.ndarray, "c 2"]
 ) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
     """Viewpoint, start and nearest edge of each interval, neighbors with the same edge joined."""
-    fan = _fan(walls.boundary.vertices, views.points, cut)
-    nearest = _nearest_edges(walls, views.points, fan)
+    fan = _fan(walls, views.points, cut)
+    nearest = _nearest_edges(walls, fan)
     nearest[~_looked_into(views, fan)] = -1
     last = np.take_along_axis(nearest, fan.count[:, None] - 1, axis=1)
     edge = np.concatenate([last, nearest], axis=1)
@@ -230,15 +238,14 @@ def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "c v"]:
     change = np.zeros(fan.start.shape, dtype=int)
     np.add.at(change, (views.owner, begin), 1)
     np.add.at(change, (views.owner, end), -1)
-    np.add.at(change, (views.owner[begin >= end], 0), 1)
+    np.add.at(change[:, 0], views.owner[begin >= end], 1)
     everywhere = np.bincount(views.owner, minlength=len(change)) == 0
     return (np.cumsum(change, axis=1)[:, :-1] > 0) | everywhere[:, None]
 
 
-def _nearest_edges(walls: Walls, points: Float[np.ndarray, "c 2"], fan: _Fan) -> Int[np.ndarray, "c v"]:
+def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "c v"]:
     """The nearest edge in each interval, -1 where there is none."""
-    row, edge, begin, end = _ranges(walls, points, fan)
-    height = (points[row] * walls.normal[edge]).sum(axis=1) - walls.offset[edge]
+    row, edge, height, begin, end = _ranges(walls, fan)
     # The inverse distance to an edge along the unit vector u is nearness @ u.
     nearness = np.append(-walls.normal[edge] / height[:, None], [[0.0, 0.0]], axis=0)
     width = fan.start.shape[1]
@@ -261,16 +268,29 @@ def _nearest_edges(walls: Walls, points: Float[np.ndarray, "c 2"], fan: _Fan) ->
 
 
 def _ranges(
-    walls: Walls, points: Float[np.ndarray, "c 2"], fan: _Fan
-) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """Viewpoint, edge, and range of intervals of each edge seen from its free side, split at the cut."""
-    height = points @ walls.normal.T - walls.offset
-    row, edge = np.nonzero(height > 1e-3 * walls.tolerance)
-    first, last = walls.boundary.edges[edge].T
-    begin, end = fan.index[row, first], fan.index[row, last]
-    wraps = begin > end
-    begin = np.concatenate([begin, np.zeros(wraps.sum(), int)])
-    end = np.concatenate([np.where(wraps, fan.count[row], end), end[wraps]])
-    row, edge = np.concatenate([row, row[wraps]]), np.concatenate([edge, edge[wraps]])
+    walls: Walls, fan: _Fan
+) -> tuple[
+    Int[np.ndarray, "m"],
+    Int[np.ndarray, "m"],
+    Float[np.ndarray, "m"],
+    Int[np.ndarray, "m"],
+    Int[np.ndarray, "m"],
+]:
+    """Viewpoint, edge, height above it, and range of intervals of each edge seen from its free side.
+
+    Heights come from the very offsets that give the directions, so an edge almost in line with the viewpoint
+    is seen from its free side exactly if its range runs counterclockwise. Ranges are split at the cut.
+    """
+    first, last = walls.boundary.edges.T
+    turn = cross(fan.offset[:, first], fan.offset[:, last])
+    row, edge = np.nonzero(turn > 0)
+    segments = walls.boundary.segments[edge]
+    height = turn[row, edge] / np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    begin, end = fan.index[row, first[edge]], fan.index[row, last[edge]]
+    wraps = np.flatnonzero(begin > end)
+    item = np.concatenate([np.arange(len(row)), wraps])
+    begin = np.concatenate([begin, np.zeros_like(wraps)])
+    end = np.concatenate([np.where(begin[: len(row)] > end, fan.count[row], end), end[wraps]])
     seen = begin < end
-    return row[seen], edge[seen], begin[seen], end[seen]
+    item = item[seen]
+    return row[item], edge[item], height[item], begin[seen], end[seen]

@@ -7,7 +7,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from plr_jax._workspace import Workspace
@@ -220,6 +220,29 @@ def test_distances_on_a_lattice_equal_those_of_a_plain_visibility_graph(seed, sq
     x = x if goal_on_lattice else x[::-1]
     oracle = VisibilityGraph(workspace, x[0])
     np.testing.assert_allclose(oracle(x[1:]), brute_force(workspace, x[1:], x[0]), atol=1e-5)
+
+
+@given(st.integers(0, 100_000), st.booleans(), st.floats(0, 6.28), st.floats(-3, 3), st.floats(-100, 100))
+@example(977, True, 1.0, 0.0, 50.0)
+@example(2286, False, 0.3, -1.5, -70.0)
+@example(3223, True, 2.0, -0.5, 30.0)
+@settings(max_examples=40, deadline=None)
+def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log_scale, shift):
+    """Off the axes what was collinear, or touched, is so up to rounding only."""
+    workspace = lattice_workspace(seed, squeeze)
+    scale = 10**log_scale
+    rotation = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def moved(points):
+        return np.asarray(points, dtype=float) @ rotation.T + scale * shift
+
+    holes = [moved(shapely.get_coordinates(o)[:-1]) for o in workspace.obstacles]
+    other = Workspace.from_polygons([{"outer": moved(box(0, 0, 10, 10)), "holes": holes}], squeeze=squeeze)
+    lattice = np.argwhere(np.ones((11, 11))).astype(float)
+    x = np.vstack([lattice[workspace.is_free(lattice)][seed % 7 :: 7], workspace.sample_free(10, seed)])
+    goal = x[seed % len(x)]
+    expected = VisibilityGraph(workspace, goal)(x)
+    np.testing.assert_allclose(VisibilityGraph(other, moved(goal))(moved(x)) / scale, expected, atol=1e-6)
 
 
 @given(st.integers(0, 100_000), st.booleans())
