@@ -304,7 +304,9 @@ def _grid(bounds: Box) -> float:
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
-    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
+    return tuple(
+        part for part in parts if shapely.get_type_id(part) == shapely.GeometryType.POLYGON and shapely.area(part) > 0
+    )
 
 
 def _as_bounds(bounds: Box | ArrayLike) -> Box:
