@@ -304,9 +304,7 @@ def _grid(bounds: Box) -> float:
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
-    return tuple(
-        part for part in parts if shapely.get_type_id(part) == shapely.GeometryType.POLYGON and shapely.area(part) > 0
-    )
+    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
 def _as_bounds(bounds: Box | ArrayLike) -> Box:
@@ -340,7 +338,7 @@ def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
     scale = np.ptp(points, axis=0).max()
-    if shapely.convex_hull(shapely.multipoints(distinct)).area <= 1e-12 * scale**2:
+    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
         raise ValueError(f"{name} has zero area: its vertices lie on one line.")
     polygon = Polygon(points) if polygon is None else polygon
     if not polygon.is_valid:
