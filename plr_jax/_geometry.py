@@ -9,7 +9,7 @@ import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from plr_jax._types import ArrayLike
 
@@ -118,8 +118,8 @@ def _split(
     vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2"], tolerance: float
 ) -> Int[np.ndarray, "m 2"]:
     """Edges cut at the vertices that lie on them."""
-    tree = shapely.STRtree(shapely.linestrings(vertices[edges]))
-    vertex, edge = tree.query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
+    lines: Any = shapely.linestrings(vertices[edges])
+    vertex, edge = shapely.STRtree(lines).query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
     apart = (edges[edge] != vertex[:, None]).all(axis=1)
     vertex, edge = vertex[apart], edge[apart]
     along = np.linalg.norm(vertices[vertex] - vertices[edges[edge, 0]], axis=1)
@@ -158,7 +158,7 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
         The geometries with the same number of vertices each.
     """
     points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
-    i, j = cKDTree(points).query_pairs(tolerance, output_type="ndarray").T
+    i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))

@@ -187,10 +187,9 @@ class Workspace:
     def _squeezes(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether segments in free space change from one sector to another in a point contact."""
         boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
-        contacts = boundary.vertices[boundary.contacts]
-        tree = shapely.STRtree(shapely.points(contacts))
+        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
         segments = shapely.linestrings(np.stack([a, b], axis=1))
-        segment, contact = tree.query(segments, predicate="dwithin", distance=self.tolerance)
+        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=self.tolerance)
         for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
             ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
             if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
@@ -304,7 +303,8 @@ def _grid(bounds: Box) -> float:
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
-    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and shapely.area(part) > 0)
+    parts: Any = shapely.get_parts(geometry)
+    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
 def _as_bounds(bounds: Box | ArrayLike) -> Box:
@@ -338,7 +338,7 @@ def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
     scale = np.ptp(points, axis=0).max()
-    if shapely.convex_hull(shapely.multipoints(distinct)).area <= 1e-12 * scale**2:
+    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
         raise ValueError(f"{name} has zero area: its vertices lie on one line.")
     polygon = Polygon(points) if polygon is None else polygon
     if not polygon.is_valid:
