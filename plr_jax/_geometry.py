@@ -1,4 +1,4 @@
-"""Vectorised 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
+"""Vectorized 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,32 +10,6 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-
-from plr_jax._types import ArrayLike
-
-
-def as_points(name: str, value: ArrayLike, dim: int = 2) -> Float[np.ndarray, "n dim"]:
-    """A batch of points as a float64 array.
-
-    Args:
-        name: What the points are called in an error.
-        value: Anything array-like of shape ``(n, dim)``.
-        dim: Coordinates a point.
-
-    Returns:
-        The points, ``(n, dim)``.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not numbers.
-    """
-    try:
-        points = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers of shape (n, {dim}), got {value!r}.") from None
-    if points.ndim != 2 or points.shape[1] != dim:
-        hint = f" Use {name}[None] for a single point." if points.shape == (dim,) else ""
-        raise ValueError(f"{name} must have shape (n, {dim}), got {points.shape}.{hint}")
-    return points
 
 
 def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:

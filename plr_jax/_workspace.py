@@ -10,8 +10,9 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
+from plr_jax._arrays import as_points
 from plr_jax._box import Box
-from plr_jax._geometry import Boundary, arc, as_points, boundary_of, cross, left_normal, merge_vertices
+from plr_jax._geometry import Boundary, arc, boundary_of, cross, left_normal, merge_vertices
 from plr_jax._types import ArrayLike
 
 _ARC_SEGMENTS = 8
@@ -131,7 +132,7 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x)
+        x = as_points("x", x, 2)
         return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
@@ -147,7 +148,7 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x)
+        x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
         result = np.full(len(x), np.nan)
         distance = shapely.distance(shapely.points(x[finite]), self._walls)
@@ -172,7 +173,7 @@ class Workspace:
         Raises:
             ValueError: If the shapes are others or differ.
         """
-        a, b = as_points("a", a), as_points("b", b)
+        a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
             raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
         visible = self.is_free(a) & self.is_free(b)
@@ -307,13 +308,8 @@ def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
-def _as_bounds(bounds: Box | ArrayLike) -> Box:
-    if not isinstance(bounds, Box):
-        try:
-            lo, hi = bounds
-        except (TypeError, ValueError):
-            raise ValueError(f"Bounds must be a Box or ((x0, y0), (x1, y1)), got {bounds!r}.") from None
-        bounds = Box(lo, hi)
+def _as_bounds(value: Box | ArrayLike) -> Box:
+    bounds = Box.of(value)
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
     return bounds
@@ -330,7 +326,7 @@ def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if isinstance(ring, Polygon | MultiPolygon):
         polygon, points = ring, shapely.get_coordinates(ring)
     else:
-        points = as_points(name, ring)
+        points = as_points(name, ring, 2)
         polygon = None
     if not np.isfinite(points).all():
         raise ValueError(f"{name} has coordinates that are not finite; remove them.")

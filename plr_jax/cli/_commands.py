@@ -138,7 +138,7 @@ def build(
     save(plr, output)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
-    report = metrics.error_map(plr, oracle, workspace, resolution=0, num_random=_ERROR_POINTS, seed=seed + 1)
+    report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     typer.echo(
