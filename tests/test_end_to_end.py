@@ -56,7 +56,7 @@ def test_errors_at_a_budget_of_bytes(name, max_bytes, largest, mean):
     workspace, goal = scene(name)
     oracle = plr_jax.VisibilityGraph(workspace, goal)
     plr = plr_jax.construct(oracle, workspace.bounds, max_bytes=max_bytes)
-    report = error_map(plr, oracle, workspace, resolution=400, num_random=200_000)
+    report = error_map(plr, oracle, workspace.sample_free(400_000, seed=0))
     assert plr.num_bytes <= max_bytes
     assert report.num_unanswered == 0
     assert report.max <= largest and report.mean <= mean

@@ -88,7 +88,7 @@ def construct(
     References:
         Section III-B of the paper.
     """
-    domain = domain if isinstance(domain, Box) else Box(*domain)
+    domain = Box.of(domain)
     limits = check_limits(max_depth, max_leaves, max_bytes, tolerance, coefficient_bits)
     if not isinstance(num_samples, int | np.integer) or num_samples < domain.dim + 1:
         raise ValueError(
