@@ -17,10 +17,14 @@ def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) 
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
+def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Each vector after a quarter turn to the left."""
+    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
+
+
 def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
     """The unit vector a quarter turn to the left of each vector."""
-    turned = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
 
 
 def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
