@@ -51,7 +51,7 @@ class Box:
         Raises:
             ValueError: If it is neither, or as for the class.
         """
-        if isinstance(value, cls):
+        if isinstance(value, Box):
             return value
         try:
             lo, hi = value

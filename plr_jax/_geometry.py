@@ -1,15 +1,11 @@
 """Vectorized 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 
 def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -17,10 +13,14 @@ def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) 
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
+def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Each vector after a quarter turn to the left."""
+    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
+
+
 def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
     """The unit vector a quarter turn to the left of each vector."""
-    turned = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
 
 
 def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
@@ -42,32 +42,43 @@ class Boundary:
     first vertex of edge ``e``. Where the region touches itself in one point, that vertex has several.
 
     Args:
-        vertices: Distinct vertices, ``(v, 2)``.
-        edges: Indices of the first and last vertex of each edge, ``(e, 2)``.
-        sector_end: The vertex towards which sector ``e`` closes, ``(e,)``.
+        vertices: Distinct vertices, ``(vertices, 2)``.
+        edges: Indices of the first and last vertex of each edge, ``(edges, 2)``.
+        sector_end: The vertex towards which sector ``e`` closes, ``(edges,)``.
     """
 
-    vertices: Float[np.ndarray, "v 2"]
-    edges: Int[np.ndarray, "e 2"]
-    sector_end: Int[np.ndarray, "e"]
+    vertices: Float[np.ndarray, "vertices 2"]
+    edges: Int[np.ndarray, "edges 2"]
+    sector_end: Int[np.ndarray, "edges"]
 
     @property
-    def segments(self) -> Float[np.ndarray, "e 2 2"]:
+    def segments(self) -> Float[np.ndarray, "edges 2 2"]:
         """First and last point of each edge."""
         return self.vertices[self.edges]
 
     @property
-    def contacts(self) -> Int[np.ndarray, "c"]:
+    def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Vertices in which the region touches itself: those of more than one sector."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
-    def is_reflex(self, tolerance: float) -> Bool[np.ndarray, "e"]:
+    def is_reflex(self, tolerance: float) -> Bool[np.ndarray, "edges"]:
         """Whether each sector is wider than half a turn, by a corner that stands out by ``tolerance``."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
         span = np.linalg.norm(to_start - to_end, axis=1)
         return cross(to_start, to_end) < -tolerance * span
+
+    def in_sector(
+        self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether offsets from the first vertex of an edge lie in the closed sector there."""
+        vertex = self.vertices[self.edges[edge, 0]]
+        start = self.vertices[self.edges[edge, 1]] - vertex
+        end = self.vertices[self.sector_end[edge]] - vertex
+        left_of_start = cross(start, offsets) >= -tolerance * np.linalg.norm(start)
+        right_of_end = cross(end, offsets) <= tolerance * np.linalg.norm(end)
+        return left_of_start & right_of_end if cross(start, end) > 0 else left_of_start | right_of_end
 
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:
@@ -89,8 +100,8 @@ def boundary_of(region: Any, tolerance: float) -> Boundary:
 
 
 def _split(
-    vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2"], tolerance: float
-) -> Int[np.ndarray, "m 2"]:
+    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], tolerance: float
+) -> Int[np.ndarray, "pieces 2"]:
     """Edges cut at the vertices that lie on them."""
     lines: Any = shapely.linestrings(vertices[edges])
     vertex, edge = shapely.STRtree(lines).query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
@@ -105,7 +116,9 @@ def _split(
     return np.stack([start, np.where(last, edges[owner, 1], np.roll(start, -1))], axis=1)
 
 
-def _sector_ends(vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2"]) -> Int[np.ndarray, "e"]:
+def _sector_ends(
+    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"]
+) -> Int[np.ndarray, "edges"]:
     """For each edge, the start of the arriving edge that comes first counterclockwise at its first vertex."""
     at = np.concatenate([edges[:, 0], edges[:, 1]])
     other = np.concatenate([edges[:, 1], edges[:, 0]])
@@ -121,29 +134,12 @@ def _sector_ends(vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2
     return ends[: len(edges)]
 
 
-def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Geometries in which vertices that differ by rounding are the same.
-
-    Args:
-        geometries: Shapely geometries.
-        tolerance: Vertices this near to one another become one of them.
-
-    Returns:
-        The geometries with the same number of vertices each.
-    """
-    points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
-    i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
-    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
-    _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
-    return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
-
-
 def arc(
     center: Float[np.ndarray, "2"],
     start: Float[np.ndarray, "2"],
     end: Float[np.ndarray, "2"],
     num_segments: int,
-) -> Float[np.ndarray, "m 2"]:
+) -> Float[np.ndarray, "points 2"]:
     """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``.
 
     Args:

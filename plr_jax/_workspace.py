@@ -1,6 +1,6 @@
 """A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,8 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_points
 from plr_jax._box import Box
-from plr_jax._geometry import Boundary, arc, boundary_of, cross, left_normal, merge_vertices
+from plr_jax._geometry import Boundary, arc, boundary_of, cross, left_normal
+from plr_jax._polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
 from plr_jax._types import ArrayLike
 
 _ARC_SEGMENTS = 8
@@ -25,8 +26,8 @@ class Workspace:
 
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
     ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
-    interior of their union. Coordinates are rounded to a grid of about 1e-12 of the extent, so that what
-    touches up to rounding touches.
+    interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
+    that what touches up to rounding touches.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -54,7 +55,7 @@ class Workspace:
 
     def __init__(self, bounds: Box | ArrayLike, obstacles: Iterable[Any] = (), *, squeeze: bool = False):
         bounds = _as_bounds(bounds)
-        polygons = tuple(_as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
+        polygons = tuple(as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
         region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
         _assign(self, bounds, polygons, squeeze, free)
@@ -72,17 +73,12 @@ class Workspace:
             The workspace; its bounds are the bounding box of the outer rings.
 
         Raises:
-            ValueError: If a ring is not simple, finite and of positive area, or nothing is free.
+            ValueError: If there is no component, one has another form, a ring is not simple, finite and of
+                positive area, or nothing is free.
         """
-        outers = [_as_polygon(f"Outer ring {i}", _outer(i, part)) for i, part in enumerate(components)]
-        if not outers:
-            raise ValueError("Free space needs at least one component, got none.")
+        outers, holes = as_components(components)
         x0, y0, x1, y1 = shapely.total_bounds(outers)
         bounds = Box((x0, y0), (x1, y1))
-        holes = [
-            [_as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(part.get("holes", ()))]
-            for i, part in enumerate(components)
-        ]
         merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * _grid(bounds)))
         outers = [next(merged) for _ in outers]
         blocked = [shapely.union_all([next(merged) for _ in part]) for part in holes]
@@ -93,12 +89,16 @@ class Workspace:
     def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
         workspace = object.__new__(cls)
         blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)
-        _assign(workspace, bounds, _polygons(blocked), squeeze, free)
+        _assign(workspace, bounds, polygons_of(blocked), squeeze, free)
         return workspace
 
     @property
     def tolerance(self) -> float:
-        """How far outside free space a point still counts as free: about 1e-9 of the extent."""
+        """How far outside free space a point still counts as free.
+
+        1e-9 of the longer side of the bounds or 1e-12 of their largest coordinate, whichever is more: far from
+        the origin, coordinates are coarser.
+        """
         return 1e3 * _rounding(self.bounds)
 
     @cached_property
@@ -119,6 +119,10 @@ class Workspace:
         walls = self.free_space.boundary
         shapely.prepare(walls)
         return walls
+
+    @cached_property
+    def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
+        return triangles_of(self.free_space)
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in closed free space.
@@ -195,19 +199,11 @@ class Workspace:
             ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
             if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
                 continue
-            inside = [self._in_sector(e, ends) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)]
+            inside = [
+                boundary.in_sector(e, ends, self.tolerance) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)
+            ]
             squeezes[s] |= not any(both.all() for both in inside)
         return squeezes
-
-    def _in_sector(self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether offsets from the first vertex of an edge lie in the closed sector there."""
-        boundary = self.boundary
-        vertex = boundary.vertices[boundary.edges[edge, 0]]
-        start = boundary.vertices[boundary.edges[edge, 1]] - vertex
-        end = boundary.vertices[boundary.sector_end[edge]] - vertex
-        left_of_start = cross(start, offsets) >= -self.tolerance * np.linalg.norm(start)
-        right_of_end = cross(end, offsets) <= self.tolerance * np.linalg.norm(end)
-        return left_of_start & right_of_end if cross(start, end) > 0 else left_of_start | right_of_end
 
     def inflate(self, radius: float) -> "Workspace":
         """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
@@ -257,26 +253,31 @@ class Workspace:
         """Points drawn uniformly from free space.
 
         Args:
-            n: Number of points.
+            n: Number of points, at least 0.
             seed: Seed of the generator; the same seed gives the same points.
 
         Returns:
             Free points, ``(n, 2)``.
+
+        Raises:
+            ValueError: If ``n`` is negative.
         """
+        if n < 0:
+            raise ValueError(f"The number of points must be at least 0, got {n}.")
+        # From triangles and not by rejection, which would take forever where free space is a sliver.
+        corner, first, second = self._triangles.transpose(1, 0, 2)
+        first, second = first - corner, second - corner
+        area = np.abs(cross(first, second))
         rng = np.random.default_rng(seed)
-        x0, y0, x1, y1 = self.free_space.bounds
-        share = self.free_space.area / ((x1 - x0) * (y1 - y0))
-        points = np.empty((0, 2))
-        while len(points) < n:
-            tries = 16 + int(1.1 * (n - len(points)) / share)
-            x = rng.uniform((x0, y0), (x1, y1), (min(tries, 1 << 20), 2))
-            points = np.concatenate([points, x[shapely.intersects_xy(self.free_space, x[:, 0], x[:, 1])]])
-        return points[:n]
+        pick = rng.choice(len(area), n, p=area / area.sum())
+        u, v = rng.random((2, n, 1))
+        u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
+        return corner[pick] + u * first[pick] + v * second[pick]
 
 
 def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
-    parts = _polygons(shapely.set_precision(free, _grid(bounds)))
+    parts = polygons_of(shapely.set_precision(free, _grid(bounds)))
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
@@ -302,42 +303,8 @@ def _grid(bounds: Box) -> float:
     return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
 
 
-def _polygons(geometry: Any) -> tuple[Polygon, ...]:
-    """The polygons of a geometry, without the points and lines of a degenerate overlay."""
-    parts: Any = shapely.get_parts(geometry)
-    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
-
-
 def _as_bounds(value: Box | ArrayLike) -> Box:
     bounds = Box.of(value)
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
     return bounds
-
-
-def _outer(i: int, part: Any) -> Any:
-    if not (isinstance(part, Mapping) and "outer" in part):
-        raise ValueError(f"Component {i} must be a mapping with an 'outer' ring, got {part!r}.")
-    return part["outer"]
-
-
-def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """A valid polygon, or a ValueError saying what is wrong with it."""
-    if isinstance(ring, Polygon | MultiPolygon):
-        polygon, points = ring, shapely.get_coordinates(ring)
-    else:
-        points = as_points(name, ring, 2)
-        polygon = None
-    if not np.isfinite(points).all():
-        raise ValueError(f"{name} has coordinates that are not finite; remove them.")
-    distinct = np.unique(points, axis=0)
-    if len(distinct) < 3:
-        raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
-    scale = np.ptp(points, axis=0).max()
-    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
-        raise ValueError(f"{name} has zero area: its vertices lie on one line.")
-    polygon = Polygon(points) if polygon is None else polygon
-    if not polygon.is_valid:
-        reason = shapely.is_valid_reason(polygon)
-        raise ValueError(f"{name} is not a simple polygon ({reason}); split it into rings that do not cross.")
-    return polygon

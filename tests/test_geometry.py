@@ -5,12 +5,13 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax._geometry import arc, boundary_of, cross, left_normal, merge_vertices, pseudo_angle
+from plr_jax._geometry import arc, boundary_of, cross, left_normal, pseudo_angle, turned_left
 
 
 def test_cross_and_normal_point_left():
     u = np.array([[2.0, 0.0], [0.0, 3.0]])
     np.testing.assert_array_equal(left_normal(u), [[0, 1], [-1, 0]])
+    np.testing.assert_array_equal(turned_left(u), [[0, 2], [-3, 0]])
     np.testing.assert_array_equal(cross(u, left_normal(u)), [2, 3])
 
 
@@ -63,6 +64,11 @@ def test_sectors_at_a_contact_are_those_between_the_obstacles():
         for e in edges
     }
     assert sectors == {((2, 3), (1, 2)), ((2, 1), (3, 2))}
+    offsets = np.array([[-1.0, 1.0], [0, 1], [-1, 0], [1, -1], [1, 1]])
+    for edge in edges:
+        if boundary.vertices[boundary.edges[edge, 1]][1] == 3:  # the sector to the upper left, its walls included
+            inside = boundary.in_sector(edge, offsets, 1e-9)
+            np.testing.assert_array_equal(inside, [True, True, True, False, False])
 
 
 def test_an_edge_is_split_where_a_vertex_lies_on_it():
@@ -72,11 +78,3 @@ def test_an_edge_is_split_where_a_vertex_lies_on_it():
     assert len(boundary.edges) == 4 + 3 + 1
     (contact,) = boundary.contacts
     np.testing.assert_allclose(boundary.vertices[contact], [2, 0], atol=1e-9)
-
-
-def test_vertices_that_differ_by_rounding_become_one():
-    a, b = shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, 0, 2, 1)
-    a, b = merge_vertices([a, b], 1e-12)
-    shared = {tuple(p) for p in shapely.get_coordinates(a)} & {tuple(p) for p in shapely.get_coordinates(b)}
-    assert len(shared) == 2
-    assert merge_vertices([shapely.box(0, 0, 1, 1)], 1e-12)[0].equals(shapely.box(0, 0, 1, 1))

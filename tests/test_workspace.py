@@ -187,27 +187,21 @@ def test_samples_are_free_uniform_and_repeatable():
     assert BLOCK.sample_free(0, 0).shape == (0, 2)
 
 
-@pytest.mark.parametrize(
-    ("ring", "message"),
-    [
-        (
-            np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]),
-            "Obstacle 1 is not a simple polygon.*Self-intersection",
-        ),
-        (np.array([[1.0, 1], [2, 2]]), "Obstacle 1 has 2 distinct vertices"),
-        (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "Obstacle 1 has 2 distinct vertices"),
-        (np.array([[1.0, 1], [2, 2], [3, 3]]), "Obstacle 1 has zero area"),
-        (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "Obstacle 1 has coordinates that are not finite"),
-        (np.array([[1.0, 1], [np.inf, 2], [2, 1]]), "Obstacle 1 has coordinates that are not finite"),
-        (np.ones((3, 3)), r"Obstacle 1 must have shape \(n, 2\)"),
-        ("ring", r"Obstacle 1 must be numbers"),
-        (shapely.Polygon(), "Obstacle 1 has 0 distinct vertices"),
-        (shapely.Polygon([[1, 1], [2, 2], [2, 1], [1, 2]]), "Obstacle 1 is not a simple polygon"),
-    ],
-)
-def test_invalid_rings_are_refused_by_index_and_reason(ring, message):
-    with pytest.raises(ValueError, match=message):
-        Workspace(TEN, [box(8, 8, 9, 9), ring])
+def test_a_sliver_of_free_space_is_sampled_at_once():
+    sliver = Workspace(TEN, [box(0, 0, 10, 10 - 1e-7)])
+    x = sliver.sample_free(1000, seed=0)
+    assert sliver.is_free(x).all()
+    assert x[:, 1].min() >= 10 - 1.1e-7
+    assert np.ptp(x[:, 0]) > 9.9
+
+
+def test_an_invalid_obstacle_is_refused_by_its_index():
+    for ring, message in [
+        ([[1, 1], [2, 2], [2, 1], [1, 2]], "Obstacle 1 is not a simple polygon.*Self-intersection"),
+        ("ring", "Obstacle 1 must be numbers"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            Workspace(TEN, [box(8, 8, 9, 9), ring])
 
 
 @pytest.mark.parametrize(
@@ -223,6 +217,11 @@ def test_invalid_rings_are_refused_by_index_and_reason(ring, message):
             lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": [box(0, 0, 0, 1)]}]),
             "Hole 0 of component 0 has 2 distinct",
         ),
+        (
+            lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": None}]),
+            "Component 0 must be a mapping with an 'outer' ring and a list of 'holes'",
+        ),
+        (lambda: BLOCK.sample_free(-1, 0), "number of points must be at least 0, got -1"),
         (lambda: BLOCK.inflate(-1.0), "at least 0"),
         (lambda: BLOCK.inflate(math.nan), "at least 0"),
         (lambda: BLOCK.inflate(5.0), "leaves no free space"),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike, Points
@@ -63,47 +63,8 @@ def _is_visible_sampled(is_free: IsFree, resolution: float, a: Points, b: Points
     batch = np.cumsum(num_tests) // _BATCH
     for rows in np.split(np.arange(len(a)), np.flatnonzero(np.diff(batch)) + 1):
         motion = np.repeat(rows, num_tests[rows])
-        step = _ranges(np.ones_like(rows), num_tests[rows] + 1)
+        # 1, 2, ..., num_tests of each motion, one after the other.
+        step = 1 + np.arange(len(motion)) - np.repeat(np.cumsum(num_tests[rows]) - num_tests[rows], num_tests[rows])
         x = a[motion] + (step / num_steps[motion])[:, None] * (b - a)[motion]
         visible[motion[~is_free(x)]] = False
     return visible
-
-
-def _ranges(begin: Int[np.ndarray, "r"], end: Int[np.ndarray, "r"]) -> Int[np.ndarray, "m"]:
-    """The integers of several half-open ranges, one after the other."""
-    count = end - begin
-    offset = np.repeat(np.cumsum(count) - count, count)
-    return np.repeat(begin, count) + np.arange(count.sum()) - offset
-
-
-def first_visible(
-    point: Int[np.ndarray, "p"],
-    num_points: int,
-    sees: Callable[[Int[np.ndarray, "p"]], Bool[np.ndarray, "p"]],
-) -> Int[np.ndarray, "n"]:
-    """Index of the first visible pair of each point, -1 where there is none.
-
-    Tests 1, 2, 4, ... more pairs of each point that is still without one: what a test of all pairs
-    would find, with few tests where the first pairs are visible.
-
-    Args:
-        point: The point of each pair, ascending, the pairs of one point best first.
-        num_points: Number of points ``n``.
-        sees: Visibility of the pairs at given indices.
-    """
-    first = np.full(num_points, -1)
-    begin, end = (
-        np.searchsorted(point, np.arange(num_points)),
-        np.searchsorted(point, np.arange(num_points), "right"),
-    )
-    pending, width = np.flatnonzero(begin < end), 1
-    while pending.size:
-        stop = np.minimum(begin[pending] + width, end[pending])
-        pair = _ranges(begin[pending], stop)
-        visible = pair[sees(pair)]
-        # Written last to first, so that the first visible pair of a point is the one that stays.
-        first[point[visible[::-1]]] = visible[::-1]
-        begin[pending] = stop
-        pending = pending[(first[pending] < 0) & (stop < end[pending])]
-        width *= 2
-    return first

@@ -1,32 +1,26 @@
 """Probabilistic roadmaps (PRM*): near-optimal distances in any dimension."""
 
-import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import networkx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
-from tqdm import tqdm
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._box import Box
 from plr_jax._graph import Graph, astar, dijkstra, to_networkx
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax._workspace import Workspace
-from plr_jax.oracles._local_planner import (
-    IsFree,
-    IsVisible,
-    checked_is_free,
-    checked_is_visible,
-    first_visible,
-)
+from plr_jax.oracles._first_visible import first_visible
+from plr_jax.oracles._local_planner import IsFree, IsVisible, checked_is_free, checked_is_visible
+from plr_jax.oracles._prm_star import prm_star_radius, sample_free, visible_edges
 
-_BATCH = 2**18  # points or pairs of points held at a time: a few tens of megabytes
-_MIN_FREE_FRACTION = 1e-4
-_DRAWS_BEFORE_GIVING_UP = 100_000
+_BATCH = 2**18  # pairs of a point and a vertex held at a time: a few tens of megabytes
 
 
+@dataclass(frozen=True, eq=False, init=False)
 class Roadmap:
     """Distance to a goal over a probabilistic roadmap (PRM*), a `DistanceFn` in any dimension.
 
@@ -54,6 +48,14 @@ class Roadmap:
             the points at which a straight motion is tested with ``is_free``. Obstacles thinner than
             this can be passed through.
 
+    Attributes:
+        domain: The box of configurations.
+        is_free: The collision test, false outside the domain.
+        is_visible: The test of motions.
+        radius: Connection radius, in units of the domain.
+        graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
+        distances: Distance of each vertex to the goal, ``inf`` where the roadmap does not join them.
+
     Raises:
         ValueError: If the domain is no box, the goal is not free, fewer than 1 in 10,000 draws are free, a
             test returns anything but one boolean a point, or an argument is out of range.
@@ -63,6 +65,14 @@ class Roadmap:
         section 3.3 on PRM*. The free volume in its radius is estimated by the fraction of draws that
         are free.
     """
+
+    domain: Box
+    is_free: IsFree
+    is_visible: IsVisible
+    radius: float
+    graph: Graph
+    distances: Float[np.ndarray, "vertices"]
+    _tree: KDTree
 
     def __init__(
         self,
@@ -77,21 +87,19 @@ class Roadmap:
     ):
         if not isinstance(num_samples, int | np.integer) or num_samples < 1:
             raise ValueError(f"num_samples must be a whole number of at least 1, got {num_samples!r}.")
-        self._domain = domain = Box.of(domain)
-        self._is_free = checked_is_free(domain, is_free)
-        self._is_visible = checked_is_visible(self._is_free, is_visible, resolution)
-        goal = _checked_goal(domain, self._is_free, goal)
-        samples, free_volume = _sample_free(domain, self._is_free, num_samples, seed)
+        domain = Box.of(domain)
+        is_free = checked_is_free(domain, is_free)
+        is_visible = checked_is_visible(is_free, is_visible, resolution)
+        goal = _free_goal(domain, is_free, goal)
+        samples, free_volume = sample_free(domain, is_free, num_samples, seed)
         vertices = np.concatenate([goal[None], samples])
-        self._radius = prm_star_radius(len(vertices), domain.dim, free_volume)
-        self._density = len(vertices) / free_volume
-        self._tree = KDTree(vertices)
-        self._graph = Graph(vertices, _visible_edges(self._tree, self._radius, self._is_visible))
-        self._distances, _ = dijkstra(self._graph, 0)
-        vertices.flags.writeable = self._distances.flags.writeable = False
+        radius = prm_star_radius(len(vertices), domain.dim, free_volume)
+        tree = KDTree(vertices)
+        graph = Graph(vertices, visible_edges(tree, radius, is_visible))
+        _assign(self, domain, is_free, is_visible, radius, graph, tree)
 
     @classmethod
-    def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, seed: int = 0) -> "Roadmap":
+    def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
         """Roadmap of a point robot in a workspace, every edge tested exactly.
 
         Args:
@@ -99,8 +107,56 @@ class Roadmap:
             goal: A free point, ``(2,)``.
             num_samples: Number of free points to draw, at least 1.
             seed: Seed of the samples.
+
+        Returns:
+            The roadmap.
+
+        Raises:
+            ValueError: If the goal is not free, ``num_samples`` is less than 1, or less than 1 in 10,000 of
+                the bounds' area is free.
         """
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
+
+    def with_goal(self, goal: ArrayLike) -> "Roadmap":
+        """The roadmap of the same samples for another goal: only the goal's own edges are tested.
+
+        Args:
+            goal: A free configuration, ``(dim,)``.
+
+        Returns:
+            The roadmap; the one that a construction with this goal and the same seed would give.
+
+        Raises:
+            ValueError: If the goal is not free.
+        """
+        goal = _free_goal(self.domain, self.is_free, goal)
+        samples, edges = self.graph.vertices[1:], self.graph.edges
+        near = np.flatnonzero(np.linalg.norm(samples - goal, axis=1) <= self.radius)
+        near = near[self.is_visible(np.tile(goal, (len(near), 1)), samples[near])]
+        to_goal = np.stack([np.zeros_like(near), 1 + near], axis=1).astype(edges.dtype)
+        vertices = np.concatenate([goal[None], samples])
+        graph = Graph(vertices, np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]]))
+        oracle = object.__new__(Roadmap)
+        _assign(oracle, self.domain, self.is_free, self.is_visible, self.radius, graph, KDTree(vertices))
+        return oracle
+
+    @property
+    def goal(self) -> Float[np.ndarray, "dim"]:
+        """The goal, vertex 0 of the graph."""
+        return self.graph.vertices[0]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the roadmap as a file would hold it: float64 vertices, int32 edges, float64 lengths.
+
+        This is what a search for any goal needs. The distances to this goal, the k-d tree and the
+        adjacency matrix follow from it and are not counted.
+        """
+        return self.graph.num_bytes
+
+    def to_networkx(self) -> networkx.Graph:
+        """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
+        return to_networkx(self.graph)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Distance of each point to the goal along the roadmap.
@@ -118,9 +174,9 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(n, dim)``.
         """
-        x = as_points("x", x, self._domain.dim)
+        x = as_points("x", x, self.domain.dim)
         answer = np.full(len(x), np.inf)
-        pending = np.flatnonzero(self._is_free(x))
+        pending = np.flatnonzero(self.is_free(x))
         for inner, outer in self._rings():
             if pending.size == 0:
                 break
@@ -136,163 +192,84 @@ class Roadmap:
             x: A point, ``(dim,)``.
 
         Returns:
-            The path's corners, from ``x`` to the goal; no rows where the distance is ``inf``.
+            The path's vertices, ``(m, dim)``, from ``x`` to the goal, no two in a row equal: one if ``x`` is
+            the goal. No rows where the distance is ``inf``.
 
         Raises:
             ValueError: If ``x`` is not of shape ``(dim,)``.
         """
-        x = as_point("The start", x, self._domain.dim)[None]
-        path = astar(self._graph, self._visible_vertices(x), goal=0) if self._is_free(x)[0] else []
-        if not path:
-            return np.empty((0, self._domain.dim))
-        corners = self._graph.vertices[path]
-        return corners if np.array_equal(corners[0], x[0]) else np.concatenate([x, corners])
-
-    @property
-    def domain(self) -> Box:
-        """The box of configurations."""
-        return self._domain
-
-    @property
-    def goal(self) -> Float[np.ndarray, "dim"]:
-        """The goal, vertex 0 of the graph."""
-        return self._graph.vertices[0]
-
-    @property
-    def radius(self) -> float:
-        """Connection radius, in units of the domain."""
-        return self._radius
-
-    @property
-    def graph(self) -> Graph:
-        """Vertices and edges; vertex 0 is the goal."""
-        return self._graph
-
-    @property
-    def distances(self) -> Float[np.ndarray, "v"]:
-        """Distance of each vertex to the goal, ``inf`` where the roadmap does not join them."""
-        return self._distances
-
-    @property
-    def num_vertices(self) -> int:
-        """Number of vertices: the samples and the goal."""
-        return self._graph.num_vertices
-
-    @property
-    def num_edges(self) -> int:
-        """Number of undirected edges."""
-        return self._graph.num_edges
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the roadmap as a file would hold it: float64 vertices, int32 edges, float64 lengths.
-
-        This is what a search for any goal needs. The distances to this goal, the k-d tree and the
-        adjacency matrix follow from it and are not counted.
-        """
-        return self._graph.num_bytes
-
-    def to_networkx(self) -> networkx.Graph:
-        """The roadmap in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
-        return to_networkx(self._graph)
+        x = as_point("The start", x, self.domain.dim)[None]
+        onward = astar(self.graph, self._visible_vertices(x), goal=0) if self.is_free(x)[0] else []
+        if not onward:
+            return np.empty((0, self.domain.dim))
+        path = np.concatenate([x, self.graph.vertices[onward]])
+        return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
     def _rings(self) -> Iterator[tuple[float, float]]:
         """Inner and outer radii of the rings in which a query looks for vertices, until all are in."""
-        inner, outer = -1.0, self._radius
-        diagonal = float(np.linalg.norm(self._domain.width))
+        inner, outer = -1.0, self.radius
+        diagonal = float(np.linalg.norm(self.domain.width))
         while inner < diagonal:
             yield inner, outer
             inner, outer = outer, 2 * outer
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Bool[np.ndarray, "n"]]:
         """Distance through the vertices seen between two radii, and whether there are any."""
-        expected = self._density * unit_ball_volume(self._domain.dim) * outer**self._domain.dim
-        step = max(1, int(_BATCH / min(max(expected, 1.0), self.num_vertices)))
-        parts = [self._connect_batch(x[i : i + step], inner, outer) for i in range(0, len(x), step)]
-        distance, connected = zip(*parts, strict=True)
-        return np.concatenate(distance), np.concatenate(connected)
+        count = self._tree.query_ball_point(x, outer, return_length=True)
+        step = max(1, _BATCH // max(1, count.max()))
+        distance, connected = np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
+        for begin in range(0, len(x), step):
+            rows = slice(begin, begin + step)
+            distance[rows], connected[rows] = self._connect_batch(x[rows], inner, outer, int(count[rows].max()))
+        return distance, connected
 
-    def _connect_batch(self, x: Points, inner: float, outer: float) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        pairs = KDTree(x).sparse_distance_matrix(self._tree, outer, output_type="ndarray")
-        pairs = pairs[pairs["v"] > inner]
-        through = pairs["v"] + self._distances[pairs["j"]]
-        order = np.lexsort((through, pairs["i"]))
-        point, vertex, through = pairs["i"][order], pairs["j"][order], through[order]
+    def _connect_batch(
+        self, x: Points, inner: float, outer: float, count: int
+    ) -> tuple[Distances, Bool[np.ndarray, "n"]]:
+        # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
+        limit = np.nextafter(outer, np.inf)
+        length, vertex = self._tree.query(x, k=np.arange(1, 1 + count), distance_upper_bound=limit)
+        through = length + np.append(self.distances, np.inf)[vertex]
+        through[(length <= inner) | np.isinf(length)] = np.nan
 
-        def sees(pair: Int[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
-            return self._is_visible(x[point[pair]], self._graph.vertices[vertex[pair]])
+        def sees(point: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+            return self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
 
-        first = first_visible(point, len(x), sees)
-        connected = first >= 0
-        return np.where(connected, np.append(through, np.inf)[first], np.inf), connected
+        way, distance = first_visible(through, sees)
+        return distance, way >= 0
 
     def _visible_vertices(self, x: Float[np.ndarray, "1 dim"]) -> dict[int, float]:
         """Every vertex to which a query at a free point is joined, with the length of that edge."""
-        length = np.linalg.norm(self._graph.vertices - x, axis=1)
+        length = np.linalg.norm(self.graph.vertices - x, axis=1)
         for inner, outer in self._rings():
             near = np.flatnonzero((inner < length) & (length <= outer))
-            seen = near[self._is_visible(np.repeat(x, len(near), axis=0), self._graph.vertices[near])]
+            seen = near[self.is_visible(np.repeat(x, len(near), axis=0), self.graph.vertices[near])]
             if seen.size:
                 return dict(zip(seen.tolist(), length[seen].tolist(), strict=True))
         return {}
 
 
-def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``.
-
-    Args:
-        num_vertices: Number of vertices ``n``, at least 2.
-        dim: Dimension of the space.
-        free_volume: Volume of free space.
-
-    References:
-        Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above
-        ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; this bound itself is taken.
-    """
-    gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume(dim)) ** (1 / dim)
-    return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
-
-
-def unit_ball_volume(dim: int) -> float:
-    """Volume of the Euclidean ball of radius 1."""
-    return math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
+def _assign(
+    roadmap: Roadmap, domain: Box, is_free: IsFree, is_visible: IsVisible, radius: float, graph: Graph, tree: KDTree
+) -> None:
+    distances, _ = dijkstra(graph, 0)
+    graph.vertices.flags.writeable = distances.flags.writeable = False
+    for name, value in (
+        ("domain", domain),
+        ("is_free", is_free),
+        ("is_visible", is_visible),
+        ("radius", radius),
+        ("graph", graph),
+        ("distances", distances),
+        ("_tree", tree),
+    ):
+        object.__setattr__(roadmap, name, value)
 
 
-def _sample_free(domain: Box, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """The first free draws of a uniform sequence over the domain, and an estimate of the free volume."""
-    rng = np.random.default_rng(seed)
-    batch = max(num_samples, 1000)
-    accepted, num_free, num_drawn = [], 0, 0
-    while num_free < num_samples:
-        draws = domain.lo + domain.width * rng.random((batch, domain.dim))
-        accepted.append(draws[is_free(draws)])
-        num_free += len(accepted[-1])
-        num_drawn += batch
-        if num_drawn >= _DRAWS_BEFORE_GIVING_UP and num_free < _MIN_FREE_FRACTION * num_drawn:
-            raise ValueError(
-                f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
-                f"tighten the domain around free space, or check is_free."
-            )
-    return np.concatenate(accepted)[:num_samples], float(np.prod(domain.width)) * num_free / num_drawn
-
-
-def _visible_edges(tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
-    """Pairs of vertices within the radius that see each other."""
-    pairs = tree.query_pairs(radius, output_type="ndarray")
-    step = 2**15
-    visible = np.zeros(len(pairs), dtype=bool)
-    with tqdm(total=len(pairs), desc="Roadmap edges", unit="edge", delay=3, disable=None) as progress:
-        for i in range(0, len(pairs), step):
-            start, end = pairs[i : i + step].T
-            visible[i : i + step] = is_visible(tree.data[start], tree.data[end])
-            progress.update(len(start))
-    return pairs[visible].astype(np.int32)
-
-
-def _checked_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    point = as_finite_point("The goal", goal, domain.dim)
-    if not domain.contains(point[None])[0]:
-        raise ValueError(f"The goal {point.tolist()} is outside the domain {domain}; move it inside.")
-    if not is_free(point[None])[0]:
-        raise ValueError(f"The goal {point.tolist()} is not free; move it to a free configuration.")
-    return point
+def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
+    goal = as_finite_point("The goal", goal, domain.dim)
+    if not domain.contains(goal[None])[0]:
+        raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")
+    if not is_free(goal[None])[0]:
+        raise ValueError(f"The goal {goal.tolist()} is not free; move it to a free configuration.")
+    return goal

@@ -26,14 +26,14 @@ class Walls:
 
     Args:
         boundary: The boundary of free space.
-        normal: Unit normal of each edge, into free space, ``(e, 2)``.
-        offset: ``normal @ x`` on the edge, ``(e,)``.
+        normal: Unit normal of each edge, into free space, ``(edges, 2)``.
+        offset: ``normal @ x`` on the edge, ``(edges,)``.
         tolerance: How far behind an edge a point still counts as free.
     """
 
     boundary: Boundary
-    normal: Float[np.ndarray, "e 2"]
-    offset: Float[np.ndarray, "e"]
+    normal: Float[np.ndarray, "edges 2"]
+    offset: Float[np.ndarray, "edges"]
     tolerance: float
 
     @classmethod
@@ -49,16 +49,16 @@ class Viewpoints:
     """Points and the sectors they look into.
 
     Args:
-        points: The points, ``(c, 2)``.
-        owner: The point of each sector, ``(s,)``. A point without sectors looks all around.
-        start: The vertex towards which each sector opens, counterclockwise, ``(s,)``.
-        end: The vertex towards which it closes, ``(s,)``.
+        points: The points, ``(views, 2)``.
+        owner: The point of each sector, ``(sectors,)``. A point without sectors looks all around.
+        start: The vertex towards which each sector opens, counterclockwise, ``(sectors,)``.
+        end: The vertex towards which it closes, ``(sectors,)``.
     """
 
-    points: Float[np.ndarray, "c 2"]
-    owner: Int[np.ndarray, "s"]
-    start: Int[np.ndarray, "s"]
-    end: Int[np.ndarray, "s"]
+    points: Float[np.ndarray, "views 2"]
+    owner: Int[np.ndarray, "sectors"]
+    start: Int[np.ndarray, "sectors"]
+    end: Int[np.ndarray, "sectors"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +70,17 @@ class VisibilityTable:
 
     Args:
         walls: The edges that the rows name.
-        points: The viewpoints, ``(c, 2)``.
-        cut: Unit vector from which the directions of each viewpoint are measured, ``(c, 2)``.
-        first: First row of each viewpoint, and the number of rows, ``(c + 1,)``.
+        points: The viewpoints, ``(views, 2)``.
+        cut: Unit vector from which the directions of each viewpoint are measured, ``(views, 2)``.
+        first: First row of each viewpoint, and the number of rows, ``(views + 1,)``.
         key: ``4 v`` plus the pseudo-angle at which the row's interval starts, ascending, ``(rows,)``.
         edge: The nearest edge in the interval; -1 where the viewpoint does not look, ``(rows,)``.
     """
 
     walls: Walls
-    points: Float[np.ndarray, "c 2"]
-    cut: Float[np.ndarray, "c 2"]
-    first: Int[np.ndarray, "c1"]
+    points: Float[np.ndarray, "views 2"]
+    cut: Float[np.ndarray, "views 2"]
+    first: Int[np.ndarray, "views+1"]
     key: Float[np.ndarray, "rows"]
     edge: Int[np.ndarray, "rows"]
 
@@ -151,7 +151,7 @@ def visibility_table(walls: Walls, views: Viewpoints) -> VisibilityTable:
     return VisibilityTable(walls, views.points, cut, first, key, edge.astype(np.int32))
 
 
-def _cuts(walls: Walls, views: Viewpoints) -> Float[np.ndarray, "c 2"]:
+def _cuts(walls: Walls, views: Viewpoints) -> Float[np.ndarray, "views 2"]:
     """For each viewpoint a direction between those of the vertices it may see.
 
     A viewpoint of one sector gets the middle of the rest of the turn, any other the middle of the widest gap.
@@ -177,14 +177,14 @@ def _angle(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
 class _Fan:
     """The intervals around each viewpoint: ``count[v]`` directions, closed by the first one again."""
 
-    offset: Float[np.ndarray, "c v 2"]
-    unit: Float[np.ndarray, "c v1 2"]
-    start: Float[np.ndarray, "c v1"]
-    count: Int[np.ndarray, "c"]
-    index: Int[np.ndarray, "c v"]
+    offset: Float[np.ndarray, "views vertices 2"]
+    unit: Float[np.ndarray, "views vertices+1 2"]
+    start: Float[np.ndarray, "views vertices+1"]
+    count: Int[np.ndarray, "views"]
+    index: Int[np.ndarray, "views vertices"]
 
 
-def _fan(walls: Walls, points: Float[np.ndarray, "c 2"], cut: Float[np.ndarray, "c 2"]) -> _Fan:
+def _fan(walls: Walls, points: Float[np.ndarray, "views 2"], cut: Float[np.ndarray, "views 2"]) -> _Fan:
     """The distinct directions of all vertices from each point, and the place of each vertex among them.
 
     Directions that rounding of the vertices could make equal are one: between them there might be nothing to
@@ -218,7 +218,7 @@ def _fan(walls: Walls, points: Float[np.ndarray, "c 2"], cut: Float[np.ndarray, 
 
 
 def _sweep(
-    walls: Walls, views: Viewpoints, cut: Float[np.ndarray, "c 2"]
+    walls: Walls, views: Viewpoints, cut: Float[np.ndarray, "views 2"]
 ) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
     """Viewpoint, start and nearest edge of each interval, neighbors with the same edge joined."""
     fan = _fan(walls, views.points, cut)
@@ -232,7 +232,7 @@ def _sweep(
     return np.nonzero(keep)[0], start[keep], edge[keep]
 
 
-def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "c v"]:
+def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "views vertices"]:
     """Which intervals lie in a sector of their viewpoint."""
     begin, end = fan.index[views.owner, views.start], fan.index[views.owner, views.end]
     change = np.zeros(fan.start.shape, dtype=int)
@@ -243,7 +243,7 @@ def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "c v"]:
     return (np.cumsum(change, axis=1)[:, :-1] > 0) | everywhere[:, None]
 
 
-def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "c v"]:
+def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "views vertices"]:
     """The nearest edge in each interval, -1 where there is none."""
     row, edge, height, begin, end = _ranges(walls, fan)
     # The inverse distance to an edge along the unit vector u is nearness @ u.
@@ -270,11 +270,11 @@ def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "c v"]:
 def _ranges(
     walls: Walls, fan: _Fan
 ) -> tuple[
-    Int[np.ndarray, "m"],
-    Int[np.ndarray, "m"],
-    Float[np.ndarray, "m"],
-    Int[np.ndarray, "m"],
-    Int[np.ndarray, "m"],
+    Int[np.ndarray, "ranges"],
+    Int[np.ndarray, "ranges"],
+    Float[np.ndarray, "ranges"],
+    Int[np.ndarray, "ranges"],
+    Int[np.ndarray, "ranges"],
 ]:
     """Viewpoint, edge, height above it, and range of intervals of each edge seen from its free side.
 

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from plr_jax._box import Box
-from plr_jax.oracles._local_planner import checked_is_free, checked_is_visible, first_visible
+from plr_jax.oracles._local_planner import checked_is_free, checked_is_visible
 
 LINE = Box([0.0], [10.0])
 
@@ -45,23 +43,3 @@ def test_nothing_is_free_outside_the_domain_and_the_test_is_not_asked_there():
     x = np.array([[0.5], [2.0], [-1.0], [11.0], [np.nan]])
     np.testing.assert_array_equal(inside(x), [False, True, False, False, False])
     np.testing.assert_array_equal(inside(x[2:]), [False, False, False])
-
-
-@given(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=60))
-def test_first_visible_finds_what_testing_every_pair_finds(pairs):
-    pairs = sorted(pairs, key=lambda pair: pair[0])
-    point = np.array([p for p, _ in pairs], dtype=np.int64)
-    visible = np.array([v for _, v in pairs], dtype=bool)
-    expected = [next((i for i in range(len(point)) if point[i] == p and visible[i]), -1) for p in range(7)]
-    np.testing.assert_array_equal(first_visible(point, 7, lambda pair: visible[pair]), expected)
-
-
-def test_first_visible_tests_one_pair_of_a_point_whose_first_pair_is_visible():
-    tested = []
-
-    def sees(pair):
-        tested.extend(pair.tolist())
-        return np.ones(len(pair), dtype=bool)
-
-    first_visible(np.repeat(np.arange(3), 20), 3, sees)
-    assert tested == [0, 20, 40]

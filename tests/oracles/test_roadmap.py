@@ -1,8 +1,5 @@
 import csv
 import itertools
-import json
-import os
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
@@ -10,9 +7,11 @@ import pytest
 import shapely
 from jaxtyping import TypeCheckError
 
+from plr_jax import scenes
 from plr_jax._box import Box
 from plr_jax._workspace import Workspace
-from plr_jax.oracles._roadmap import Roadmap, prm_star_radius
+from plr_jax.oracles import Roadmap
+from plr_jax.oracles._prm_star import prm_star_radius
 
 UNIT = Box((0, 0), (1, 1))
 
@@ -177,7 +176,7 @@ def test_a_point_that_sees_no_vertex_nearby_looks_farther():
     oracle = roadmap(closet, (0.9, 0.99), 60, seed=0)
     x = np.array([[0.001, 0.981]])
     length = np.linalg.norm(oracle.graph.vertices - x, axis=1)
-    seen = oracle._is_visible(np.repeat(x, len(length), 0), oracle.graph.vertices)
+    seen = oracle.is_visible(np.repeat(x, len(length), 0), oracle.graph.vertices)
     assert not np.any(seen & (length <= oracle.radius))
     assert seen.any()
     assert np.linalg.norm(x[0] - oracle.goal) <= oracle(x)[0] < 1.0
@@ -194,7 +193,7 @@ def test_a_point_that_sees_nothing_at_all_is_unconnected():
         (0.5199, 0.5, 0.52, 0.52),
     )
     oracle = roadmap(sealed, num_samples=60)
-    assert not oracle._is_visible(np.full((61, 2), 0.51), oracle.graph.vertices).any()
+    assert not oracle.is_visible(np.full((61, 2), 0.51), oracle.graph.vertices).any()
     assert oracle(np.array([[0.51, 0.51]]))[0] == np.inf
     assert oracle.shortest_path([0.51, 0.51]).shape == (0, 2)
 
@@ -203,7 +202,7 @@ def test_networkx_agrees():
     oracle = roadmap(GAP)
     exported = oracle.to_networkx()
     distances = nx.single_source_dijkstra_path_length(exported, 0)
-    np.testing.assert_allclose([distances[v] for v in range(oracle.num_vertices)], oracle.distances)
+    np.testing.assert_allclose([distances[v] for v in range(oracle.graph.num_vertices)], oracle.distances)
     assert exported.nodes[0]["pos"] == (0.1, 0.1)
 
 
@@ -273,9 +272,8 @@ def test_radius_is_that_of_prm_star():
 
 def test_counts_and_bytes():
     oracle = roadmap(GAP, num_samples=100)
-    assert oracle.num_vertices == 101
-    assert oracle.num_edges == len(oracle.graph.edges)
-    assert oracle.num_bytes == 101 * 2 * 8 + oracle.num_edges * (2 * 4 + 8)
+    assert oracle.graph.num_vertices == 101
+    assert oracle.num_bytes == 101 * 2 * 8 + oracle.graph.num_edges * (2 * 4 + 8)
     assert oracle.domain == UNIT
 
 
@@ -340,13 +338,33 @@ def test_a_workspace_gives_the_roadmap_of_its_parts():
         Roadmap.from_workspace(workspace, (0.5, 0.5), 300)
 
 
-@pytest.mark.skipif("PLR_JAX_DATA" not in os.environ, reason="needs the published lengths in PLR_JAX_DATA")
-def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena():
-    folder = Path(os.environ["PLR_JAX_DATA"]) / "polyanya_arena"
-    workspace = Workspace.from_polygons([json.loads((folder / "arena_polygons.json").read_text())])
+def test_another_goal_keeps_samples_and_edges():
+    first = roadmap(GAP, goal=(0.9, 0.2), seed=5)
+    asked = []
+
+    def is_visible(a, b):
+        asked.append(len(a))
+        return GAP.is_visible(a, b)
+
+    moved = roadmap(GAP, goal=(0.2, 0.7), seed=5, is_visible=is_visible)
+    asked.clear()
+    moved = moved.with_goal((0.9, 0.2))
+    assert len(asked) == 1 and asked[0] < 100  # the goal's own edges
+    np.testing.assert_array_equal(moved.graph.vertices, first.graph.vertices)
+    assert {frozenset(e) for e in moved.graph.edges.tolist()} == {frozenset(e) for e in first.graph.edges.tolist()}
+    x = np.random.default_rng(0).random((100, 2))
+    np.testing.assert_allclose(moved(x), first(x), rtol=1e-14)
+    assert moved.num_bytes == first.num_bytes
+    with pytest.raises(ValueError, match="not free"):
+        moved.with_goal((0.5, 0.5))
+
+
+def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena(data_dir):
+    folder = data_dir / "polyanya_arena"
+    workspace = scenes.read_polygons(folder / "arena_polygons.json")
     with (folder / "arena_euclid.csv").open() as file:
-        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    for row in rows[-1::-40]:
-        oracle = Roadmap.from_workspace(workspace, (row["goal_x"], row["goal_y"]), 2000)
-        distance = oracle([[row["start_x"], row["start_y"]]])[0]
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)][-1::-40]
+    oracle = Roadmap.from_workspace(workspace, (rows[0]["goal_x"], rows[0]["goal_y"]), 2000)
+    for row in rows:
+        distance = oracle.with_goal((row["goal_x"], row["goal_y"]))([[row["start_x"], row["start_y"]]])[0]
         assert row["euclid_length"] - 1e-4 <= distance <= 1.1 * row["euclid_length"]

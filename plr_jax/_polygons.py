@@ -1,0 +1,104 @@
+"""Polygons from outside, checked, and what Shapely leaves to do with them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import shapely
+from jaxtyping import Float
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from shapely.geometry import MultiPolygon, Polygon
+
+from plr_jax._arrays import as_points
+
+
+def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
+    """A valid polygon of finite coordinates and positive area.
+
+    Args:
+        name: What the polygon is called in an error.
+        ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon.
+
+    Returns:
+        The polygon.
+
+    Raises:
+        ValueError: If it is none, saying what is wrong with it.
+    """
+    if isinstance(ring, Polygon | MultiPolygon):
+        polygon, points = ring, shapely.get_coordinates(ring)
+    else:
+        points = as_points(name, ring, 2)
+        polygon = None
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name} has coordinates that are not finite; remove them.")
+    distinct = np.unique(points, axis=0)
+    if len(distinct) < 3:
+        raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
+    scale = np.ptp(points, axis=0).max()
+    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
+        raise ValueError(f"{name} has zero area: its vertices lie on one line.")
+    polygon = Polygon(points) if polygon is None else polygon
+    if not polygon.is_valid:
+        reason = shapely.is_valid_reason(polygon)
+        raise ValueError(f"{name} is not a simple polygon ({reason}); split it into rings that do not cross.")
+    return polygon
+
+
+def as_components(
+    components: Sequence[Any],
+) -> tuple[list[Polygon | MultiPolygon], list[list[Polygon | MultiPolygon]]]:
+    """The outer ring, and the holes, of each component of a region.
+
+    Args:
+        components: ``{"outer": ring, "holes": [ring, ...]}`` each; ``"holes"`` may be left out.
+
+    Returns:
+        The outer rings, and for each of them its holes, as polygons.
+
+    Raises:
+        ValueError: If there is no component, or one has another form or an invalid ring.
+    """
+    outers, holes = [], []
+    for i, part in enumerate(components):
+        if not (isinstance(part, Mapping) and "outer" in part and isinstance(part.get("holes", ()), Iterable)):
+            raise ValueError(
+                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {part!r:.200}."
+            )
+        outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
+        rings = part.get("holes", ())
+        holes.append([as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)])
+    if not outers:
+        raise ValueError("Free space needs at least one component, got none.")
+    return outers, holes
+
+
+def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
+    """The polygons of a geometry, without the points and lines of a degenerate overlay."""
+    parts: Any = shapely.get_parts(geometry)
+    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
+
+
+def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
+    """Geometries in which vertices that differ by rounding are the same.
+
+    Args:
+        geometries: Shapely geometries.
+        tolerance: Vertices this near to one another become one of them.
+
+    Returns:
+        The geometries with the same number of vertices each.
+    """
+    points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
+    i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
+    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
+    _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
+    return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
+
+
+def triangles_of(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
+    """A constrained Delaunay triangulation of a (Multi)Polygon."""
+    parts: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
+    return shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
