@@ -6,7 +6,19 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-LAYER_0 = ["_types", "_atomic", "_box", "_geometry", "_workspace", "_robot", "_problem", "_graph"]
+LAYER_0 = [
+    "_types",
+    "_atomic",
+    "_box",
+    "_geometry",
+    "_workspace",
+    "_robot",
+    "_collision",
+    "_obstacles",
+    "_problem",
+    "_validate",
+    "_graph",
+]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 
