@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -116,6 +116,26 @@ def shorter_turn(
     """
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - 0.5))
+
+
+def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
+    """The set that a robot covers, less its rounding: a disc's is its center.
+
+    Args:
+        robot: The robot.
+        q: Its configuration; a round robot's heading may be there or not.
+
+    Returns:
+        A Shapely Polygon for a rectangle, a Point for a round robot.
+    """
+    import shapely
+
+    if not isinstance(robot, RectangleRobot):
+        return shapely.Point(q[:2])
+    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
+    left = np.array([-ahead[1], ahead[0]])
+    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    return shapely.Polygon([q[:2] + i * robot.length / 2 * ahead + j * robot.width / 2 * left for i, j in signs])
 
 
 def _positive(name: str, value: float) -> float:
