@@ -51,7 +51,7 @@ class Problem:
         robots: Sequence[Robot],
         starts: ArrayLike,
         goals: ArrayLike,
-        rotation_weight: float | None = None,
+        rotation_weight: float | int | None = None,
     ):
         robots = tuple(robots)
         for i, robot in enumerate(robots):
@@ -104,7 +104,7 @@ def motion_costs(
         One cost a motion and robot, in workspace units.
     """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
-    if problem.dof == 3:  # noqa: PLR2004
+    if problem.dof == 3:
         cost = cost + problem.rotation_weights * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
     return cost
 
@@ -161,7 +161,7 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
         array = np.asarray(path, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"A path must be numbers of shape {shape}.") from None
-    if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:  # noqa: PLR2004
+    if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
         raise ValueError(f"A path must have shape {shape} with at least one step, got {array.shape}.")
     return array
 

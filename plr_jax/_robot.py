@@ -26,7 +26,7 @@ class PointRobot:
         return 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class DiscRobot:
     """A disc that translates in the plane: its configuration is its center ``(x, y)``.
 
@@ -39,8 +39,8 @@ class DiscRobot:
 
     radius: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", _positive("DiscRobot radius", self.radius))
+    def __init__(self, radius: Any):
+        object.__setattr__(self, "radius", _positive("DiscRobot radius", radius))
 
     @property
     def inscribed_radius(self) -> float:
@@ -53,7 +53,7 @@ class DiscRobot:
         return self.radius
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class RectangleRobot:
     """A rectangle in SE(2): its configuration is its center and heading ``(x, y, theta)``.
 
@@ -71,9 +71,9 @@ class RectangleRobot:
     length: float
     width: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "length", _positive("RectangleRobot length", self.length))
-        object.__setattr__(self, "width", _positive("RectangleRobot width", self.width))
+    def __init__(self, length: Any, width: Any):
+        object.__setattr__(self, "length", _positive("RectangleRobot length", length))
+        object.__setattr__(self, "width", _positive("RectangleRobot width", width))
 
     @property
     def inscribed_radius(self) -> float:
@@ -138,7 +138,7 @@ def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
     return shapely.Polygon([q[:2] + i * robot.length / 2 * ahead + j * robot.width / 2 * left for i, j in signs])
 
 
-def _positive(name: str, value: float) -> float:
+def _positive(name: str, value: Any) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -230,7 +230,7 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> F
     """Configurations at times in steps."""
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
-    change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]  # noqa: PLR2004
+    change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
     return path[motion] + (when - motion)[:, None] * change[motion]
 
 
