@@ -63,7 +63,7 @@ class Problem:
             raise ValueError(f"rotation_weight must be a finite number of at least 0, got {rotation_weight!r}.")
         object.__setattr__(self, "workspace", workspace)
         object.__setattr__(self, "robots", robots)
-        object.__setattr__(self, "rotation_weight", rotation_weight)
+        object.__setattr__(self, "rotation_weight", None if rotation_weight is None else float(rotation_weight))
         for name, value in (("starts", starts), ("goals", goals)):
             object.__setattr__(self, name, _configurations(name, value, len(robots), self.dof))
         for name in _VERBS:

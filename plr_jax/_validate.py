@@ -108,7 +108,7 @@ class _Encounter:
     @property
     def reach(self) -> float:
         """Distance that the centers of discs keep beyond what their footprints, points, cover."""
-        return sum(body.radius for body in (self.robot, self.other) if isinstance(body, DiscRobot))
+        return sum((body.radius for body in (self.robot, self.other) if isinstance(body, DiscRobot)), 0.0)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Clearance at some times."""

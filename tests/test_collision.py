@@ -10,6 +10,7 @@ from plr_jax._collision import motions_apart
 from plr_jax._robot import DiscRobot, RectangleRobot
 
 TOLERANCE = 1e-9
+CORNER = BAR.circumscribed_radius
 PAIRS = list(product(ROBOTS, ROBOTS))
 UP = np.pi / 2
 
@@ -38,9 +39,9 @@ CASES = {
     "a bar's side passes an upright bar's end": (BAR, STILL, GO, BAR, (1.0, 0.6, UP), (1.0, 0.6, UP)),
     "a bar passes a bar on its corner": (
         BAR, STILL, GO, RectangleRobot(1, 1), (1.0, 0.15 + 0.5**0.5, np.pi / 4), (1.0, 0.15 + 0.5**0.5, np.pi / 4)),
-    "a bar turns upright below a bar": (BAR, STILL, (0, 0, UP), BAR, (0, (0.9**2 + 0.3**2) ** 0.5 / 2 + 0.15, 0), None),
-    "a bar turns upright below a disc": (BAR, STILL, (0, 0, UP), DISC, (0, (0.9**2 + 0.3**2) ** 0.5 / 2 + 0.3, 0), None),
-    "a bar turns upright below a point": (BAR, STILL, (0, 0, UP), POINT, (0, (0.9**2 + 0.3**2) ** 0.5 / 2, 0), None),
+    "a bar turns upright below a bar": (BAR, STILL, (0, 0, UP), BAR, (0, CORNER + 0.15, 0), None),
+    "a bar turns upright below a disc": (BAR, STILL, (0, 0, UP), DISC, (0, CORNER + 0.3, 0), None),
+    "a bar turns upright below a point": (BAR, STILL, (0, 0, UP), POINT, (0, CORNER, 0), None),
 }  # fmt: skip
 
 

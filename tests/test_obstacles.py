@@ -29,12 +29,14 @@ TOUCHING = {
     "a point slides": (POINT, (1, 2.2, 0), (3, 2.2, 0)),
     "a disc slides": (DISC, (1, 2.5, 0), (3, 2.5, 0)),
     "a disc drops on it": (DISC, (2, 3.5, 0), (2, 2.5, 0)),
-    "a disc passes the corner": (DISC, (1.2 + 0.3 / 2**0.5, 3.2 + 0.3 / 2**0.5, 0), (3.2 + 0.3 / 2**0.5, 1.2 + 0.3 / 2**0.5, 0)),
+    "a disc passes the corner": (
+        DISC, (1.2 + 0.3 / 2**0.5, 3.2 + 0.3 / 2**0.5, 0), (3.2 + 0.3 / 2**0.5, 1.2 + 0.3 / 2**0.5, 0)),
     "a bar slides": (BAR, (1, 2.35, 0), (3, 2.35, 0)),
     "an upright bar slides": (BAR, (1, 2.65, UP), (3, 2.65, UP)),
     "a bar on its corner slides": (
         RectangleRobot(1, 1), (1, 2.2 + 0.5**0.5, np.pi / 4), (3, 2.2 + 0.5**0.5, np.pi / 4)),
-    "a bar turns upright": (BAR, (2, 2.2 + (0.9**2 + 0.3**2) ** 0.5 / 2, 0), (2, 2.2 + (0.9**2 + 0.3**2) ** 0.5 / 2, UP)),
+    "a bar turns upright": (
+        BAR, (2, 2.2 + BAR.circumscribed_radius, 0), (2, 2.2 + BAR.circumscribed_radius, UP)),
 }  # fmt: skip
 
 

@@ -81,11 +81,15 @@ def read_trajectories(path: str | os.PathLike[str]) -> Float[np.ndarray, "steps 
     path = Path(path)
     data = _read_yaml(path)
     try:
-        results = data["result"] if "result" in data else [data]
-        tracks = [np.array([state[:3] for state in result["states"]], dtype=np.float64) for result in results]
+        results = data.get("result", [data])
+        tracks = [
+            np.array([state[:3] for state in result["states"]], dtype=np.float64).reshape(-1, 3) for result in results
+        ]
         steps = max(map(len, tracks))
+        if min(map(len, tracks)) == 0:
+            raise ValueError
         return np.stack([track[np.minimum(np.arange(steps), len(track) - 1)] for track in tracks], axis=1)
-    except (TypeError, KeyError, IndexError, ValueError):
+    except (AttributeError, TypeError, KeyError, IndexError, ValueError):
         raise ValueError(
             f"{path}: expected trajectories, each with a list of states [x, y, heading, ...] under 'states'."
         ) from None
@@ -120,7 +124,7 @@ def _state(i: int, key: str, state: Any, robot: Robot, dof: int) -> list[float]:
     numbers = isinstance(state, list) and all(isinstance(x, int | float) for x in state)
     if not numbers or len(state) < needed:
         raise ValueError(f"expected robot {i} to have a {key} of at least {needed} numbers, got {state!r:.80}.")
-    return [*state[:needed], 0.0][:dof]
+    return [*map(float, state[:needed]), 0.0][:dof]
 
 
 def _workspace(environment: Any) -> Workspace:

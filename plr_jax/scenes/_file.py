@@ -130,7 +130,7 @@ def _rotation_weight(scene: dict[str, Any]) -> float | None:
     weight = scene.get("rotation_weight") if scene["version"] > 1 else None
     if weight is not None and (isinstance(weight, bool) or not isinstance(weight, int | float)):
         raise ValueError(f'expected "rotation_weight" to be a number, got {weight!r}.')
-    return weight
+    return None if weight is None else float(weight)
 
 
 def _robot_entry(robot: Robot) -> dict[str, Any]:
