@@ -12,7 +12,7 @@ uncertain at the last bisection counts as a collision.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,17 +23,20 @@ _MAX_BISECTIONS = 12
 _CHUNK = 1 << 13  # pairs of motions at a time, whose temporaries stay in cache
 
 
+Column: TypeAlias = Float[np.ndarray, "n"]
+
+
 class Bodies(NamedTuple):
     """Rectangles in straight motion, one a row; flat ones are segments, those of no size are points."""
 
-    half_length: Float[np.ndarray, "n"]
-    half_width: Float[np.ndarray, "n"]
-    x: Float[np.ndarray, "n"]
-    y: Float[np.ndarray, "n"]
-    theta: Float[np.ndarray, "n"]
-    dx: Float[np.ndarray, "n"]
-    dy: Float[np.ndarray, "n"]
-    turn: Float[np.ndarray, "n"]
+    half_length: Column
+    half_width: Column
+    x: Column
+    y: Column
+    theta: Column
+    dx: Column
+    dy: Column
+    turn: Column
 
     def take(self, rows: np.ndarray) -> "Bodies":
         """The bodies of some rows, by index or mask."""
@@ -102,7 +105,7 @@ def motions_apart(
     return apart
 
 
-Judge = Callable[[Bodies, Bodies, float], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]]
+Judge: TypeAlias = Callable[[Bodies, Bodies, float], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]]
 """Which motions certainly keep a distance and which certainly do not."""
 
 
@@ -134,49 +137,73 @@ def bisect(judge: Judge, a: Bodies, b: Bodies, reach: float) -> Bool[np.ndarray,
 
 def judge_boxes(a: Bodies, b: Bodies, reach: float) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
     """Two rectangles: separating axes along the sides of both, and across their relative motion."""
-    dx, dy = b.dx - a.dx, b.dy - a.dy
-    speed = np.hypot(dx, dy)
-    first, last, across = [], [], np.full(len(dx), np.inf)
-    x, y = b.x - a.x, b.y - a.y
-    far = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy))
-    nx, ny = (
-        np.divide(-dy, speed, out=np.ones_like(dx), where=speed > 0),
-        np.divide(dx, speed, out=np.zeros_like(dx), where=speed > 0),
-    )
-    offset = np.abs(nx * x + ny * y)
-    for end, axes in ((0.0, first), (1.0, last)):
-        ca, sa = np.cos(a.theta + end * a.turn), np.sin(a.theta + end * a.turn)
-        cb, sb = np.cos(b.theta + end * b.turn), np.sin(b.theta + end * b.turn)
-        c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
-        xe, ye = x + end * dx, y + end * dy
-        axes += [
-            (ca * xe + sa * ye, a.half_length + b.half_length * c + b.half_width * s),
-            (ca * ye - sa * xe, a.half_width + b.half_length * s + b.half_width * c),
-            (cb * xe + sb * ye, b.half_length + a.half_length * c + a.half_width * s),
-            (cb * ye - sb * xe, b.half_width + a.half_length * s + a.half_width * c),
-        ]
-        support = (
-            a.half_length * np.abs(ca * nx + sa * ny)
-            + a.half_width * np.abs(ca * ny - sa * nx)
-            + b.half_length * np.abs(cb * nx + sb * ny)
-            + b.half_width * np.abs(cb * ny - sb * nx)
-        )
-        across = np.minimum(across, offset - support)
-    bulge_a, bulge_b = (np.hypot(body.half_length, body.half_width) / 8 for body in (a, b))
-    relative = (b.turn - a.turn) ** 2
-    bulges = [
-        (far * a.turn**2 + 2 * speed * np.abs(a.turn)) / 8 + bulge_b * relative,
-        (far * b.turn**2 + 2 * speed * np.abs(b.turn)) / 8 + bulge_a * relative,
-    ]
-    gap = across - bulge_a * a.turn**2 - bulge_b * b.turn**2
-    for i, ((u0, support0), (u1, support1)) in enumerate(zip(first, last, strict=True)):
+    headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
+    first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
+    gap = _gap_across(a, b, headings)
+    for (u0, support0), (u1, support1), bulge in zip(first, last, _side_bulges(a, b), strict=True):
         # The same side at both ends: the axis does not change its sense within the piece.
         along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
-        gap = np.maximum(gap, along - bulges[i // 2])
+        gap = np.maximum(gap, along - bulge)
     clear = gap >= reach
+    # At a single time, the sides' axes decide.
     overlap = [np.max([np.abs(u) - support for u, support in axes], axis=0) < reach for axes in (first, last)]
     exact = (a.turn == 0) & (b.turn == 0)
     return clear, overlap[0] | overlap[1] | (exact & ~clear)
+
+
+def _heading(body: Bodies, end: float) -> tuple[Column, Column]:
+    """Cosine and sine of the heading at the first (0) or last (1) end of each motion."""
+    theta = body.theta + end * body.turn
+    return np.cos(theta), np.sin(theta)
+
+
+def _along_sides(
+    a: Bodies, b: Bodies, end: float, heading_a: tuple[Column, Column], heading_b: tuple[Column, Column]
+) -> list[tuple[Column, Column]]:
+    """Offset of the centers, and what the bodies fill of it, along two sides of ``a`` and two of ``b``."""
+    (ca, sa), (cb, sb) = heading_a, heading_b
+    c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
+    x, y = b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
+    return [
+        (ca * x + sa * y, a.half_length + b.half_length * c + b.half_width * s),
+        (ca * y - sa * x, a.half_width + b.half_length * s + b.half_width * c),
+        (cb * x + sb * y, b.half_length + a.half_length * c + a.half_width * s),
+        (cb * y - sb * x, b.half_width + a.half_length * s + a.half_width * c),
+    ]
+
+
+def _side_bulges(a: Bodies, b: Bodies) -> list[Column]:
+    """How far below its chord the gap along each side's axis can be: of the offset, and of the other body."""
+    x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
+    far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
+    relative = (b.turn - a.turn) ** 2
+    of_a, of_b = (
+        (far * body.turn**2 + 2 * speed * np.abs(body.turn) + _rim(other) * relative) / 8
+        for body, other in ((a, b), (b, a))
+    )
+    return [of_a, of_a, of_b, of_b]
+
+
+def _gap_across(a: Bodies, b: Bodies, headings: list[tuple[tuple[Column, Column], tuple[Column, Column]]]) -> Column:
+    """Gap along the normal of the relative motion, the x axis where there is none; a lower bound."""
+    x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
+    speed = np.hypot(dx, dy)
+    nx = np.divide(-dy, speed, out=np.ones_like(dx), where=speed > 0)
+    ny = np.divide(dx, speed, out=np.zeros_like(dx), where=speed > 0)
+    supports = [_support(a, of_a, nx, ny) + _support(b, of_b, nx, ny) for of_a, of_b in headings]
+    bulge = (_rim(a) * a.turn**2 + _rim(b) * b.turn**2) / 8
+    return np.abs(nx * x + ny * y) - np.maximum(supports[0], supports[1]) - bulge
+
+
+def _support(body: Bodies, heading: tuple[Column, Column], nx: Column, ny: Column) -> Column:
+    """How far a rectangle reaches from its center along a direction."""
+    c, s = heading
+    return body.half_length * np.abs(c * nx + s * ny) + body.half_width * np.abs(c * ny - s * nx)
+
+
+def _rim(body: Bodies) -> Column:
+    """Half the diagonal."""
+    return np.hypot(body.half_length, body.half_width)
 
 
 def judge_box_and_round(a: Bodies, b: Bodies, reach: float) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
@@ -186,11 +213,13 @@ def judge_box_and_round(a: Bodies, b: Bodies, reach: float) -> tuple[Bool[np.nda
     for end in (0.0, 1.0):
         x, y = b.x - a.x + end * dx, b.y - a.y + end * dy
         c, s = np.cos(a.theta + end * a.turn), np.sin(a.theta + end * a.turn)
-        ends.append((c * x + s * y, c * y - s * x))
-        distances.append(_distance_to_box(*ends[-1], a.half_length, a.half_width))
+        u, v = c * x + s * y, c * y - s * x
+        ends += [u, v]
+        distances.append(_distance_to_box(u, v, a.half_length, a.half_width))
         far = np.maximum(far, np.hypot(x, y))
     bulge = (far * a.turn**2 + 2 * np.hypot(dx, dy) * np.abs(a.turn)) / 8
-    chord = _distance_of_chord(*ends[0], *ends[1], a.half_length, a.half_width)
+    u0, v0, u1, v1 = ends
+    chord = _distance_of_chord(u0, v0, u1, v1, a.half_length, a.half_width)
     distance = np.minimum(np.minimum(distances[0], distances[1]), chord)
     clear = distance >= reach + bulge
     overlap = (distances[0] < reach) | (distances[1] < reach)
@@ -246,24 +275,24 @@ def distance_to_segment(
 
 
 def _distance_to_box(
-    x: Float[np.ndarray, "n"],
-    y: Float[np.ndarray, "n"],
-    half_x: Float[np.ndarray, "n"],
-    half_y: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n"]:
+    x: Column,
+    y: Column,
+    half_x: Column,
+    half_y: Column,
+) -> Column:
     """Signed distance of points to boxes about the origin, negative inside."""
     x, y = np.abs(x) - half_x, np.abs(y) - half_y
     return np.hypot(np.maximum(x, 0), np.maximum(y, 0)) + np.minimum(np.maximum(x, y), 0)
 
 
 def _distance_of_chord(
-    x0: Float[np.ndarray, "n"],
-    y0: Float[np.ndarray, "n"],
-    x1: Float[np.ndarray, "n"],
-    y1: Float[np.ndarray, "n"],
-    half_x: Float[np.ndarray, "n"],
-    half_y: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n"]:
+    x0: Column,
+    y0: Column,
+    x1: Column,
+    y1: Column,
+    half_x: Column,
+    half_y: Column,
+) -> Column:
     """Distance of the inner part of segments to boxes about the origin; a depth, negative, where they cross."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]

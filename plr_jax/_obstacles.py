@@ -6,6 +6,7 @@ their cell.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -144,7 +145,8 @@ def _edges_near(
     workspace: Workspace, centers: Float[np.ndarray, "cells 2"], reach: float
 ) -> tuple[Int[np.ndarray, "cells_and_1"], Int[np.ndarray, "m"]]:
     """Edges within reach of each center: those of cell ``i`` are ``edge[first[i]:first[i + 1]]``."""
-    tree = shapely.STRtree(shapely.linestrings(workspace.boundary.segments))
+    segments: Any = shapely.linestrings(workspace.boundary.segments)
+    tree = shapely.STRtree(segments)
     cell, edge = tree.query(shapely.points(centers), predicate="dwithin", distance=reach)
     order = np.argsort(cell, kind="stable")
     first = np.searchsorted(cell[order], np.arange(len(centers) + 1))

@@ -228,7 +228,7 @@ def _require_connected(problem: Problem) -> None:
         if radius not in labels:
             labels[radius] = _components(workspace.inflate(radius))
         parts, label = labels[radius]
-        ends = shapely.points([problem.starts[i, :2], problem.goals[i, :2]])
+        ends = (shapely.Point(q[i, :2]) for q in (problem.starts, problem.goals))
         first, last = (label[np.argmin(shapely.distance(end, parts))] for end in ends)
         if first != last:
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"

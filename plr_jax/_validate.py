@@ -78,9 +78,9 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         first = min(collisions, key=lambda encounter: encounter.first_moment)
         return _collision_report(problem, first, cost)
     clearance = closest.outcome.clearance
-    end = _wrong_end(problem, path)
-    if end:
-        i, when, message = end
+    fault = _squeeze(problem, path) or _wrong_end(problem, path)
+    if fault:
+        i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
     message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.outcome.motion}."
@@ -127,7 +127,8 @@ class _Encounter:
         if self.other_path is not None:
             others = _bodies(self.other, self.other_path[motion])
             shift = shift - np.diff(self.other_path[:, :2], axis=0)[motion]
-        hulls = shapely.convex_hull(shapely.multipoints(np.concatenate([start, start + shift[:, None]], axis=1)))
+        corners = np.concatenate([start, start + shift[:, None]], axis=1)
+        hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach == 0:
             # Met, the other body is touched or entered: entered if so is what is left of it, peeled.
@@ -261,6 +262,19 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     """Footprints as Shapely geometries; a disc's is its center."""
     corners = _corners(robot, q)
     return shapely.polygons(corners) if isinstance(robot, RectangleRobot) else shapely.points(corners[:, 0])
+
+
+def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
+    workspace, squeezes = problem.workspace, []
+    for i, robot in enumerate(problem.robots):
+        if isinstance(robot, PointRobot) and not workspace.squeeze and len(workspace.boundary.contacts):
+            hidden = np.flatnonzero(~workspace.is_visible(path[:-1, i, :2], path[1:, i, :2]))
+            squeezes += [(int(motion), i) for motion in hidden[:1]]
+    if not squeezes:
+        return None
+    motion, i = min(squeezes)
+    return i, float(motion), f"Robot {i} squeezes between obstacles that touch in a point after step {motion}."
 
 
 def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:

@@ -142,7 +142,7 @@ def test_what_is_no_motion_is_refused(robot, q0, q1, message):
 pose = st.tuples(st.floats(-0.5, 4.5), st.floats(-0.5, 4.5), st.floats(-4, 4))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 1.5), st.floats(0.05, 0.5), pose, pose)
 def test_a_rectangle_is_never_passed_where_samples_collide(length, width, q0, q1):
     robot = RectangleRobot(length, width)

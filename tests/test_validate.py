@@ -104,6 +104,19 @@ def test_a_small_point_obstacle_between_rows_is_not_missed():
         assert not report([robot], [start], [end], workspace=thin).valid
 
 
+def test_a_point_may_not_squeeze_where_the_workspace_forbids_it():
+    corners = [box(0, 0, 1, 1), box(1, 1, 2, 2), box(0, 3, 2, 4)]
+    for squeeze in (False, True):
+        workspace = Workspace(((0, 0), (4, 4)), [*corners, box(2, 2, 3, 3)], squeeze=squeeze)
+        result = report(
+            [POINT], [(0.5, 2.5)], [(0.5, 1.5)], [(1.5, 0.5)], [(0.5, 1.5)], [(0.5, 2.5)], workspace=workspace
+        )
+        assert result.valid == squeeze
+        if not squeeze:
+            assert (result.who, result.when) == ((0,), 1.0)
+            assert "Robot 0 squeezes" in result.message
+
+
 def test_leaving_the_bounds_is_told():
     result = report([DISC], [(1, 1)], [(-1, 1)], [(1, 1)])
     assert not result.valid
