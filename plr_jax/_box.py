@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from plr_jax._arrays import as_finite_point, as_points
 from plr_jax._types import ArrayLike
 
 
@@ -24,7 +25,7 @@ class Box:
     hi: Float[np.ndarray, "dim"]
 
     def __init__(self, lo: ArrayLike, hi: ArrayLike):
-        lo, hi = _corner("lo", lo), _corner("hi", hi)
+        lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
             raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
         flat = np.flatnonzero(hi <= lo)
@@ -34,9 +35,29 @@ class Box:
                 f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
                 f"on axis {axis}."
             )
-        lo.flags.writeable = hi.flags.writeable = False
         object.__setattr__(self, "lo", lo)
         object.__setattr__(self, "hi", hi)
+
+    @classmethod
+    def of(cls, value: "Box | ArrayLike") -> "Box":
+        """The box that is meant where either a box or its corners may be given.
+
+        Args:
+            value: A Box, or its corners ``(lo, hi)``.
+
+        Returns:
+            The box.
+
+        Raises:
+            ValueError: If it is neither, or as for the class.
+        """
+        if isinstance(value, cls):
+            return value
+        try:
+            lo, hi = value
+        except (TypeError, ValueError):
+            raise ValueError(f"Expected a Box or its corners (lo, hi), got {value!r:.200}.") from None
+        return cls(lo, hi)
 
     @property
     def dim(self) -> int:
@@ -48,9 +69,41 @@ class Box:
         """Edge length along each axis."""
         return self.hi - self.lo
 
-    def contains(self, x: Float[np.ndarray, "n dim"]) -> Bool[np.ndarray, "n"]:
-        """Whether each point lies in the closed box; False for NaN."""
-        return np.all((self.lo <= x) & (x <= self.hi), axis=-1)
+    def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether points lie in the closed box.
+
+        Args:
+            x: Points, ``(n, dim)``.
+
+        Returns:
+            True where inside or on the boundary; False for NaN.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x, self.dim)
+        return np.all((self.lo <= x) & (x <= self.hi), axis=1)
+
+    def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
+        """Cell centers of a grid of (nearly) square cells over a box in the plane.
+
+        Args:
+            resolution: Number of cells along the longer side, at least 1.
+
+        Returns:
+            The centers, row 0 at the lowest ``y``; at least one row and one column.
+
+        Raises:
+            ValueError: If the box is not 2-D, or the resolution less than 1.
+        """
+        if self.dim != 2:
+            raise ValueError(f"A grid of rows and columns needs a box of two dimensions, got {self.dim}.")
+        if resolution < 1:
+            raise ValueError(f"The grid needs a resolution of at least 1, got {resolution}.")
+        columns, rows = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
+        x = self.lo[0] + self.width[0] * (np.arange(columns) + 0.5) / columns
+        y = self.lo[1] + self.width[1] * (np.arange(rows) + 0.5) / rows
+        return np.stack(np.meshgrid(x, y), axis=-1)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Box) and np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
@@ -60,10 +113,3 @@ class Box:
 
     def __repr__(self) -> str:
         return f"Box({self.lo.tolist()}, {self.hi.tolist()})"
-
-
-def _corner(name: str, value: ArrayLike) -> Float[np.ndarray, "dim"]:
-    corner = np.array(value, dtype=np.float64)
-    if corner.ndim != 1 or corner.size == 0 or not np.isfinite(corner).all():
-        raise ValueError(f"Box {name} must be a vector of finite numbers, got {value!r}.")
-    return corner

@@ -1,4 +1,4 @@
-"""Vectorised 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
+"""Vectorized 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,33 +9,7 @@ import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
-
-from plr_jax._types import ArrayLike
-
-
-def as_points(name: str, value: ArrayLike, dim: int = 2) -> Float[np.ndarray, "n dim"]:
-    """A batch of points as a float64 array.
-
-    Args:
-        name: What the points are called in an error.
-        value: Anything array-like of shape ``(n, dim)``.
-        dim: Coordinates a point.
-
-    Returns:
-        The points, ``(n, dim)``.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not numbers.
-    """
-    try:
-        points = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers of shape (n, {dim}), got {value!r}.") from None
-    if points.ndim != 2 or points.shape[1] != dim:
-        hint = f" Use {name}[None] for a single point." if points.shape == (dim,) else ""
-        raise ValueError(f"{name} must have shape (n, {dim}), got {points.shape}.{hint}")
-    return points
+from scipy.spatial import KDTree
 
 
 def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -118,8 +92,8 @@ def _split(
     vertices: Float[np.ndarray, "v 2"], edges: Int[np.ndarray, "e 2"], tolerance: float
 ) -> Int[np.ndarray, "m 2"]:
     """Edges cut at the vertices that lie on them."""
-    tree = shapely.STRtree(shapely.linestrings(vertices[edges]))
-    vertex, edge = tree.query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
+    lines: Any = shapely.linestrings(vertices[edges])
+    vertex, edge = shapely.STRtree(lines).query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
     apart = (edges[edge] != vertex[:, None]).all(axis=1)
     vertex, edge = vertex[apart], edge[apart]
     along = np.linalg.norm(vertices[vertex] - vertices[edges[edge, 0]], axis=1)
@@ -158,7 +132,7 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
         The geometries with the same number of vertices each.
     """
     points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
-    i, j = cKDTree(points).query_pairs(tolerance, output_type="ndarray").T
+    i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))

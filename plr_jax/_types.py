@@ -16,4 +16,8 @@ Distances: TypeAlias = Float[np.ndarray, "n"]
 """One distance a point, in workspace units; ``inf`` where the goal cannot be reached."""
 
 DistanceFn: TypeAlias = Callable[[Points], Distances]
-"""Distance to a goal for a batch of points; ``inf`` = unreachable or in an obstacle."""
+"""Distance to a goal for a batch of points: never NaN, never negative.
+
+``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain
+or the bounds, or not a point at all (a coordinate is NaN).
+"""

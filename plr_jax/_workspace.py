@@ -10,8 +10,9 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
+from plr_jax._arrays import as_points
 from plr_jax._box import Box
-from plr_jax._geometry import Boundary, arc, as_points, boundary_of, cross, left_normal, merge_vertices
+from plr_jax._geometry import Boundary, arc, boundary_of, cross, left_normal, merge_vertices
 from plr_jax._types import ArrayLike
 
 _ARC_SEGMENTS = 8
@@ -131,7 +132,7 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x)
+        x = as_points("x", x, 2)
         return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
@@ -147,7 +148,7 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x)
+        x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
         result = np.full(len(x), np.nan)
         distance = shapely.distance(shapely.points(x[finite]), self._walls)
@@ -172,7 +173,7 @@ class Workspace:
         Raises:
             ValueError: If the shapes are others or differ.
         """
-        a, b = as_points("a", a), as_points("b", b)
+        a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
             raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
         visible = self.is_free(a) & self.is_free(b)
@@ -187,10 +188,9 @@ class Workspace:
     def _squeezes(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether segments in free space change from one sector to another in a point contact."""
         boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
-        contacts = boundary.vertices[boundary.contacts]
-        tree = shapely.STRtree(shapely.points(contacts))
+        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
         segments = shapely.linestrings(np.stack([a, b], axis=1))
-        segment, contact = tree.query(segments, predicate="dwithin", distance=self.tolerance)
+        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=self.tolerance)
         for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
             ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
             if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
@@ -304,16 +304,12 @@ def _grid(bounds: Box) -> float:
 
 def _polygons(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
-    return tuple(part for part in shapely.get_parts(geometry) if isinstance(part, Polygon) and shapely.area(part) > 0)
+    parts: Any = shapely.get_parts(geometry)
+    return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
-def _as_bounds(bounds: Box | ArrayLike) -> Box:
-    if not isinstance(bounds, Box):
-        try:
-            lo, hi = bounds
-        except (TypeError, ValueError):
-            raise ValueError(f"Bounds must be a Box or ((x0, y0), (x1, y1)), got {bounds!r}.") from None
-        bounds = Box(lo, hi)
+def _as_bounds(value: Box | ArrayLike) -> Box:
+    bounds = Box.of(value)
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
     return bounds
@@ -330,7 +326,7 @@ def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if isinstance(ring, Polygon | MultiPolygon):
         polygon, points = ring, shapely.get_coordinates(ring)
     else:
-        points = as_points(name, ring)
+        points = as_points(name, ring, 2)
         polygon = None
     if not np.isfinite(points).all():
         raise ValueError(f"{name} has coordinates that are not finite; remove them.")
@@ -338,7 +334,7 @@ def _as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
     scale = np.ptp(points, axis=0).max()
-    if shapely.convex_hull(shapely.multipoints(distinct)).area <= 1e-12 * scale**2:
+    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
         raise ValueError(f"{name} has zero area: its vertices lie on one line.")
     polygon = Polygon(points) if polygon is None else polygon
     if not polygon.is_valid:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._box import Box
+from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike, DistanceFn, Distances, Points
 from plr_jax._workspace import Workspace
 
@@ -55,41 +55,30 @@ class ErrorReport:
 def error_map(
     approximation: Callable[[ArrayLike], ArrayLike],
     distance_fn: DistanceFn,
-    where: Workspace | Points,
-    *,
-    resolution: int = 256,
-    num_random: int = 0,
-    seed: int = 0,
+    x: ArrayLike,
 ) -> ErrorReport:
-    """Measure an approximation against a distance function over free space.
+    """Measure an approximation against a distance function.
 
     Args:
         approximation: What is judged: a PLR, or any function from points ``(n, dim)`` to ``(n,)`` numbers.
         distance_fn: The reference, ``(n, dim) -> (n,)``; infinite where unreachable.
-        where: A workspace, whose free points are taken; or the points themselves, ``(n, dim)``.
-        resolution: For a workspace: a grid of square cells, this many along its longer side, is laid over
-            the bounds, and the cell centers that are free are taken. 0 for no grid.
-        num_random: For a workspace: this many uniformly random free points are taken besides.
-        seed: Seed of the random points.
+        x: Where, ``(n, dim)`` points, at least one: ``workspace.sample_free(n, seed)``, or the cell centers
+            ``workspace.bounds.grid(resolution).reshape(-1, 2)``, of which those that are not free do not count.
 
     Returns:
         The report.
 
     Raises:
-        ValueError: If there is no point, the reference is infinite at all of them, either function gives the
-            wrong shape, or the reference gives NaN.
+        ValueError: If ``x`` has another shape or no row, the reference is infinite at all points, either
+            function gives the wrong shape, or the reference gives NaN.
 
     References:
         The error ``epsilon_g`` of Putman et al., Section IV-A, Fig. 2 and Table I.
     """
-    if isinstance(where, Workspace):
-        points = _free_points(where, resolution, num_random, seed)
-    else:
-        points = np.asarray(where, dtype=np.float64)
-    if points.ndim != 2 or len(points) == 0:
-        raise ValueError(f"Expected points of shape (n, dim) with n >= 1, got {points.shape}.")
-    distance = _reference(distance_fn, points)
-    return _report(points, distance, _answers("approximation", approximation, points))
+    x = as_points("x", x)
+    if len(x) == 0:
+        raise ValueError("An error needs points to be measured at, got none.")
+    return _report(x, _reference(distance_fn, x), _answers("approximation", approximation, x))
 
 
 def error_grid(
@@ -112,9 +101,10 @@ def error_grid(
         approximation has no answer for a reachable point.
 
     Raises:
-        ValueError: If either function gives the wrong shape, or the reference gives NaN.
+        ValueError: If either function gives the wrong shape, the reference gives NaN, or the resolution is
+            less than 1.
     """
-    centers = grid_centers(workspace.bounds, resolution)
+    centers = workspace.bounds.grid(resolution)
     points = centers.reshape(-1, 2)
     free = workspace.is_free(points)
     distance = np.full(len(points), np.inf)
@@ -124,34 +114,6 @@ def error_grid(
     answer = _answers("approximation", approximation, points[reachable])
     error[reachable] = np.abs(np.where(np.isnan(answer), np.inf, answer) - distance[reachable])
     return error.reshape(centers.shape[:2])
-
-
-def grid_centers(bounds: Box, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
-    """Cell centers of a grid of (nearly) square cells over a 2-D box.
-
-    Args:
-        bounds: The box.
-        resolution: Number of cells along its longer side, at least 1.
-
-    Returns:
-        The centers, row 0 at the lowest ``y``.
-    """
-    if resolution < 1:
-        raise ValueError(f"The grid needs a resolution of at least 1, got {resolution}.")
-    columns, rows = np.maximum(1, np.rint(resolution * bounds.width / bounds.width.max())).astype(int)
-    x = bounds.lo[0] + bounds.width[0] * (np.arange(columns) + 0.5) / columns
-    y = bounds.lo[1] + bounds.width[1] * (np.arange(rows) + 0.5) / rows
-    return np.stack(np.meshgrid(x, y), axis=-1)
-
-
-def _free_points(workspace: Workspace, resolution: int, num_random: int, seed: int) -> Points:
-    parts = []
-    if resolution > 0:
-        centers = grid_centers(workspace.bounds, resolution).reshape(-1, 2)
-        parts.append(centers[workspace.is_free(centers)])
-    if num_random > 0:
-        parts.append(workspace.sample_free(num_random, seed))
-    return np.concatenate(parts) if parts else np.empty((0, 2))
 
 
 def _answers(name: str, function: Callable[[ArrayLike], ArrayLike], points: Points) -> Distances:

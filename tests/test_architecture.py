@@ -8,9 +8,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
 LAYER_0 = [
     "_types",
+    "_arrays",
     "_atomic",
     "_box",
     "_geometry",
+    "_polygons",
     "_workspace",
     "_robot",
     "_collision",
@@ -63,7 +65,7 @@ def test_imports_point_downward(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_only_plot_imports_matplotlib(path):
-    if any(name.split(".")[0] == "matplotlib" for name in imported_modules(path)):
+    if {"matplotlib", "mpl_toolkits"} & {name.split(".")[0] for name in imported_modules(path)}:
         assert part_of(path) == "plot"
 
 

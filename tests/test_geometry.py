@@ -1,20 +1,11 @@
 import math
 
 import numpy as np
-import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax._geometry import arc, as_points, boundary_of, cross, left_normal, merge_vertices, pseudo_angle
-
-
-def test_points_are_checked():
-    np.testing.assert_array_equal(as_points("x", [[1, 2]]), [[1.0, 2.0]])
-    assert as_points("x", np.zeros((0, 3)), 3).shape == (0, 3)
-    for bad, message in [([1, 2], r"x\[None\]"), ([[1, 2, 3]], r"got \(1, 3\)"), ("x", "must be numbers")]:
-        with pytest.raises(ValueError, match=message):
-            as_points("x", bad)
+from plr_jax._geometry import arc, boundary_of, cross, left_normal, merge_vertices, pseudo_angle
 
 
 def test_cross_and_normal_point_left():

@@ -10,7 +10,7 @@ from plr_jax import metrics
 from plr_jax._box import Box
 from plr_jax._workspace import Workspace
 
-OPEN = Workspace(((0, 0), (2, 1)))
+GRID = Box((0, 0), (2, 1)).grid(8).reshape(-1, 2)
 # The right half is closed off.
 WALLED = Workspace(((0, 0), (2, 1)), [[(1.0, 0.0), (1.5, 0.0), (1.5, 1.0), (1.0, 1.0)]])
 
@@ -64,48 +64,39 @@ def test_report_agrees_with_numpy_on_the_raw_errors(pairs):
     assert values[-1] <= report.max
 
 
-def test_over_a_workspace_only_free_points_are_asked():
+def test_both_functions_are_asked_the_points_given_once():
     asked = []
 
-    def distance(x):
+    def recorded(x):
         asked.append(x)
         return from_origin(x)
 
-    report = metrics.error_map(from_origin, distance, WALLED, resolution=40, num_random=100, seed=3)
-    points = np.concatenate(asked)
-    assert WALLED.is_free(points).all()
-    # 40 x 20 cells, a quarter of them in the wall.
-    assert report.num_points == len(points) == 600 + 100
-    assert report.max == report.mean == 0.0
-
-
-def test_the_same_seed_gives_the_same_points():
-    def report(seed):
-        return metrics.error_map(lambda x: x[:, 0], from_origin, OPEN, resolution=0, num_random=50, seed=seed)
-
-    assert report(1) == report(1)
-    assert report(1) != report(2)
+    report = metrics.error_map(recorded, recorded, [[0, 1], [3, 4]])
+    np.testing.assert_array_equal(asked, [[[0, 1], [3, 4]]] * 2)
+    assert (report.max, report.max_distance, report.num_points) == (0.0, 5.0, 2)
 
 
 def test_a_report_is_json():
-    report = metrics.error_map(lambda x: x[:, 0], from_origin, OPEN, resolution=8)
+    report = metrics.error_map(lambda x: x[:, 0], from_origin, GRID)
     assert json.loads(json.dumps(dataclasses.asdict(report)))["num_points"] == 32
 
 
 @pytest.mark.parametrize(
-    ("approximation", "distance", "where", "message"),
+    ("approximation", "distance", "x", "message"),
     [
-        (from_origin, from_origin, np.empty((0, 2)), r"shape \(n, dim\) with n >= 1, got \(0, 2\)"),
-        (lambda x: np.zeros((len(x), 1)), from_origin, OPEN, "approximation must give one number a point"),
-        (from_origin, lambda x: np.zeros(3), OPEN, "distance function must give one number a point"),
-        (from_origin, lambda x: np.full(len(x), np.nan), OPEN, "distance function gives NaN at"),
-        (from_origin, lambda x: np.full(len(x), np.inf), OPEN, "No error is defined"),
-        (lambda x: np.full(len(x), np.inf), from_origin, OPEN, "No error is defined"),
+        (from_origin, from_origin, np.empty((0, 2)), "needs points.*got none"),
+        (from_origin, from_origin, np.zeros(2), r"shape \(n, dim\), got \(2,\)"),
+        (from_origin, from_origin, WALLED, r"x must be numbers of shape \(n, dim\), got Workspace"),
+        (lambda x: np.zeros((len(x), 1)), from_origin, GRID, "approximation must give one number a point"),
+        (from_origin, lambda x: np.zeros(3), GRID, "distance function must give one number a point"),
+        (from_origin, lambda x: np.full(len(x), np.nan), GRID, "distance function gives NaN at"),
+        (from_origin, lambda x: np.full(len(x), np.inf), GRID, "No error is defined"),
+        (lambda x: np.full(len(x), np.inf), from_origin, GRID, "No error is defined"),
     ],
 )
-def test_what_has_no_error_is_refused(approximation, distance, where, message):
+def test_what_has_no_error_is_refused(approximation, distance, x, message):
     with pytest.raises(ValueError, match=message):
-        metrics.error_map(approximation, distance, where)
+        metrics.error_map(approximation, distance, x)
 
 
 def test_error_grid_has_the_error_of_every_cell_center():
@@ -117,14 +108,3 @@ def test_error_grid_has_the_error_of_every_cell_center():
     expected = np.tile([0.125, 0.375, 0.625, 0.875, np.nan, np.nan, np.nan, np.nan], (4, 1))
     expected[3, :4] = np.inf
     np.testing.assert_allclose(grid, expected, atol=1e-12)
-
-
-def test_grid_centers_fill_the_box_with_square_cells():
-    centers = metrics.grid_centers(Box((1, 2), (5, 4)), 4)
-    np.testing.assert_allclose(centers[0], [[1.5, 2.5], [2.5, 2.5], [3.5, 2.5], [4.5, 2.5]])
-    np.testing.assert_allclose(centers[1, 0], [1.5, 3.5])
-    assert centers.shape == (2, 4, 2)
-    # A sliver keeps one row.
-    assert metrics.grid_centers(Box((0, 0), (100, 1)), 10).shape == (1, 10, 2)
-    with pytest.raises(ValueError, match="at least 1"):
-        metrics.grid_centers(Box((0, 0), (1, 1)), 0)

@@ -214,7 +214,7 @@ def test_invalid_rings_are_refused_by_index_and_reason(ring, message):
     ("build", "message"),
     [
         (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "two dimensions"),
-        (lambda: Workspace(3.0), "Bounds must be a Box"),
+        (lambda: Workspace(3.0), "Expected a Box or its corners"),
         (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
         (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
         (lambda: Workspace.from_polygons([]), "at least one component"),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._geometry import as_points
+from plr_jax._arrays import as_finite_point, as_points
 from plr_jax._types import ArrayLike, Distances
 
 
@@ -23,7 +23,7 @@ class Euclidean:
     goal: Float[np.ndarray, "dim"]
 
     def __init__(self, goal: ArrayLike):
-        object.__setattr__(self, "goal", as_goal(goal))
+        object.__setattr__(self, "goal", as_finite_point("The goal", goal))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Distance of each point to the goal.
@@ -32,21 +32,10 @@ class Euclidean:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Distances, ``(n,)``; NaN for NaN points.
+            Distances, ``(n,)``; ``inf`` for points with a coordinate that is not finite.
 
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        return np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
-
-
-def as_goal(goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    """A goal as a read-only vector of finite numbers, or a ValueError."""
-    try:
-        vector = np.array(goal, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"The goal must be a vector of finite numbers, got {goal!r}.") from None
-    if vector.ndim != 1 or vector.size == 0 or not np.isfinite(vector).all():
-        raise ValueError(f"The goal must be a vector of finite numbers, got {goal!r}.")
-    vector.flags.writeable = False
-    return vector
+        distance = np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
+        return np.where(np.isnan(distance), np.inf, distance)

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
+from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._box import Box
-from plr_jax._geometry import as_points
 from plr_jax._graph import Graph, astar, dijkstra, to_networkx
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax._workspace import Workspace
@@ -40,7 +40,7 @@ class Roadmap:
     Lengths are Euclidean. To weight an axis, such as an angle, scale the coordinates.
 
     Args:
-        domain: The box of configurations. Outside it nothing is free.
+        domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free.
         is_free: Collision test of a batch, ``(n, dim)`` configurations to ``(n,)`` booleans. It is
             called with points of the domain only, in batches of any size, and must not depend on the
             rest of the batch.
@@ -55,8 +55,8 @@ class Roadmap:
             this can be passed through.
 
     Raises:
-        ValueError: If the goal is not free, fewer than 1 in 10,000 draws are free, a test returns
-            anything but one boolean a point, or an argument is out of range.
+        ValueError: If the domain is no box, the goal is not free, fewer than 1 in 10,000 draws are free, a
+            test returns anything but one boolean a point, or an argument is out of range.
 
     References:
         Karaman and Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 2011:
@@ -66,7 +66,7 @@ class Roadmap:
 
     def __init__(
         self,
-        domain: Box,
+        domain: Box | ArrayLike,
         is_free: IsFree,
         goal: ArrayLike,
         num_samples: int,
@@ -77,7 +77,7 @@ class Roadmap:
     ):
         if not isinstance(num_samples, int | np.integer) or num_samples < 1:
             raise ValueError(f"num_samples must be a whole number of at least 1, got {num_samples!r}.")
-        self._domain = domain
+        self._domain = domain = Box.of(domain)
         self._is_free = checked_is_free(domain, is_free)
         self._is_visible = checked_is_visible(self._is_free, is_visible, resolution)
         goal = _checked_goal(domain, self._is_free, goal)
@@ -141,7 +141,7 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(dim,)``.
         """
-        x = _checked_point("The start", x, self._domain.dim)[None]
+        x = as_point("The start", x, self._domain.dim)[None]
         path = astar(self._graph, self._visible_vertices(x), goal=0) if self._is_free(x)[0] else []
         if not path:
             return np.empty((0, self._domain.dim))
@@ -290,16 +290,9 @@ def _visible_edges(tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np
 
 
 def _checked_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    point = _checked_point("The goal", goal, domain.dim)
+    point = as_finite_point("The goal", goal, domain.dim)
     if not domain.contains(point[None])[0]:
         raise ValueError(f"The goal {point.tolist()} is outside the domain {domain}; move it inside.")
     if not is_free(point[None])[0]:
-        raise ValueError(f"The goal {point.tolist()} is in an obstacle; move it to a free configuration.")
-    return point
-
-
-def _checked_point(name: str, value: ArrayLike, dim: int) -> Float[np.ndarray, "dim"]:
-    point = np.asarray(value, dtype=np.float64)
-    if point.shape != (dim,):
-        raise ValueError(f"{name} must have shape ({dim},), got shape {point.shape}.")
+        raise ValueError(f"The goal {point.tolist()} is not free; move it to a free configuration.")
     return point

@@ -7,10 +7,10 @@ import scipy.sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._geometry import as_points, cross
+from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._geometry import cross
 from plr_jax._types import ArrayLike, Distances
 from plr_jax._workspace import Workspace
-from plr_jax.oracles._euclidean import as_goal
 from plr_jax.oracles._visibility import Viewpoints, VisibilityTable, Walls, visibility_table
 
 _CHUNK = 1 << 20
@@ -147,7 +147,7 @@ class VisibilityGraph:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        return self._first_turns(as_points("x", x))[0]
+        return self._first_turns(as_points("x", x, 2))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
         """The shortest path from a point to the goal.
@@ -163,13 +163,11 @@ class VisibilityGraph:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = np.asarray(x)
-        if x.shape != (2,):
-            raise ValueError(f"A path starts at one point of shape (2,), got shape {x.shape}.")
-        distance, turn = self._first_turns(as_points("x", x[None]))
+        x = as_point("The start", x, 2)
+        distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
-        path, corner = [x.astype(np.float64)], int(turn[0])
+        path, corner = [x], int(turn[0])
         while corner >= 0:
             path.append(self._corners.table.points[corner])
             corner = int(self._parent[corner])
@@ -226,9 +224,7 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
-    goal = as_goal(goal)
-    if goal.size != 2:
-        raise ValueError(f"The goal must have two coordinates, got {goal.size}.")
+    goal = as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
         clearance = workspace.clearance(goal[None])[0]
         bounds = workspace.bounds

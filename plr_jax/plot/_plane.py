@@ -9,7 +9,6 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
 from plr_jax.plot._page import (
@@ -67,15 +66,14 @@ def plot_contours(
         resolution: Number of samples along the longer side of the domain.
 
     Returns:
-        The axes. Points without an answer stay blank.
+        The axes. Points without an answer stay blank; a grid of one row or column gets no lines.
 
     Raises:
         ValueError: If the PLR is not 2-D, or no point has an answer.
     """
     require_2d(plr)
     ax = dressed_axes(ax, plr.domain)
-    x, y = _grid(plr.domain, resolution)
-    points = np.stack(np.meshgrid(x, y), axis=-1)
+    points = plr.domain.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
     shown = values if workspace is None else values[workspace.is_free(points.reshape(-1, 2)).reshape(values.shape)]
@@ -92,8 +90,9 @@ def plot_contours(
         vmax=largest,
         interpolation="nearest",
     )
-    levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
-    ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.9)
+    if min(values.shape) > 1:
+        levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
+        ax.contour(points[..., 0], points[..., 1], values, levels=levels, colors="white", linewidths=0.9)
     if workspace is not None:
         plot_workspace(workspace, ax)
     if goal is not None:
@@ -180,15 +179,6 @@ def plot_error(
     add_colorbar(ax, image, "error $|L - V|$ (workspace units)", extend=clipped)
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
     return ax
-
-
-def _grid(domain: Box, resolution: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cell centers along each axis of a grid of square cells."""
-    columns, rows = np.maximum(2, np.rint(resolution * domain.width / domain.width.max())).astype(int)
-    return (
-        domain.lo[0] + domain.width[0] * (np.arange(columns) + 0.5) / columns,
-        domain.lo[1] + domain.width[1] * (np.arange(rows) + 0.5) / rows,
-    )
 
 
 def _outline(polygon: shapely.Polygon) -> Path:

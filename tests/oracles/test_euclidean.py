@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 
@@ -10,17 +8,20 @@ def test_distance_in_any_dimension():
     np.testing.assert_allclose(Euclidean((0, 0))(np.array([[3, 4], [0, 0]])), [5, 0])
     np.testing.assert_allclose(Euclidean((1, 1, 1, 1))(np.array([[2.0, 2, 2, 2]])), [2])
     np.testing.assert_allclose(Euclidean([2.0])(np.array([[-1.5]])), [3.5])
-    result = Euclidean((0, 0))(np.array([[np.nan, 0.0]], dtype=np.float32))
-    assert result.dtype == np.float64
-    assert math.isnan(result[0])
+    assert Euclidean((0, 0))(np.zeros((3, 2), dtype=np.float32)).dtype == np.float64
+
+
+def test_what_is_no_point_is_out_of_reach():
+    x = np.array([[np.nan, 0.0], [0.0, np.inf], [np.inf, np.nan], [-np.inf, np.inf]])
+    np.testing.assert_array_equal(Euclidean((0, 0))(x), [np.inf] * 4)
 
 
 @pytest.mark.parametrize(
     ("goal", "x", "message"),
     [
-        ((0, np.nan), None, "finite numbers"),
-        (3.0, None, "vector of finite numbers"),
-        ("goal", None, "vector of finite numbers"),
+        ((0, np.nan), None, "finite coordinates"),
+        (3.0, None, r"shape \(dim,\)"),
+        ("goal", None, "must be numbers"),
         ((0, 0), np.zeros((2, 3)), r"shape \(n, 2\), got \(2, 3\)"),
         ((0, 0), np.zeros(2), r"x\[None\]"),
     ],

@@ -282,9 +282,12 @@ def test_counts_and_bytes():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"goal": (0.5, 0.5)}, "in an obstacle; move it"),
+        ({"goal": (0.5, 0.5)}, "not free; move it"),
         ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
-        ({"goal": (np.nan, 0.5)}, "outside the domain"),
+        ({"goal": (np.nan, 0.5)}, "finite coordinates"),
+        ({"goal": ("a", 0)}, "The goal must be numbers"),
+        ({"domain": (0, 1)}, "Box lo must be one point"),
+        ({"domain": 3.0}, "Expected a Box or its corners"),
         ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
         ({"num_samples": 0}, "num_samples"),
         ({"is_visible": None}, "Give either is_visible"),
@@ -333,7 +336,7 @@ def test_a_workspace_gives_the_roadmap_of_its_parts():
     assert short.domain == UNIT
     x = free_points(GAP, 200)
     np.testing.assert_allclose(short(x), roadmap(GAP, seed=2)(x), rtol=1e-12)
-    with pytest.raises(ValueError, match="in an obstacle"):
+    with pytest.raises(ValueError, match="not free"):
         Roadmap.from_workspace(workspace, (0.5, 0.5), 300)
 
 

@@ -317,7 +317,7 @@ def test_another_goal_shares_the_corners():
         (lambda: VisibilityGraph(WALL, (5, 4)), r"goal \[5.0, 4.0\] lies in an obstacle \(clearance -1\)"),
         (lambda: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
         (lambda: VisibilityGraph(WALL, (1, np.nan)), "finite"),
-        (lambda: VisibilityGraph(WALL, (1, 2, 3)), "two coordinates, got 3"),
+        (lambda: VisibilityGraph(WALL, (1, 2, 3)), r"The goal must be one point of shape \(2,\), got shape \(3,\)"),
         (lambda: VisibilityGraph(WALL, (1, 1)).with_goal((5, 5)), "in an obstacle"),
         (lambda: VisibilityGraph(WALL, (1, 1))(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
         (lambda: VisibilityGraph(WALL, (1, 1))(np.zeros((5, 3))), r"\(n, 2\), got \(5, 3\)"),

@@ -1,0 +1,78 @@
+"""Arrays from outside: numbers of the right shape, or an error that says what was expected."""
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._types import ArrayLike
+
+
+def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
+    """A batch of points as a float64 array.
+
+    Args:
+        name: What the points are called in an error.
+        value: Anything array-like of shape ``(n, dim)``; NaN and infinity are let through.
+        dim: Coordinates a point; any number of them, but at least one, where not given.
+
+    Returns:
+        The points, ``(n, dim)``; the given array itself where it is one of float64.
+
+    Raises:
+        ValueError: If the shape is another one, or the values are not numbers.
+    """
+    expected = f"shape (n, {'dim' if dim is None else dim})"
+    points = _numbers(name, value, f"numbers of {expected}")
+    if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
+        single = points.ndim == 1 and points.size == (dim or max(1, points.size))
+        hint = f" Use {name}[None] for a single point." if single else ""
+        raise ValueError(f"{name} must have {expected}, got {points.shape}.{hint}")
+    return points
+
+
+def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
+    """One point as a float64 array.
+
+    Args:
+        name: What the point is called in an error.
+        value: Anything array-like of shape ``(dim,)``; NaN and infinity are let through.
+        dim: Number of coordinates; any, but at least one, where not given.
+
+    Returns:
+        The point, ``(dim,)``; the given array itself where it is one of float64.
+
+    Raises:
+        ValueError: If the shape is another one, or the values are not numbers.
+    """
+    expected = f"shape ({'dim' if dim is None else dim},)"
+    point = _numbers(name, value, f"numbers of {expected}")
+    if point.ndim != 1 or point.size != (dim or max(1, point.size)):
+        raise ValueError(f"{name} must be one point of {expected}, got shape {point.shape}.")
+    return point
+
+
+def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
+    """One point to be kept, such as a goal: a read-only copy, free of NaN and infinity.
+
+    Args:
+        name: What the point is called in an error.
+        value: Anything array-like of shape ``(dim,)``.
+        dim: Number of coordinates; any, but at least one, where not given.
+
+    Returns:
+        The point, ``(dim,)``.
+
+    Raises:
+        ValueError: If the shape is another one, or a value is not a finite number.
+    """
+    point = as_point(name, value, dim).copy()
+    if not np.isfinite(point).all():
+        raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
+    point.flags.writeable = False
+    return point
+
+
+def _numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from plr_jax._arrays import as_finite_point, as_point, as_points
+
+
+def test_points_become_float64_rows():
+    points = as_points("x", [[1, 2]], 2)
+    np.testing.assert_array_equal(points, [[1.0, 2.0]])
+    assert points.dtype == np.float64
+    assert as_points("x", np.zeros((0, 3)), 3).shape == (0, 3)
+    assert as_points("x", np.zeros((4, 7), dtype=np.float32)).shape == (4, 7)
+    given = np.array([[np.nan, np.inf]])
+    assert as_points("x", given, 2) is given
+
+
+def test_a_point_becomes_a_float64_vector():
+    np.testing.assert_array_equal(as_point("start", (1, np.nan), 2), [1.0, np.nan])
+    np.testing.assert_array_equal(as_point("start", [7]), [7.0])
+
+
+def test_a_finite_point_is_kept_as_it_was_given():
+    given = np.array([1.0, 2.0])
+    kept = as_finite_point("The goal", given, 2)
+    given[0] = 9.0
+    np.testing.assert_array_equal(kept, [1.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("value", "dim", "message"),
+    [
+        ([1, 2], 2, r"x must have shape \(n, 2\), got \(2,\)\. Use x\[None\] for a single point"),
+        ([1, 2], None, r"shape \(n, dim\), got \(2,\)\. Use x\[None\]"),
+        ([1, 2, 3], 2, r"got \(3,\)\.$"),
+        ([[1, 2, 3]], 2, r"shape \(n, 2\), got \(1, 3\)"),
+        (np.zeros((4, 0)), None, r"shape \(n, dim\), got \(4, 0\)"),
+        (1.0, None, r"got \(\)"),
+        ("points", 2, r"x must be numbers of shape \(n, 2\), got 'points'"),
+        ([[1, 2], [3]], 2, r"x must be numbers"),
+        ([[1j, 2]], 2, r"x must be numbers"),
+        ([[10**400, 2]], 2, r"x must be numbers"),
+    ],
+)
+def test_what_is_no_batch_of_points_is_refused(value, dim, message):
+    with pytest.raises(ValueError, match=message):
+        as_points("x", value, dim)
+
+
+@pytest.mark.parametrize(
+    ("value", "dim", "message"),
+    [
+        ((1, 2, 3), 2, r"The goal must be one point of shape \(2,\), got shape \(3,\)"),
+        ([[1, 2]], 2, r"shape \(2,\), got shape \(1, 2\)"),
+        (1.0, None, r"shape \(dim,\), got shape \(\)"),
+        ([], None, r"shape \(dim,\), got shape \(0,\)"),
+        (("a", 0), 2, r"must be numbers of shape \(2,\), got \('a', 0\)"),
+        ((1, np.nan), 2, r"finite coordinates, got \[1.0, nan\]"),
+        ((1, -np.inf), None, r"finite coordinates, got \[1.0, -inf\]"),
+        ((1, None), 2, r"finite coordinates"),
+    ],
+)
+def test_what_is_no_finite_point_is_refused(value, dim, message):
+    with pytest.raises(ValueError, match=message):
+        as_finite_point("The goal", value, dim)
