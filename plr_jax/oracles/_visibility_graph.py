@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._graph import Graph, dijkstra, path_from_root, to_networkx
@@ -134,12 +134,9 @@ class VisibilityGraph:
 
     def _best_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """The least distance by way of a corner that sees the point, and that corner's vertex (0: none does)."""
-        corner = self._turns.corner
-
-        def sees(point: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
-            return self._corners.table.sees(corner[way], x[point])
-
-        way, distance = first_visible(self._turns.path_lengths(x), sees)
+        corner, table = self._turns.corner, self._corners.table
+        lengths = self._turns.path_lengths(x)
+        way, distance = first_visible(lengths, lambda point, way: table.sees(corner[way], x[point]))
         return distance, np.append(1 + corner, 0)[way]
 
 
