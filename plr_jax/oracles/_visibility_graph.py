@@ -34,8 +34,10 @@ class VisibilityGraph:
     Attributes:
         workspace: As given.
         goal: As given.
-        graph: The visibility graph: the goal as vertex 0, then the corners.
-        distances: Distance of each vertex to the goal, ``inf`` where it cannot be reached.
+        graph: The tangent visibility graph: the goal as vertex 0, then the corners. Of the edges between two
+            corners it has those that a shortest path can go along and beyond at both ends.
+        distances: Distance of each vertex to the goal along the graph, ``inf`` where there is no way. For a
+            corner around which no shortest path bends, it may be longer than ``oracle(corner)``.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
