@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._geometry import turned_left
 from plr_jax._workspace import Workspace
 from plr_jax.oracles._visibility import Viewpoints, VisibilityTable, Walls, visibility_table
 
@@ -20,7 +21,8 @@ class Corners:
         opens: Unit vector along the wall with which each corner's sector opens, ``(corners, 2)``; zero for the
             point contacts of a workspace with ``squeeze``, which may be turned around on any side.
         closes: The same for the wall with which it closes.
-        edges: Corners that see one another, each pair once, ``(edges, 2)``.
+        edges: Corners that see one another and that a shortest path can join, each pair once, ``(edges, 2)``. It
+            bends around a corner only if its line touches the obstacle there without cutting off a part of it.
     """
 
     table: VisibilityTable
@@ -42,7 +44,7 @@ class Corners:
 
 
 def find_corners(workspace: Workspace) -> Corners:
-    """Reflex corners of free space and, where squeezing is allowed, point contacts; and who sees whom."""
+    """Reflex corners of free space and, where squeezing is allowed, point contacts; and which to join."""
     boundary, walls = workspace.boundary, Walls.of(workspace.boundary, workspace.tolerance)
     turns = boundary.is_reflex(1e-3 * workspace.tolerance)
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
@@ -57,16 +59,40 @@ def find_corners(workspace: Workspace) -> Corners:
         offset = boundary.vertices[towards] - points[owner]
         direction[owner] = offset / np.linalg.norm(offset, axis=1, keepdims=True)
         direction[np.isin(vertex, contacts)] = 0.0
-    return Corners(table, along[0], along[1], _mutually_visible(table))
+    return Corners(table, along[0], along[1], _tangent_edges(table, along[0], along[1]))
 
 
-def _mutually_visible(table: VisibilityTable) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of viewpoints that see one another, each within its own sector, each pair once."""
-    c = len(table.points)
-    sees: Bool[np.ndarray, "corners corners"] = np.zeros((c, c), dtype=bool)
-    step = max(1, _CHUNK // max(1, c))
-    for begin in range(0, c, step):
-        v = np.arange(begin, min(c, begin + step)).repeat(c)
-        x = np.tile(table.points, (len(v) // c, 1))
-        sees[begin : begin + step] = table.sees(v, x).reshape(-1, c)
-    return np.argwhere(np.triu(sees & sees.T, 1))
+def _tangent_edges(
+    table: VisibilityTable, opens: Float[np.ndarray, "corners 2"], closes: Float[np.ndarray, "corners 2"]
+) -> Int[np.ndarray, "edges 2"]:
+    """Pairs of corners that see one another and whose line cuts off no obstacle at either, each pair once."""
+    points, slack = table.points, 100 * table.walls.tolerance
+    step = max(1, _CHUNK // max(1, len(points)))
+    edges = [np.empty((0, 2), int)]
+    for begin in range(0, len(points), step):
+        part = slice(begin, begin + step)
+        tangent = _is_tangent(points[part], opens[part], closes[part], points, slack)
+        tangent &= _is_tangent(points, opens, closes, points[part], slack).T
+        v, w = np.nonzero(np.triu(tangent, 1 + begin))
+        v += begin
+        for corner, other in ((0, 1), (1, 0)):
+            ends = (v, w)
+            seen = table.sees(ends[corner], points[ends[other]])
+            v, w = v[seen], w[seen]
+        edges.append(np.stack([v, w], axis=1))
+    return np.concatenate(edges)
+
+
+def _is_tangent(
+    points: Float[np.ndarray, "corners 2"],
+    opens: Float[np.ndarray, "corners 2"],
+    closes: Float[np.ndarray, "corners 2"],
+    x: Float[np.ndarray, "n 2"],
+    slack: float,
+) -> Bool[np.ndarray, "corners n"]:
+    """Whether the line from each corner to each point has both of the corner's walls on one side."""
+    above = []
+    for wall in (opens, closes):
+        normal = turned_left(wall)
+        above.append(normal @ x.T - (normal * points).sum(axis=1)[:, None])
+    return ~((np.minimum(*above) < -slack) & (np.maximum(*above) > slack))

@@ -27,7 +27,7 @@ def first_visible(
     pending, num_tests = np.arange(len(lengths)), 2
     while pending.size and lengths.shape[1]:
         tests = _shortest(lengths, num_tests)
-        length = np.take_along_axis(lengths, tests, axis=1)
+        length = lengths[np.arange(len(lengths))[:, None], tests]
         row, column = np.nonzero(~np.isnan(length))
         visible = np.zeros(tests.shape, dtype=bool)
         visible[row, column] = sees(pending[row], tests[row, column])
@@ -36,7 +36,7 @@ def first_visible(
         shortest[pending[found]] = length[found, best[found]]
         more = ~found & ~np.isnan(length[:, -1])
         pending, lengths = pending[more], lengths[more]
-        np.put_along_axis(lengths, tests[more], np.nan, axis=1)
+        lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
         num_tests *= 4
     return way, shortest
 
@@ -45,6 +45,6 @@ def _shortest(lengths: Float[np.ndarray, "n ways"], count: int) -> Int[np.ndarra
     """Columns of the smallest entries of each row, ascending, NaN last."""
     if count >= lengths.shape[1]:
         return np.argsort(lengths, axis=1)
+    rows = np.arange(len(lengths))[:, None]
     columns = np.argpartition(lengths, count - 1, axis=1)[:, :count]
-    order = np.argsort(np.take_along_axis(lengths, columns, axis=1), axis=1)
-    return np.take_along_axis(columns, order, axis=1)
+    return columns[rows, np.argsort(lengths[rows, columns], axis=1)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
@@ -232,10 +232,9 @@ class Roadmap:
         through = length + np.append(self.distances, np.inf)[vertex]
         through[(length <= inner) | np.isinf(length)] = np.nan
 
-        def sees(point: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
-            return self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
-
-        way, distance = first_visible(through, sees)
+        way, distance = first_visible(
+            through, lambda point, way: self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
+        )
         return distance, way >= 0
 
     def _visible_vertices(self, x: Float[np.ndarray, "1 dim"]) -> dict[int, float]:

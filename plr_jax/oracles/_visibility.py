@@ -100,28 +100,42 @@ class VisibilityTable:
             True where the segment between them lies in closed free space, to the walls' tolerance. A segment
             that grazes several corners may be reported as not seen; it is seen from the last of them.
         """
-        tolerance = self.walls.tolerance
         dx, dy = (x - self.points[v]).T
         cx, cy = self.cut[v].T
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
-        row = np.clip(np.searchsorted(self.key, key, side="right") - 1, self.first[v], self.first[v + 1] - 1)
+        row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
         seen = self._in_front(row, x)
         rest = np.flatnonzero(~seen)
-        distance = np.hypot(dx[rest], dy[rest])
-        seen[rest] = distance <= tolerance
-        # A direction within rounding of an interval's end belongs to its neighbor as well.
+        if rest.size:
+            distance = np.hypot(dx[rest], dy[rest])
+            seen[rest] = self._seen_beside(v[rest], x[rest], row[rest], key[rest], distance)
+        return seen
+
+    def _seen_beside(
+        self,
+        v: Int[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        row: Int[np.ndarray, "n"],
+        key: Float[np.ndarray, "n"],
+        distance: Float[np.ndarray, "n"],
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether points are the viewpoint itself, or within rounding of a neighboring interval and seen there."""
+        tolerance = self.walls.tolerance
+        seen = distance <= tolerance
         slack = tolerance / np.maximum(distance, tolerance)
-        rest_row, rest_key, owner = row[rest], key[rest], v[rest]
-        before = (rest_key - self.key[rest_row] <= slack) & (rest_row > self.first[owner])
-        after_row = np.minimum(rest_row + 1, self.first[owner + 1] - 1)
-        after = (self.key[after_row] - rest_key <= slack) & (after_row > rest_row)
-        seen[rest[before]] |= self._in_front(rest_row[before] - 1, x[rest[before]])
-        seen[rest[after]] |= self._in_front(after_row[after], x[rest[after]])
+        before = np.flatnonzero((key - self.key[row] <= slack) & (row > self.first[v]))
+        if before.size:
+            seen[before] |= self._in_front(row[before] - 1, x[before])
+        following = np.minimum(row + 1, self.first[v + 1] - 1)
+        after = np.flatnonzero((self.key[following] - key <= slack) & (following > row))
+        if after.size:
+            seen[after] |= self._in_front(following[after], x[after])
         return seen
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         edge, walls = self.edge[row], self.walls
-        height = (walls.normal[edge] * x).sum(axis=1) - walls.offset[edge]
+        normal = walls.normal[edge]
+        height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - walls.offset[edge]
         return (height >= -walls.tolerance) & (edge >= 0)
 
 

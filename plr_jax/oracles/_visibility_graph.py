@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._graph import Graph, dijkstra, path_from_root, to_networkx
@@ -34,8 +34,10 @@ class VisibilityGraph:
     Attributes:
         workspace: As given.
         goal: As given.
-        graph: The visibility graph: the goal as vertex 0, then the corners.
-        distances: Distance of each vertex to the goal, ``inf`` where it cannot be reached.
+        graph: The tangent visibility graph: the goal as vertex 0, then the corners. Of the edges between two
+            corners it has those that a shortest path can go along and beyond at both ends.
+        distances: Distance of each vertex to the goal along the graph, ``inf`` where there is no way. For a
+            corner around which no shortest path bends, it may be longer than ``oracle(corner)``.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
@@ -134,12 +136,9 @@ class VisibilityGraph:
 
     def _best_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """The least distance by way of a corner that sees the point, and that corner's vertex (0: none does)."""
-        corner = self._turns.corner
-
-        def sees(point: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
-            return self._corners.table.sees(corner[way], x[point])
-
-        way, distance = first_visible(self._turns.path_lengths(x), sees)
+        corner, table = self._turns.corner, self._corners.table
+        lengths = self._turns.path_lengths(x)
+        way, distance = first_visible(lengths, lambda point, way: table.sees(corner[way], x[point]))
         return distance, np.append(1 + corner, 0)[way]
 
 
