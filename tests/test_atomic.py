@@ -40,3 +40,16 @@ def test_the_file_has_the_permissions_of_any_new_file(tmp_path):
 def test_a_missing_folder_is_an_os_error(tmp_path):
     with pytest.raises(OSError, match="No such file"):
         write_atomically(tmp_path / "none" / "file", b"")
+
+
+def test_a_link_is_followed_and_a_pipe_is_not_replaced(tmp_path):
+    target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
+    target.write_bytes(b"old")
+    link.symlink_to(target)
+    write_atomically(link, b"new")
+    assert link.is_symlink() and target.read_bytes() == b"new"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_atomically(pipe, b"through")
+    assert pipe.is_fifo() and os.read(reader, 100) == b"through"
+    os.close(reader)

@@ -39,7 +39,10 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; the entry point of ``plr-jax``."""
-    app()
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(_SIGINT_EXIT)
 
 
 def _command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

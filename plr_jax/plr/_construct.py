@@ -70,8 +70,10 @@ def construct(
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
             of a ``CellFit``, from which the cell of the largest positive number is split next (True and False do).
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.
-        num_samples: Samples of a cell, at its center, inside and on its faces; at least ``dim + 1``.
-        margin: How far samples reach beyond their cell, as a fraction of its width ("within or near the cell").
+        num_samples: Samples of a cell, at its center, inside and on its faces; at least ``dim + 1``, with which a
+            plane passes through its samples and shows no error: take several times as many.
+        margin: How far samples reach beyond their cell, as a fraction from 0 to 1 of its width ("within or near the
+            cell"). Averages the noise of an oracle such as a roadmap.
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
         coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
             half-differences need fewer. None: 32 without ``max_bytes``; with it, those from 8 to 16 with which
@@ -94,8 +96,10 @@ def construct(
         raise ValueError(
             f"num_samples must be at least dim + 1 = {domain.dim + 1} to determine a plane, got {num_samples}."
         )
-    if not 0 <= margin < np.inf:
-        raise ValueError(f"margin must be a finite fraction >= 0 of a cell's width, got {margin}.")
+    if not (isinstance(margin, int | float | np.number) and 0 <= margin <= 1):
+        raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
     pattern = sample_pattern(domain.dim, int(num_samples), margin, seed)
 
     at_once = max(1, _SAMPLES_AT_ONCE // len(pattern))

@@ -187,7 +187,14 @@ def sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
 
 
 def _call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:
-    distance = np.asarray(distance_fn(x), dtype=np.float64)
+    distance = distance_fn(x)
+    try:
+        distance = np.asarray(distance)
+        distance = distance if distance.dtype.kind == "c" else distance.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"distance_fn must return an array of numbers, got {distance!r}.") from error
+    if distance.dtype.kind == "c":
+        raise ValueError("distance_fn must return real numbers, got complex ones.")
     if distance.shape != (len(x),):
         raise ValueError(
             f"distance_fn must return one distance a point, shape ({len(x)},) for points of shape {x.shape}, "

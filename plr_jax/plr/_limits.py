@@ -40,8 +40,10 @@ def check_limits(
             raise ValueError(f"{name} must be an integer >= {least}, got {value}.")
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
-    if tolerance is not None and not 0 <= tolerance < np.inf:
-        raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance}.")
+    if tolerance is not None and not (isinstance(tolerance, int | float | np.number) and 0 <= tolerance < np.inf):
+        raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance!r}.")
+    if coefficient_bits is not None and not isinstance(coefficient_bits, int | np.integer):
+        raise ValueError(f"coefficient_bits must be an integer, got {coefficient_bits!r}.")
     if coefficient_bits not in (None, FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1)):
         raise ValueError(
             f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {coefficient_bits}."

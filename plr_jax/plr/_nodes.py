@@ -85,6 +85,7 @@ def nodes_of_fit(
     at_limit |= depth[np.arange(len(depth)), axis] >= max_axis_depth(fit.cells.dim)
     # Errors below the resolution of 32-bit floats are noise, not something a split could mend.
     noise = np.finfo(np.float32).eps * np.abs(np.where(np.isfinite(fit.center), fit.center, 0))
+    noise *= fit.weight.max(axis=1)  # priorities are weighted errors
     worth_it = (priority > np.maximum(limits.tolerance, noise)) & ~at_limit
     return Nodes(
         cells=fit.cells,

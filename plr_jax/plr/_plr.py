@@ -119,13 +119,17 @@ def from_bytes(data: bytes) -> PLR:
         data: What :meth:`PLR.to_bytes` gave.
 
     Raises:
-        ValueError: If the bytes are not those of a PLR file of a version this release reads.
+        ValueError: If the bytes are not those of a PLR file of a version this release reads, or its planes are
+            beyond 32-bit floats.
     """
     domain, cells, planes = decode(data)
     center, half = planes.decode()
     lo, hi = cells.boxes(domain)
+    corner = table_corners(domain)[0]
     slope = half * 2 / (hi - lo)
-    to_center = (lo + hi) / 2 - table_corners(domain)[0]
+    if not max(np.abs(slope).max(), np.abs(center[~planes.unreachable]).max(initial=0.0)) < 1e30:
+        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    to_center = (lo + hi) / 2 - corner
     at_corner = np.where(planes.unreachable, 0.0, center) - np.sum(slope * to_center, axis=1)
     slope, at_corner = fill_unreachable(cells, planes.unreachable, slope, at_corner)
     padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
@@ -152,7 +156,7 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long.
     """
-    if not isinstance(x, np.ndarray | jax.Array):
+    if not isinstance(x, jax.Array):
         x = _as_array(x)
     if x.ndim == 0 or x.shape[-1] != plr.dim:
         raise ValueError(f"Points must have shape (..., {plr.dim}), got {x.shape}.")
@@ -162,10 +166,13 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def _as_array(x: ArrayLike) -> np.ndarray:
+    """Points on the host. Integers become floats here, where they cannot wrap around."""
     try:
-        return np.asarray(x)
+        x = np.asarray(x)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
+    is_wide = x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize)
+    return x.astype(np.float64) if is_wide else x
 
 
 _evaluate = jax.jit(evaluate_tables)

@@ -22,6 +22,7 @@ _MAX_BLOCK_BITS = 16
 _FRACTION_BITS = 23  # of a 32-bit float
 _WORD_BITS = 32
 _MAX_SLOTS = 2**28
+_LARGEST = 1e30  # of coordinates and distances: far enough from the end of 32-bit floats
 
 
 @jax.tree_util.register_dataclass
@@ -50,8 +51,10 @@ class Tables:
     """All that a query reads. Arrays are padded to powers of two, so PLRs of like size share compiled code.
 
     Attributes:
-        lo: Lower corner of the domain.
-        hi: Upper corner of the domain.
+        lo: Lower corner of the domain, rounded down to a 32-bit float.
+        hi: Upper corner of the domain, rounded up.
+        lo_rest: What the rounding took from the lower corner, so that far from the origin cells stay in place.
+        hi_rest: What the rounding added to the upper corner.
         scale: One over the width of the domain.
         shift: Bits of a point's place below its slot (flat table) or its block (two levels), along each axis.
         stride: Stride of the index of the slot, or of the block, along each axis.
@@ -63,6 +66,8 @@ class Tables:
 
     lo: Float[Array, "dim"]
     hi: Float[Array, "dim"]
+    lo_rest: Float[Array, "dim"]
+    hi_rest: Float[Array, "dim"]
     scale: Float[Array, "dim"]
     shift: Int[Array, "dim"]
     stride: Int[Array, "dim"]
@@ -92,16 +97,26 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     leaf = lookup(tables, jax.lax.stop_gradient(x))
     lo, hi = tables.lo.astype(x.dtype), tables.hi.astype(x.dtype)
     value = _gather(tables.intercept, leaf).astype(x.dtype)
-    outside = jnp.zeros(x.shape[:-1], bool)
+    outside = nan = jnp.zeros(x.shape[:-1], bool)
     for axis, slope in enumerate(tables.slope):
-        coordinate = x[..., axis]
-        value += _gather(slope, leaf).astype(x.dtype) * (coordinate - lo[axis])
-        outside |= (coordinate < lo[axis]) | (coordinate > hi[axis])
-    return jnp.where(outside, jnp.inf, value)
+        above, below = x[..., axis] - lo[axis], hi[axis] - x[..., axis]
+        value += _gather(slope, leaf).astype(x.dtype) * above
+        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+            outside |= (above < tables.lo_rest[axis]) | (below < tables.hi_rest[axis])
+        else:
+            outside |= (above < 0) | (below < 0)
+        nan |= jnp.isnan(above)
+    return jnp.where(nan, jnp.nan, jnp.where(outside, jnp.inf, value))
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it."""
+    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it.
+
+    Raises:
+        ValueError: If 32-bit floats cannot hold the corners or the width.
+    """
+    if np.abs([domain.lo, domain.hi]).max() > _LARGEST or domain.width.min() < 1 / _LARGEST:
+        raise ValueError(f"The domain must be within {_LARGEST:g}, and wider than its inverse, got {domain}.")
     lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
     return (
         np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
@@ -118,6 +133,8 @@ def build_tables(
 ) -> Tables:
     """Tables of a partition: leaf ``i`` is ``cells[i]``, its plane ``intercept[i]`` high at ``table_corners``."""
     bits = cells.depth.max(axis=0)
+    if bits.max() > _FRACTION_BITS:
+        raise ValueError(f"A cell is split {bits.max()} times along one axis; a query resolves {_FRACTION_BITS}.")
     flat = bits.sum() <= max_flat_bits
     block_bits = 0 * bits if flat else _choose_block_bits(cells, bits)
     shape = _block_shapes(cells, block_bits)
@@ -126,10 +143,15 @@ def build_tables(
     _fill_slots(leaf_of_slot, cells, block_bits, shape, offset)
     top = bits if flat else block_bits
     lo, hi = table_corners(domain)
+    rest = np.stack([domain.lo - lo, hi - domain.hi])
+    # Rounded toward zero, so that the corners themselves stay inside.
+    rest = np.maximum(np.nextafter(rest.astype(np.float32), np.float32(-1)), 0)
     padded = _power_of_two(len(cells))
     return Tables(
         lo=jnp.asarray(lo),
         hi=jnp.asarray(hi),
+        lo_rest=jnp.asarray(rest[0]),
+        hi_rest=jnp.asarray(rest[1]),
         scale=jnp.asarray((1 / domain.width).astype(np.float32)),
         shift=jnp.asarray((_FRACTION_BITS - top).astype(np.int32)),
         stride=jnp.asarray((1 << (np.cumsum(top[::-1])[::-1] - top)).astype(np.int32)),
@@ -146,9 +168,8 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Arra
     Those are the fraction bits of the float between 1 and 2. The largest place is for the upper edge, which belongs
     to the last cell; masking keeps every index in its table, whatever the point.
     """
-    fraction = ((x[..., axis] - tables.lo[axis].astype(x.dtype)) * tables.scale[axis].astype(x.dtype)).astype(
-        jnp.float32
-    )
+    offset = x[..., axis] - tables.lo[axis].astype(x.dtype) - tables.lo_rest[axis].astype(x.dtype)
+    fraction = (offset * tables.scale[axis].astype(x.dtype)).astype(jnp.float32)
     last = np.float32(1 - 2.0**-_FRACTION_BITS)
     fraction = jnp.where(fraction < last, fraction, last)
     return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.int32) & (2**_FRACTION_BITS - 1)

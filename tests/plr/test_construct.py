@@ -128,6 +128,24 @@ def test_weights_say_where_accuracy_matters():
     assert error[0] < 0.5 * error[1]
 
 
+def test_the_scale_of_the_weights_changes_nothing():
+    plain = construct(walled, SQUARE, max_leaves=100)
+    scaled = construct(walled, SQUARE, max_leaves=100, weight_fn=lambda x: np.full(len(x), 1e-7))
+    np.testing.assert_array_equal(scaled.cells.depth, plain.cells.depth)
+
+
+@pytest.mark.parametrize("factor", [1e31, 1e100])
+def test_distances_beyond_floats_are_refused(factor):
+    with pytest.raises(ValueError, match="scale them down"):
+        construct(lambda x: np.full(len(x), factor), SQUARE, max_leaves=5)
+
+
+@pytest.mark.parametrize("size", [1e39, 1e-39])
+def test_domains_beyond_floats_are_refused(size):
+    with pytest.raises(ValueError, match="The domain must be within"):
+        construct(lambda x: np.ones(len(x)), ((0, 0), (size, size)), max_leaves=5)
+
+
 def test_an_own_rule_can_be_given():
     plr = construct(
         cone, SQUARE, max_leaves=8, split=lambda fit: np.zeros(len(fit.cells), int), should_split=maximum_depth
@@ -177,6 +195,7 @@ def test_an_interrupt_keeps_what_is_there():
         ({"num_samples": 2}, "num_samples must be at least dim \\+ 1 = 3"),
         ({"margin": -0.1}, "margin must be"),
         ({"margin": np.inf}, "margin must be"),
+        ({"seed": -1}, "seed must be an integer >= 0"),
         ({"coefficient_bits": 21}, "coefficient_bits must be 32"),
     ],
 )
@@ -226,7 +245,13 @@ def test_a_domain_without_width_is_refused():
 
 @pytest.mark.parametrize(
     ("oracle", "message"),
-    [(lambda x: x, "one distance a point"), (lambda x: np.full(len(x), np.nan), "got nan at")],
+    [
+        (lambda x: x, "one distance a point"),
+        (lambda x: np.full(len(x), np.nan), "got nan at"),
+        (lambda x: np.full(len(x), "far"), "an array of numbers"),
+        (lambda x: {}, "an array of numbers"),
+        (lambda x: 1j * cone(x), "got complex"),
+    ],
 )
 def test_bad_oracles_are_refused(oracle, message):
     with pytest.raises(ValueError, match=message):

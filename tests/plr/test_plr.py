@@ -7,6 +7,7 @@ from plr_helpers import cone, evaluate_by_search, leaf_by_search, walled
 from plr_jax._box import Box
 from plr_jax.plr import construct, evaluate
 from plr_jax.plr._plr import _evaluate
+from plr_jax.plr._tables import lookup
 
 SQUARE = Box((0, 0), (1, 1))
 
@@ -83,8 +84,8 @@ def test_outside_nan_and_edges(plr):
     answers = plr(np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0], [1.0001, 0.5], [0.5, -0.0001], [np.inf, 0.5]]))
     np.testing.assert_array_equal(np.isfinite(answers), [True, True, True, False, False, False])
     assert np.isposinf(answers[3:]).all()
-    answers = plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0]]))
-    assert np.isnan(answers[:2]).all()
+    answers = plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))
+    assert np.isnan(answers).all()
 
 
 @pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
@@ -109,6 +110,25 @@ def test_far_from_the_origin_the_precision_stays():
     there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), max_leaves=50)
     x = np.random.default_rng(0).integers(0, 8, size=(50, 2)).astype(np.float32)
     np.testing.assert_allclose(there(x + origin.astype(np.float32)), here(x), atol=1e-5)
+
+
+@pytest.mark.parametrize("origin", [1e3 + 0.03, 1e6 + 0.03, 1e7 + 0.3])
+def test_cells_stay_in_place_far_from_the_origin(origin):
+    with jax.enable_x64(True):
+        far = construct(
+            lambda x: cone(x - origin - 0.3), ((origin, origin), (origin + 1, origin + 1)), max_leaves=200
+        )
+        x = np.random.default_rng(0).random((2000, 2)) + origin
+        found = lookup(far.tables, jnp.asarray(x)) == leaf_by_search(far, x)
+        assert np.mean(found) > 0.999  # all but points within a float's rounding of a face
+        np.testing.assert_allclose(far(x)[found], evaluate_by_search(far, x)[found], atol=1e-5)
+        edges = np.array([[0, 0.5], [1, 0.5], [-0.02, 0.5], [1.02, 0.5]]) + origin
+        np.testing.assert_array_equal(np.isfinite(far(edges)), [True, True, False, False])
+
+
+def test_integers_do_not_wrap_around(plr):
+    assert np.isposinf(plr(np.array([[2**32, 0], [-(2**32), 0]]))).all()
+    assert np.isposinf(plr([2**32, 0]))
 
 
 def test_double_precision_where_enabled(plr, x):
