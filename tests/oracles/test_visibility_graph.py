@@ -327,6 +327,15 @@ def test_the_graph_joins_what_sees_one_another():
     assert exported.nodes[0]["pos"] == (8.0, 4.0)
 
 
+@given(st.integers(0, 100_000), st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_distances_of_the_graph_are_those_of_the_oracle(seed, squeeze):
+    """Edges that no shortest path can use are left out of it, and only those."""
+    workspace = lattice_workspace(seed, squeeze) if squeeze else general_workspace(seed)
+    oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
+    np.testing.assert_allclose(oracle(oracle.graph.vertices), oracle.distances, atol=1e-9)
+
+
 def test_another_goal_shares_the_corners():
     oracle = VisibilityGraph(WALL, (8, 4))
     other = oracle.with_goal((2, 4))
