@@ -3,8 +3,8 @@
 Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
 (``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``).
 
-Names are loaded when they are first used: a program that only loads and queries a PLR imports neither SciPy nor
-Shapely nor NetworkX.
+Names are loaded when they are first used: a program that only loads and queries a PLR imports neither Shapely nor
+NetworkX nor Matplotlib, nor the slow parts of SciPy.
 """
 
 from importlib import import_module
@@ -17,11 +17,14 @@ if TYPE_CHECKING:
     from plr_jax._box import Box as Box
     from plr_jax._problem import Problem as Problem
     from plr_jax._robot import PointRobot as PointRobot
+    from plr_jax._types import DistanceFn as DistanceFn
     from plr_jax._workspace import Workspace as Workspace
     from plr_jax.oracles import Euclidean as Euclidean
     from plr_jax.oracles import Roadmap as Roadmap
     from plr_jax.oracles import VisibilityGraph as VisibilityGraph
     from plr_jax.plr import PLR as PLR
+    from plr_jax.plr import CellFit as CellFit
+    from plr_jax.plr import ConstructionInterrupted as ConstructionInterrupted
     from plr_jax.plr import best_axis as best_axis
     from plr_jax.plr import center_error as center_error
     from plr_jax.plr import construct as construct
@@ -38,11 +41,14 @@ _HOME = {
     "Box": "_box",
     "Problem": "_problem",
     "PointRobot": "_robot",
+    "DistanceFn": "_types",
     "Workspace": "_workspace",
     "Euclidean": "oracles",
     "Roadmap": "oracles",
     "VisibilityGraph": "oracles",
     "PLR": "plr",
+    "CellFit": "plr",
+    "ConstructionInterrupted": "plr",
     "best_axis": "plr",
     "center_error": "plr",
     "construct": "plr",

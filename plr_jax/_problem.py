@@ -1,65 +1,179 @@
-"""Planning problems: robots in a workspace, each with a start and a goal."""
+"""Planning problems: robots in a workspace, each with a start and a goal, and the cost of a path."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import scipy.sparse
 import shapely
 from jaxtyping import Float
+from scipy.sparse.csgraph import connected_components
 
-from plr_jax._robot import PointRobot, Robot
+from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot, footprint, shorter_turn, team_dof
 from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
 
-_DOF = 2
+_VERBS = {"starts": "starts", "goals": "has its goal"}
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Robots in a workspace, each to go from its start to its goal.
 
+    Robots may touch walls and one another, to ``workspace.tolerance``. Points never collide with points.
+
     Args:
         workspace: Where they move.
         robots: The robots, at least one.
-        starts: Start configurations, ``(robots, dof)``, workspace units; ``dof`` is 2 for points.
+        starts: Start configurations, ``(robots, dof)``, in workspace units and radians; ``dof`` is 2 if all
+            robots are points or discs, else 3, and the heading of round robots is ignored.
         goals: Goal configurations, ``(robots, dof)``.
+        rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for every rectangle;
+            None: half its diagonal.
 
     Raises:
-        ValueError: If there is no robot, starts or goals have the wrong shape or are not finite, or a start
-            or goal lies outside the bounds or inside an obstacle. Boundaries are free.
+        ValueError: If there is no robot, starts or goals have the wrong shape or are not finite, the rotation
+            weight is negative or not finite, a robot starts or ends outside the bounds or in collision with
+            an obstacle or another robot, or obstacles cut a goal off from its start (for a rectangle: for
+            its inscribed disc, so that not all impossible problems are found out).
     """
 
     workspace: Workspace
     robots: tuple[Robot, ...]
     starts: Float[np.ndarray, "robots dof"]
     goals: Float[np.ndarray, "robots dof"]
+    rotation_weight: float | None
 
-    def __init__(self, workspace: Workspace, robots: Sequence[Robot], starts: ArrayLike, goals: ArrayLike):
+    def __init__(
+        self,
+        workspace: Workspace,
+        robots: Sequence[Robot],
+        starts: ArrayLike,
+        goals: ArrayLike,
+        rotation_weight: float | int | None = None,
+    ):
         robots = tuple(robots)
         for i, robot in enumerate(robots):
-            if not isinstance(robot, PointRobot):
+            if not isinstance(robot, PointRobot | DiscRobot | RectangleRobot):
                 raise ValueError(f"Robot {i} must be a robot such as PointRobot(), got {robot!r}.")
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
+        if rotation_weight is not None and not (np.isfinite(rotation_weight) and rotation_weight >= 0):
+            raise ValueError(f"rotation_weight must be a finite number of at least 0, got {rotation_weight!r}.")
         object.__setattr__(self, "workspace", workspace)
         object.__setattr__(self, "robots", robots)
+        object.__setattr__(self, "rotation_weight", None if rotation_weight is None else float(rotation_weight))
         for name, value in (("starts", starts), ("goals", goals)):
-            configurations = _configurations(name, value, len(robots))
-            _require_free(name, configurations, workspace)
-            object.__setattr__(self, name, configurations)
+            object.__setattr__(self, name, _configurations(name, value, len(robots), self.dof))
+        for name in _VERBS:
+            _require_free(name, getattr(self, name), robots, workspace)
+            _require_apart(name, getattr(self, name), robots, workspace.tolerance)
+        _require_connected(self)
+
+    @property
+    def dof(self) -> int:
+        """Numbers in each robot's configuration: 2 if all robots are round, else 3."""
+        return team_dof(self.robots)
+
+    @property
+    def rotation_weights(self) -> Float[np.ndarray, "robots"]:
+        """Cost of each robot's turn by one radian, in workspace units: 0 for round robots."""
+        weight = self.rotation_weight
+        return np.array(
+            [
+                0.0
+                if not isinstance(robot, RectangleRobot)
+                else (robot.circumscribed_radius if weight is None else weight)
+                for robot in self.robots
+            ]
+        )
 
 
-def _configurations(name: str, value: ArrayLike, num_robots: int) -> Float[np.ndarray, "robots dof"]:
+def motion_costs(
+    problem: Problem, q0: Float[np.ndarray, "*#batch robots dof"], q1: Float[np.ndarray, "*#batch robots dof"]
+) -> Float[np.ndarray, "*batch robots"]:
+    """Cost of each robot's straight motion: its length, and the rotation weight times its turn.
+
+    Args:
+        problem: The robots and their weights.
+        q0: Joint configurations at the start of the motions.
+        q1: Joint configurations at the end.
+
+    Returns:
+        One cost a motion and robot, in workspace units.
+    """
+    cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
+    if problem.dof == 3:
+        cost = cost + problem.rotation_weights * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
+    return cost
+
+
+def path_cost(problem: Problem, path: ArrayLike) -> float:
+    """Cost of a path: the sum over its motions and robots.
+
+    Args:
+        problem: The robots and their weights.
+        path: Joint configurations ``(steps, robots, dof)``, at least one.
+
+    Returns:
+        The cost, in workspace units.
+
+    Raises:
+        ValueError: If the path has another shape.
+    """
+    path = as_path(problem, path)
+    return float(motion_costs(problem, path[:-1], path[1:]).sum())
+
+
+def makespan(problem: Problem, path: ArrayLike) -> float:
+    """Time that a path takes if in each motion the robot of the largest cost moves at unit speed.
+
+    Args:
+        problem: The robots and their weights.
+        path: Joint configurations ``(steps, robots, dof)``, at least one.
+
+    Returns:
+        The time: the sum over motions of the largest cost of a robot.
+
+    Raises:
+        ValueError: If the path has another shape.
+    """
+    path = as_path(problem, path)
+    return float(motion_costs(problem, path[:-1], path[1:]).max(axis=1).sum())
+
+
+def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
+    """A path as a float64 array.
+
+    Args:
+        problem: What it is a path of.
+        path: Anything array-like of shape ``(steps, robots, dof)``, at least one step.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: If the shape is another one, or the values are not numbers.
+    """
+    shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
+    try:
+        array = np.asarray(path, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"A path must be numbers of shape {shape}.") from None
+    if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
+        raise ValueError(f"A path must have shape {shape} with at least one step, got {array.shape}.")
+    return array
+
+
+def _configurations(name: str, value: ArrayLike, num_robots: int, dof: int) -> Float[np.ndarray, "robots dof"]:
+    shape = f"(robots, dof) = ({num_robots}, {dof})"
     try:
         configurations = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(
-            f"{name} must be numbers of shape (robots, dof) = ({num_robots}, {_DOF}), got {value!r}."
-        ) from None
-    if configurations.shape != (num_robots, _DOF):
-        raise ValueError(
-            f"{name} must have shape (robots, dof) = ({num_robots}, {_DOF}), got {configurations.shape}."
-        )
+        raise ValueError(f"{name} must be numbers of shape {shape}, got {value!r}.") from None
+    if configurations.shape != (num_robots, dof):
+        raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}.")
     broken = np.flatnonzero(~np.isfinite(configurations).all(axis=1))
     if broken.size:
         raise ValueError(f"{name} must be finite, got {configurations[broken[0]]} for robot {broken[0]}.")
@@ -67,16 +181,85 @@ def _configurations(name: str, value: ArrayLike, num_robots: int) -> Float[np.nd
     return configurations
 
 
-def _require_free(name: str, configurations: Float[np.ndarray, "robots dof"], workspace: Workspace) -> None:
-    stuck = np.flatnonzero(~workspace.is_free(configurations))
-    if stuck.size == 0:
-        return
-    i = stuck[0]
-    q, verb = configurations[i], {"starts": "starts", "goals": "has its goal"}[name]
-    if not workspace.bounds.contains(q[None])[0]:
-        raise ValueError(f"Robot {i} {verb} outside the bounds: {q.tolist()} is not in {workspace.bounds}.")
-    obstacle = int(shapely.STRtree(workspace.obstacles).nearest(shapely.Point(q)))
-    clearance = workspace.clearance(q[None])[0]
-    raise ValueError(
-        f"Robot {i} {verb} in collision with obstacle {obstacle} at {q.tolist()} (clearance {clearance:.3g})."
-    )
+def _require_free(
+    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], workspace: Workspace
+) -> None:
+    obstacles = np.array(workspace.obstacles, dtype=object)
+    shapely.prepare(obstacles)
+    x0, y0, x1, y1 = *workspace.bounds.lo, *workspace.bounds.hi
+    for i, (robot, q) in enumerate(zip(robots, configurations, strict=True)):
+        core, radius = footprint(robot, q), _rounding(robot)
+        left, bottom, right, top = shapely.bounds(core)
+        inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
+        if inside < -workspace.tolerance:
+            part = "" if x0 <= q[0] <= x1 and y0 <= q[1] <= y1 else f": {q.tolist()} is not in {workspace.bounds}"
+            raise ValueError(
+                f"Robot {i} {_VERBS[name]} outside the bounds{part or f' by {-inside:.3g} at {q.tolist()}'}."
+            )
+        near = np.flatnonzero(shapely.distance(core, obstacles) <= radius)
+        clearances = [separation(core, obstacles[j]) - radius for j in near]
+        if clearances and min(clearances) < -workspace.tolerance:
+            raise ValueError(
+                f"Robot {i} {_VERBS[name]} in collision with obstacle {near[np.argmin(clearances)]} "
+                f"at {q.tolist()} (clearance {min(clearances):.3g})."
+            )
+
+
+def _require_apart(
+    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
+) -> None:
+    cores = [footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)]
+    for j in range(len(robots)):
+        for i in range(j):
+            clearance = separation(cores[i], cores[j]) - _rounding(robots[i]) - _rounding(robots[j])
+            if clearance < -tolerance:
+                raise ValueError(
+                    f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
+                    f"{configurations[j].tolist()} (clearance {clearance:.3g})."
+                )
+
+
+def _require_connected(problem: Problem) -> None:
+    """Refuse a goal that lies in another part of free space, for the robot's inscribed disc, than its start."""
+    workspace, labels = problem.workspace, {}
+    for i, robot in enumerate(problem.robots):
+        # Less the tolerance, so that a passage exactly as wide as the disc stays open.
+        radius = max(0.0, robot.inscribed_radius - workspace.tolerance)
+        if radius not in labels:
+            labels[radius] = _components(workspace.inflate(radius))
+        parts, label = labels[radius]
+        ends = (shapely.Point(q[i, :2]) for q in (problem.starts, problem.goals))
+        first, last = (label[np.argmin(shapely.distance(end, parts))] for end in ends)
+        if first != last:
+            body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
+            raise ValueError(
+                f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
+                f"{problem.starts[i].tolist()}: obstacles leave no way for {body} between them."
+            )
+
+
+def _components(workspace: Workspace) -> tuple[Any, Any]:
+    """Parts of free space, and for each the connected component it belongs to."""
+    parts = shapely.get_parts(workspace.free_space)
+    i, j = np.zeros((2, 0), dtype=int)
+    if workspace.squeeze:
+        i, j = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
+    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(parts), len(parts)))
+    return parts, connected_components(graph)[1]
+
+
+def _rounding(robot: Robot) -> float:
+    return robot.radius if isinstance(robot, DiscRobot) else 0.0
+
+
+def separation(a: Any, b: Any) -> float:
+    """Distance of two Shapely shapes; where they overlap, minus a point's depth, or the overlap's rough width."""
+    distance = shapely.distance(a, b)
+    if distance > 0 or a.geom_type == b.geom_type == "Point":
+        return distance
+    if "Point" in (a.geom_type, b.geom_type):
+        point, other = (a, b) if a.geom_type == "Point" else (b, a)
+        return -shapely.distance(point, shapely.boundary(other))
+    overlap = shapely.intersection(a, b)
+    area = shapely.area(overlap)
+    return -2 * area / shapely.length(overlap) if area > 0 else 0.0

@@ -15,7 +15,10 @@ LAYER_0 = [
     "_polygons",
     "_workspace",
     "_robot",
+    "_collision",
+    "_obstacles",
     "_problem",
+    "_validate",
     "_graph",
 ]
 SOURCES = sorted(PACKAGE.rglob("*.py"))

@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 
@@ -6,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import plr_jax
 from plr_jax import scenes
 from plr_jax.cli import app
 from plr_jax.plr import load
@@ -166,7 +168,7 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         assert word in result.stdout
 
 
-def test_interrupting_a_build_ends_with_a_line_and_130(tmp_path, monkeypatch):
+def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, monkeypatch):
     calls = []
 
     def interrupt_later(self, x):
@@ -178,8 +180,19 @@ def test_interrupting_a_build_ends_with_a_line_and_130(tmp_path, monkeypatch):
     monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
     result = run("build", "maze", "-o", tmp_path / "out.plr")
     assert result.exit_code == 130
-    assert result.stderr == "Interrupted.\n"
+    assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
     assert len(calls) == 3
+    assert plr_jax.load(tmp_path / "out.plr").num_leaves > 1
+
+
+def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatch):
+    def interrupt(self, x):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt)
+    result = run("build", "maze", "-o", tmp_path / "out.plr")
+    assert result.exit_code == 130
+    assert result.stderr == "Interrupted.\n"
     assert not (tmp_path / "out.plr").exists()
 
 

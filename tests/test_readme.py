@@ -21,7 +21,7 @@ def test_the_readme_has_code():
     assert len(PYTHON) == 2 and len(COMMANDS) == 4
 
 
-@pytest.mark.parametrize("code", PYTHON, ids=["ten lines", "own map"])
+@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map"])
 def test_python_blocks_run(code, tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=120)
 

@@ -7,8 +7,7 @@ import functools
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -116,7 +115,7 @@ def build(
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import construct, save
+    from plr_jax.plr import ConstructionInterrupted, construct, save
 
     workspace, goal_point = _map_and_goal(map, goal)
     if goal_point is None:
@@ -125,7 +124,8 @@ def build(
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = _DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
-    with _interruptible():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConstructionInterrupted)
         plr = construct(
             oracle,
             workspace.bounds,
@@ -136,6 +136,9 @@ def build(
             seed=seed,
         )
     save(plr, output)
+    if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
+        typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
+        raise typer.Exit(_SIGINT_EXIT)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
     report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
@@ -150,17 +153,6 @@ def build(
     if report.num_unanswered:
         typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
     typer.echo(f"time    {built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let Ctrl-C end a build: construct by itself only warns, and returns what it has so far."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="construct was interrupted")
-        try:
-            yield
-        except UserWarning:
-            raise KeyboardInterrupt from None
 
 
 @_command(

@@ -125,12 +125,24 @@ class VisibilityTable:
         slack = tolerance / np.maximum(distance, tolerance)
         before = np.flatnonzero((key - self.key[row] <= slack) & (row > self.first[v]))
         if before.size:
-            seen[before] |= self._in_front(row[before] - 1, x[before])
+            seen[before] |= self._seen_in(row[before] - 1, v[before], x[before], distance[before])
         following = np.minimum(row + 1, self.first[v + 1] - 1)
         after = np.flatnonzero((self.key[following] - key <= slack) & (following > row))
         if after.size:
-            seen[after] |= self._in_front(following[after], x[after])
+            seen[after] |= self._seen_in(following[after], v[after], x[after], distance[after])
         return seen
+
+    def _seen_in(
+        self,
+        row: Int[np.ndarray, "n"],
+        v: Int[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        distance: Float[np.ndarray, "n"],
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether points beside an interval are in front of its edge, and not on the edge's line beyond its ends."""
+        ends = self.walls.boundary.segments[self.edge[row]]
+        farthest = np.linalg.norm(ends - self.points[v][:, None], axis=-1).max(axis=1)
+        return self._in_front(row, x) & (distance <= farthest + self.walls.tolerance)
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         edge, walls = self.edge[row], self.walls

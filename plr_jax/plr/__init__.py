@@ -1,6 +1,8 @@
 """Room 2, store: piecewise linear regressions over a binary space partition."""
 
+from plr_jax.plr._construct import ConstructionInterrupted as ConstructionInterrupted
 from plr_jax.plr._construct import construct as construct
+from plr_jax.plr._fit import CellFit as CellFit
 from plr_jax.plr._plr import PLR as PLR
 from plr_jax.plr._plr import evaluate as evaluate
 from plr_jax.plr._plr import from_bytes as from_bytes

@@ -35,7 +35,7 @@ def choose_leaves(nodes: Nodes, limits: Limits) -> tuple[Int[np.ndarray, "leaves
         return leaf, _stored(nodes, leaf, limits.coefficient_bits or FLOAT_BITS)
     choices = _BUDGET_BITS if limits.coefficient_bits is None else [limits.coefficient_bits]
     within = [(_leaves_within(nodes, order, limits.max_bytes, bits), bits) for bits in choices]
-    leaf, bits = min(within, key=lambda choice: _expected_error(nodes, *choice))
+    leaf, bits = min(within, key=lambda choice: (_expected_error(nodes, *choice), -choice[1]))
     if len(leaf) == 0:
         smallest = _size(nodes, np.zeros(1, np.int64), min(choices))
         raise ValueError(
@@ -93,6 +93,4 @@ def _fit_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"]) -> float:
 
 def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
     """Root mean square, over the cells, of rounding center and half-differences to a multiple of the step."""
-    center = nodes.center[leaf][np.isfinite(nodes.center[leaf])]
-    step = np.ptp(center) / (1 << bits)
-    return float(step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
+    return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))

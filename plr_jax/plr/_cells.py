@@ -12,8 +12,8 @@ from plr_jax._box import Box
 class Cells:
     """A batch of dyadic cells of one domain.
 
-    Along axis ``a`` a cell is the interval ``[position, position + 1] * width / 2**depth`` of the domain,
-    so a partition is exact in integers and independent of the domain's units.
+    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth`` of the domain
+    ``[lo, hi]``, so a partition is exact in integers and independent of the domain's units.
 
     Attributes:
         depth: Number of splits along each axis.

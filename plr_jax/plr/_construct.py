@@ -25,6 +25,11 @@ from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_er
 
 _SAMPLES_AT_ONCE = 2**20
 
+
+class ConstructionInterrupted(UserWarning):
+    """Ctrl-C ended a construction early; what it returns is the PLR built so far."""
+
+
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 """COMPUTECOEFFICIENTS for a round's cells, none of which may be split before a split of the given key."""
 
@@ -56,23 +61,25 @@ def construct(
     Args:
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` where it cannot be reached.
         domain: The box to cover, a ``Box`` or its two corners.
-        max_depth: Largest number of splits between the root and a leaf, at most 60.
+        max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
+            more than ``28 // max(dim, 2)`` times along one axis (at least once).
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
             most this are not split, in units of distance.
-        should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own.
-        split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own.
+        should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
+            of a ``CellFit``, from which the cell of the largest positive number is split next (True and False do).
+        split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.
         num_samples: Samples of a cell, at its center, inside and on its faces; at least ``dim + 1``.
         margin: How far samples reach beyond their cell, as a fraction of its width ("within or near the cell").
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
         coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
-            half-differences need fewer. None: 32 without ``max_bytes``; with it, as few as keep the rounding
-            below the error of the fit.
+            half-differences need fewer. None: 32 without ``max_bytes``; with it, those from 8 to 16 with which
+            the expected error, of the fit and of the rounding together, is least.
         seed: Seed of the samples' scrambling. The same seed gives the same PLR.
 
     Returns:
-        The PLR. If interrupted (Ctrl-C), the one built so far, with a warning.
+        The PLR. If interrupted (Ctrl-C), the one built so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
         ValueError: If an argument is out of its range, the limits allow a tree larger than memory, a budget is too
@@ -81,7 +88,7 @@ def construct(
     References:
         Section III-B of the paper.
     """
-    domain = domain if isinstance(domain, Box) else Box(*domain)
+    domain = Box.of(domain)
     limits = check_limits(max_depth, max_leaves, max_bytes, tolerance, coefficient_bits)
     if not isinstance(num_samples, int | np.integer) or num_samples < domain.dim + 1:
         raise ValueError(
@@ -98,7 +105,9 @@ def construct(
         for start in range(0, len(cells), at_once):
             part = slice(start, start + at_once)
             fit = fit_cells(cells[part], domain, distance_fn, weight_fn, pattern)
-            nodes = nodes.append(nodes_of_fit(fit, bound[part], should_split(fit), split(fit), limits))
+            nodes = nodes.append(
+                nodes_of_fit(fit, bound[part], np.asarray(should_split(fit), float), np.asarray(split(fit)), limits)
+            )
         return nodes
 
     nodes = _grow(fit_nodes, domain.dim, limits)
@@ -119,14 +128,15 @@ def _grow(fit_nodes: FitNodes, dim: int, limits: Limits) -> Nodes:
         try:
             while len(batch := _next_batch(nodes, limits)):
                 children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
-                check_memory(float(len(nodes.key) + len(children.key)))
-                nodes.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
-                nodes = nodes.append(children)
+                grown = nodes.append(children)
+                grown.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
+                nodes = grown  # in one step: an interrupt before it loses this round, never the tree
+                check_memory(float(len(nodes.key)))
                 progress.update(len(batch))
         except KeyboardInterrupt:
             warnings.warn(
-                f"construct was interrupted; the PLR holds the {np.count_nonzero(nodes.child < 0)} leaves built so "
-                "far.",
+                f"Interrupted after {np.count_nonzero(nodes.child >= 0)} splits: the PLR is the one built so far.",
+                ConstructionInterrupted,
                 stacklevel=3,
             )
             nodes.key[nodes.child < 0] = NEVER

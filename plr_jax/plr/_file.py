@@ -10,20 +10,21 @@ All numbers are little-endian. Layout of version 1:
     u32     number of leaves
     u32     size of the whole file in bytes
     f64     lower corner of the domain, dim times; then the upper corner
-    f32     offset, then step; absent if bits is 32
+    f32     offset, then step; 0 and 1 for floats
     ...     bit stream, least significant bit first, the last byte filled up with zeros:
               tree, level by level from the root: for every node 1 bit (is it split?), then for every split node
                 its axis in ceil(log2(dim)) bits
-              unless bits is 32, for every axis: for every depth from 0 to the deepest of the leaves along it,
-                the width of a half-difference in 5 bits
-              center value of every leaf; all bits set (floats: inf) mark a leaf without a reachable sample
-              for every axis, the half-difference of every other leaf: a two's-complement number of the width
-                that belongs to its depth along the axis (floats: 32 bits)
+              for every axis, for every depth from 0 to the deepest of the leaves along it: the width of a
+                half-difference in 6 bits
+              center of every leaf; all bits set (floats: inf) mark a leaf without a reachable sample
+              for every axis, the half-difference of every other leaf: a two's-complement number (or a float's bit
+                pattern) of the width that belongs to the leaf's depth along the axis
     u32     CRC-32 of all bytes before
 
-Leaves come in the order of the tree's traversal, lower half first. The boxes follow from the splits, the planes
-from ``value = offset + step * center`` and ``step * half`` (see ``_planes.py``), and blocked leaves are filled
-from their neighbors after reading (see ``_neighbors.py``).
+Leaves come in the order of the tree's traversal, lower half first. The boxes follow from the splits. In the local
+coordinates of its cell, from -1 to 1 along every axis, a plane is ``offset + step * center + step * half . u``, which
+rounding has moved by at most ``(1 + dim) * step / 2`` (see ``_planes.py``). Unreachable leaves are filled from their
+neighbors after reading (see ``_neighbors.py``).
 """
 
 import struct
@@ -35,34 +36,34 @@ from jaxtyping import Int
 from plr_jax._box import Box
 from plr_jax.plr._bits import BitReader, BitWriter
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, half_widths
+from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, unreachable_code
 from plr_jax.plr._tree import MAX_DEPTH, Level, cells_of, levels_of
 
 MAGIC = b"PLR\n"
 VERSION = 1
 _HEADER = struct.Struct("<4sBBBBII")
-_RANGE = struct.Struct("<ff")
+HEADER_SIZE = _HEADER.size
+_SPAN = struct.Struct("<ff")
 _CRC = struct.Struct("<I")
-_WIDTH_BITS = 5
+_WIDTH_BITS = 6
 
 
 def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> bytes:
     """The bytes of a file that holds these leaves; their order is kept only up to the tree's traversal."""
     levels, order = levels_of(cells)
-    bits = planes.bits
     corners = np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes()
-    span = b"" if bits == FLOAT_BITS else _RANGE.pack(planes.offset, planes.step)
+    span = _SPAN.pack(planes.offset, planes.step)
     body = BitWriter()
     _write_tree(body, levels, domain.dim)
     _write_planes(body, cells.depth[order], planes[order])
     rest = corners + span + body.to_bytes()
     size = _HEADER.size + len(rest) + _CRC.size
-    data = _HEADER.pack(MAGIC, VERSION, domain.dim, bits, 0, len(cells), size) + rest
+    data = _HEADER.pack(MAGIC, VERSION, domain.dim, planes.bits, 0, len(cells), size) + rest
     return data + _CRC.pack(zlib.crc32(data))
 
 
 def file_size(data: bytes) -> int:
-    """Size that a file's header states, in bytes."""
+    """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
     return _HEADER.unpack_from(data)[-1]
 
 
@@ -86,16 +87,14 @@ def decode(data: bytes) -> tuple[Box, Cells, StoredPlanes]:
 def _decode_checked(data: bytes, dim: int, bits: int, num_leaves: int) -> tuple[Box, Cells, StoredPlanes]:
     if dim == 0 or not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {dim} axes and {bits}-bit values")
-    corners = np.frombuffer(data[: 16 * dim], "<f8").astype(np.float64)
-    if len(corners) < 2 * dim:
+    if len(data) < 16 * dim + _SPAN.size:
         raise ValueError("the data end too early")
+    corners = np.frombuffer(data[: 16 * dim], "<f8").astype(np.float64)
     domain = Box(corners[:dim], corners[dim:])
-    at = 16 * dim
-    offset, step = 0.0, 1.0
-    if bits != FLOAT_BITS:
-        offset, step = _RANGE.unpack_from(data, at)
-        at += _RANGE.size
-    body = BitReader(data[at:])
+    offset, step = _SPAN.unpack_from(data, 16 * dim)
+    if not (np.isfinite(offset) and 0 < step < np.inf):
+        raise ValueError(f"it states a step of {step} from {offset}")
+    body = BitReader(data[16 * dim + _SPAN.size :])
     cells = cells_of(_read_tree(body, dim), dim)
     if len(cells) != num_leaves:
         raise ValueError(f"its tree has {len(cells)} leaves, its header states {num_leaves}")
@@ -126,43 +125,29 @@ def _read_tree(body: BitReader, dim: int) -> list[Level]:
 
 
 def _write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
-    bits, stored = planes.bits, ~planes.blocked
-    center, half = planes.center, planes.half
-    if bits == FLOAT_BITS:
-        center, half = center.view(np.uint32).astype(np.int64), half.view(np.uint32).astype(np.int64)
-        widths = _float_widths(depth)
-    else:
-        widths = half_widths(half, depth)
-        for axis_widths in widths:
-            body.write(np.asarray(axis_widths), _WIDTH_BITS)
-    body.write(center.astype(np.int64), bits)
+    widths, stored = planes.widths(depth), ~planes.unreachable
+    for axis_widths in widths:
+        body.write(axis_widths, _WIDTH_BITS)
+    body.write(planes.center, planes.bits)
     for axis, axis_widths in enumerate(widths):
-        width = np.asarray(axis_widths)[depth[stored, axis]]
-        body.write(half[stored, axis].astype(np.int64) & ((1 << width) - 1), width)
+        width = axis_widths[depth[stored, axis]]
+        body.write(planes.half[stored, axis] & ((1 << width) - 1), width)
 
 
 def _read_planes(
     body: BitReader, depth: Int[np.ndarray, "leaves dim"], bits: int, offset: float, step: float
 ) -> StoredPlanes:
-    widths = _float_widths(depth)
-    if bits != FLOAT_BITS:
-        widths = [body.read(np.full(len(levels), _WIDTH_BITS)).tolist() for levels in widths]
+    widths = [body.read(np.full(deepest + 1, _WIDTH_BITS)) for deepest in depth.max(axis=0)]
+    if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
+        raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
     center = body.read(np.full(len(depth), bits))
     half = np.zeros(depth.shape, np.int64)
-    if bits == FLOAT_BITS:
-        center = center.astype(np.uint32).view(np.float32)
-    stored = ~StoredPlanes(bits, offset, step, center, half).blocked
+    stored = center != unreachable_code(bits)
     for axis, axis_widths in enumerate(widths):
-        width = np.asarray(axis_widths)[depth[stored, axis]]
+        width = axis_widths[depth[stored, axis]]
         code = body.read(width)
-        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0) if bits != FLOAT_BITS else code
-    if bits == FLOAT_BITS:
-        half = half.astype(np.uint32).view(np.float32)
+        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
     return StoredPlanes(bits, offset, step, center, half)
-
-
-def _float_widths(depth: Int[np.ndarray, "leaves dim"]) -> list[list[int]]:
-    return [[FLOAT_BITS] * (deepest + 1) for deepest in depth.max(axis=0).tolist()]
 
 
 def _axis_bits(dim: int) -> int:
@@ -172,12 +157,8 @@ def _axis_bits(dim: int) -> int:
 def size_in_bytes(cells: Cells, planes: StoredPlanes) -> int:
     """Size of the file that ``encode`` would give, without encoding."""
     leaves, dim = cells.depth.shape
-    stored = ~planes.blocked
+    stored = ~planes.unreachable
     bits = 2 * leaves - 1 + (leaves - 1) * _axis_bits(dim) + leaves * planes.bits
-    if planes.bits == FLOAT_BITS:
-        bits += np.count_nonzero(stored) * dim * FLOAT_BITS
-    else:
-        for axis, widths in enumerate(half_widths(planes.half, cells.depth)):
-            bits += _WIDTH_BITS * len(widths) + np.asarray(widths)[cells.depth[stored, axis]].sum()
-    span = 0 if planes.bits == FLOAT_BITS else _RANGE.size
-    return int(_HEADER.size + 16 * dim + span + -(-bits // 8) + _CRC.size)
+    for axis, widths in enumerate(planes.widths(cells.depth)):
+        bits += _WIDTH_BITS * len(widths) + widths[cells.depth[stored, axis]].sum()
+    return int(_HEADER.size + 16 * dim + _SPAN.size - (-bits // 8) + _CRC.size)

@@ -2,7 +2,7 @@
 
 A plane is fitted in the local coordinates ``u`` of its cell (``[-1, 1]`` along every axis), as its value at the
 center and its half-differences: ``L(u) = center + half . u``. In those coordinates the design matrix of a cell
-without blocked samples is the same for all cells, so its pseudo-inverse is computed once.
+without unreachable samples is the same for all cells, so its pseudo-inverse is computed once.
 """
 
 from collections.abc import Callable
@@ -134,8 +134,8 @@ def fit_cells(
     fit_weight = np.where(np.any(weight > 0, axis=1, keepdims=True), weight, reachable)
     center, half = compute_coefficients(pattern, value, fit_weight)
     residual = np.where(reachable, value - (center[:, None] + half @ pattern.u.T), 0.0)
-    blocked = ~np.any(reachable, axis=1)
-    return CellFit(cells, pattern, reachable, weight, np.where(blocked, np.inf, center), half, residual)
+    center = np.where(np.any(reachable, axis=1), center, np.inf)
+    return CellFit(cells, pattern, reachable, weight, center, half, residual)
 
 
 def compute_coefficients(

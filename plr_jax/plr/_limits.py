@@ -36,7 +36,7 @@ def check_limits(
         ("max_leaves", max_leaves, 1),
         ("max_bytes", max_bytes, 1),
     ):
-        if value is not None and (value != int(value) or value < least):
+        if value is not None and not (isinstance(value, int | np.integer) and value >= least):
             raise ValueError(f"{name} must be an integer >= {least}, got {value}.")
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
@@ -48,7 +48,9 @@ def check_limits(
         )
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    most_leaves = min(max_leaves or np.inf, 8 * (max_bytes or np.inf), 2.0 ** (max_depth or MAX_DEPTH))
+    most_leaves = min(
+        max_leaves or np.inf, 8 * (max_bytes or np.inf), 2.0 ** (MAX_DEPTH if max_depth is None else max_depth)
+    )
     if tolerance is None:
         check_memory(2.0 * most_leaves)
     return Limits(

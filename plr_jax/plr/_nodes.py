@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._fit import CellFit
 from plr_jax.plr._limits import Limits
+from plr_jax.plr._split import max_axis_depth
 
-_MAX_SLOT_BITS = 28  # of all axes together: bounds the tables of a query
 NEVER = -np.inf
 
 
@@ -19,7 +19,7 @@ class Nodes:
 
     Attributes:
         cells: Their cells.
-        center: Value of each plane at the cell's center; ``inf`` if blocked.
+        center: Value of each plane at the cell's center; ``inf`` if no sample reaches the goal.
         half: Half-differences of each plane.
         error: Mean error over the reachable samples.
         share: Share of the domain's volume that a node's reachable samples stand for.
@@ -64,8 +64,8 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
 def nodes_of_fit(
     fit: CellFit,
     bound: Float[np.ndarray, "cells"],
-    priority: Float[np.ndarray, "cells"],
-    axis: Int[np.ndarray, "cells"],
+    priority: Float[np.ndarray, "..."],
+    axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
     """Leaves of a round: their fits, and whether and when each may be split.
@@ -77,11 +77,12 @@ def nodes_of_fit(
         axis: What the ``split`` rule says.
         limits: Limits on depth and error.
     """
+    _check_rules(fit, priority, axis)
     depth = fit.cells.depth
     volume = fit.reachable @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     at_limit = depth.sum(axis=1) >= limits.max_depth
-    at_limit |= depth[np.arange(len(depth)), axis] >= _MAX_SLOT_BITS // max(fit.cells.dim, 2)
+    at_limit |= depth[np.arange(len(depth)), axis] >= max_axis_depth(fit.cells.dim)
     # Errors below the resolution of 32-bit floats are noise, not something a split could mend.
     noise = np.finfo(np.float32).eps * np.abs(np.where(np.isfinite(fit.center), fit.center, 0))
     worth_it = (priority > np.maximum(limits.tolerance, noise)) & ~at_limit
@@ -95,3 +96,16 @@ def nodes_of_fit(
         key=np.where(worth_it, np.minimum(priority, bound), NEVER),
         child=np.full(len(depth), -1),
     )
+
+
+def _check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+    cells, dim = fit.cells.depth.shape
+    if priority.shape != (cells,) or np.isnan(priority).any():
+        raise ValueError(
+            f"should_split must return one priority a cell, shape ({cells},) and no NaN, got shape {priority.shape}."
+        )
+    if axis.shape != (cells,) or (axis < 0).any() or (axis >= dim).any():
+        raise ValueError(
+            f"split must return one axis from 0 to {dim - 1} a cell, shape ({cells},), got shape {axis.shape} with "
+            f"values from {axis.min(initial=dim)} to {axis.max(initial=-1)}."
+        )

@@ -9,10 +9,11 @@ axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` anywh
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Num
+from jaxtyping import Bool, Float, Int
 
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
+_FLOAT_INF = 0x7F800000
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,67 +21,81 @@ class StoredPlanes:
     """Planes exactly as in the file; a query's tables are derived from nothing else.
 
     Attributes:
-        bits: Width of a center value: ``FLOAT_BITS`` for floats, else ``MIN_BITS`` to ``MAX_BITS``.
-        offset: Value of center 0 (0 for floats).
-        step: Value of one unit (1 for floats).
-        center: Center values; ``blocked_code`` marks a leaf none of whose samples reaches the goal.
-        half: Half-differences along each axis.
+        bits: Width of a center: ``FLOAT_BITS`` for floats, else ``MIN_BITS`` to ``MAX_BITS``.
+        offset: Value of center 0; 0 for floats.
+        step: Value of one unit; 1 for floats.
+        center: Codes of the center values: for floats their bit patterns. ``unreachable_code`` marks a leaf none of
+            whose samples reaches the goal.
+        half: Codes, with a sign, of the half-differences along each axis.
     """
 
     bits: int
     offset: float
     step: float
-    center: Num[np.ndarray, "leaves"]
-    half: Num[np.ndarray, "leaves dim"]
+    center: Int[np.ndarray, "leaves"]
+    half: Int[np.ndarray, "leaves dim"]
 
     @property
-    def blocked(self) -> Bool[np.ndarray, "leaves"]:
+    def unreachable(self) -> Bool[np.ndarray, "leaves"]:
         """Which leaves have no sample that reaches the goal."""
-        return self.center == blocked_code(self.bits)
+        return self.center == unreachable_code(self.bits)
+
+    def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
+        """Bits of a half-difference, its sign included, by axis and depth; 0 where all are zero."""
+        widths = []
+        for axis, deepest in enumerate(depth.max(axis=0)):
+            largest = np.zeros(deepest + 1, np.int64)
+            np.maximum.at(largest, depth[:, axis], np.abs(self.half[:, axis]))
+            bits = np.frexp(largest)[1] + (largest > 0)
+            widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
+        return widths
 
     def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Center values (``inf`` for blocked leaves) and half-differences, in the unit of distance."""
-        center = np.where(self.blocked, np.inf, self.offset + self.step * self.center.astype(np.float64))
-        return center, self.step * self.half.astype(np.float64)
+        """Center values (``inf`` for unreachable leaves) and half-differences, in the unit of distance."""
+        if self.bits == FLOAT_BITS:
+            return _float_of_bits(self.center), _float_of_bits(self.half)
+        center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
+        return center, self.step * self.half
 
     def __getitem__(self, index) -> "StoredPlanes":
         return StoredPlanes(self.bits, self.offset, self.step, self.center[index], self.half[index])
 
 
-def blocked_code(bits: int) -> int | float:
-    """The center value that marks a blocked leaf."""
-    return np.inf if bits == FLOAT_BITS else (1 << bits) - 1
+def unreachable_code(bits: int) -> int:
+    """The center that marks an unreachable leaf: for floats the bit pattern of ``inf``."""
+    return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
 
 
 def encode_planes(
     center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> StoredPlanes:
-    """Round planes to what a file holds; a center of ``inf`` marks a blocked leaf."""
-    blocked = ~np.isfinite(center)
-    half = np.where(blocked[:, None], 0.0, half)
+    """Round planes to what a file holds; a center of ``inf`` marks an unreachable leaf."""
+    reachable = np.isfinite(center)
+    half = np.where(reachable[:, None], half, 0.0)
     if bits == FLOAT_BITS:
-        return StoredPlanes(bits, 0.0, 1.0, center.astype(np.float32), half.astype(np.float32))
-    offset, step = _offset_and_step(center[~blocked], half[~blocked], bits)
-    code = np.rint((np.where(blocked, offset, center) - offset) / step)
-    code = np.where(blocked, blocked_code(bits), np.clip(code, 0, blocked_code(bits) - 1))
-    return StoredPlanes(bits, offset, step, code.astype(np.int32), np.rint(half / step).astype(np.int32))
-
-
-def half_widths(half: Int[np.ndarray, "leaves dim"], depth: Int[np.ndarray, "leaves dim"]) -> list[list[int]]:
-    """Bits of a signed half-difference, by axis and depth; 0 where all are zero."""
-    widths = []
-    for axis in range(half.shape[1]):
-        largest = np.zeros(depth[:, axis].max() + 1, np.int64)
-        np.maximum.at(largest, depth[:, axis], np.abs(half[:, axis].astype(np.int64)))
-        widths.append([int(value).bit_length() + 1 if value else 0 for value in largest])
-    return widths
+        return StoredPlanes(bits, 0.0, 1.0, _bits_of_float(center) & 0xFFFFFFFF, _bits_of_float(half))
+    offset, step = _offset_and_step(center[reachable], half, bits)
+    code = np.rint((np.where(reachable, center, offset) - offset) / step)
+    code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
+    return StoredPlanes(bits, offset, step, code.astype(np.int64), np.rint(half / step).astype(np.int64))
 
 
 def _offset_and_step(
-    center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
+    center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> tuple[float, float]:
-    """Smallest center and the step that spans the largest, both exact in float32 so that a file holds them."""
+    """Smallest center and the step that spans the largest, both exact in float32 so that a file holds them.
+
+    A step is not so small that a half-difference would need more than ``bits + 9`` bits.
+    """
     offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
     spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
-    step = np.nextafter(np.float32(spread / (blocked_code(bits) - 1)), np.float32(np.inf))
+    step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
     return float(offset), float(step)
+
+
+def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+    return values.astype(np.float32).view(np.int32).astype(np.int64)
+
+
+def _float_of_bits(bits: Int[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    return bits.astype(np.uint32).view(np.float32).astype(np.float64)

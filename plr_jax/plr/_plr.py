@@ -14,8 +14,8 @@ from plr_jax._atomic import write_atomically
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import decode, file_size
-from plr_jax.plr._neighbors import fill_blocked
+from plr_jax.plr._file import HEADER_SIZE, decode, file_size
+from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import StoredPlanes
 from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
 
@@ -26,7 +26,8 @@ class PLR:
     """A distance function stored as planes over a binary space partition (Section III of the paper).
 
     Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
-    jitted function can close over it or take it as an argument, and it is cheap to copy to a device.
+    jitted function can close over it or take it as an argument. Inside such a function it can be queried; its
+    other properties are for the host.
 
     Attributes:
         tables: What a query reads, derived from ``file`` alone.
@@ -81,7 +82,7 @@ class PLR:
     @property
     def num_bytes(self) -> int:
         """Bytes of the file that :func:`save` writes."""
-        return file_size(np.asarray(self.file).tobytes())
+        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
 
     @property
     def resident_bytes(self) -> int:
@@ -110,7 +111,7 @@ class PLR:
 
 
 def from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold: fill blocked leaves from their neighbors, then build the tables.
+    """The PLR that a file's bytes hold: fill unreachable leaves from their neighbors, then build the tables.
 
     Every PLR comes into being here, so a loaded one equals the one that was saved, bit for bit.
 
@@ -125,8 +126,8 @@ def from_bytes(data: bytes) -> PLR:
     lo, hi = cells.boxes(domain)
     slope = half * 2 / (hi - lo)
     to_center = (lo + hi) / 2 - table_corners(domain)[0]
-    at_corner = np.where(planes.blocked, 0.0, center) - np.sum(slope * to_center, axis=1)
-    slope, at_corner = fill_blocked(cells, planes.blocked, slope, at_corner)
+    at_corner = np.where(planes.unreachable, 0.0, center) - np.sum(slope * to_center, axis=1)
+    slope, at_corner = fill_unreachable(cells, planes.unreachable, slope, at_corner)
     padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
     padded[: len(data)] = np.frombuffer(data, np.uint8)
     return PLR(build_tables(domain, cells, slope, at_corner), padded)

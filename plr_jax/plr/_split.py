@@ -20,19 +20,24 @@ SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
 MAX_ASPECT_BITS = 3
 
 
+def max_axis_depth(dim: int) -> int:
+    """How often a cell may be halved along one axis: bounds the tables of a query to ``2**28`` slots or so."""
+    return max(1, 28 // max(dim, 2))
+
+
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Largest (weighted) error ``abs(L - V)`` over a cell's samples: best-first refinement."""
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Error at the cell's center, the rule of Section III-B of the paper.
+    """(Weighted) error at the cell's center, the rule of Section III-B of the paper.
 
-    A cell whose center is blocked is judged by its largest sample error, so that an obstacle in the middle
+    A cell whose center cannot be reached is judged by its largest sample error, so that an obstacle in the middle
     does not hide a bad fit around it.
     """
-    at_center = np.abs(fit.residual[:, 0])
-    return np.where(fit.weight[:, 0] > 0, at_center, largest_error(fit))
+    at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
+    return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
@@ -44,8 +49,9 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """The axis whose two halves, fitted apart, leave the smaller sum of squared errors over the samples."""
     squares = sum_of_squares_after_split(fit)
     depth = fit.cells.depth
-    too_thin = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
-    return np.argmin(np.where(too_thin, np.inf, squares), axis=1)
+    closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
+    closed |= depth >= max_axis_depth(fit.cells.dim)
+    return np.argmin(np.where(closed, np.inf, squares), axis=1)
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:

@@ -1,12 +1,13 @@
 """Lookup tables: from a point to its leaf by arithmetic, not by descending a tree.
 
-Cells are dyadic, so a point's slot along each axis is a multiply and a cast. A *flat* table has one entry a slot
-of the finest grid, ``2**sum(bits)`` in all, with ``bits[a]`` the deepest split along axis ``a``. A deep tree would
-make that table huge although only a few of its leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is
-cut into *blocks*, and each block has a little table of its own, just as fine as its own leaves need.
+Cells are dyadic, so a point's place along an axis, as a binary fraction of the domain's width, begins with the bits
+of its cell's position: its *slot*. A *flat* table has one entry a slot of the finest grid, ``2**sum(bits)`` in all,
+with ``bits[a]`` the deepest split along axis ``a``. A deep tree would make that table huge although only a few of its
+leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *blocks*, and each block has a little table
+of its own, just as fine along each axis as its own leaves need.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +17,11 @@ from jaxtyping import Array, Float, Int, Integer, Num
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
 
-MAX_FLAT_BITS = 18
+MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _MAX_BLOCK_BITS = 16
-_SHAPE_BITS = 4  # bits of an axis in a block's packed shape: a block holds at most 2**15 slots along an axis
+_FRACTION_BITS = 23  # of a 32-bit float
+_WORD_BITS = 32
+_MAX_SLOTS = 2**28
 
 
 @jax.tree_util.register_dataclass
@@ -26,15 +29,19 @@ _SHAPE_BITS = 4  # bits of an axis in a block's packed shape: a block holds at m
 class Blocks:
     """The coarse level of a two-level table; ``None`` in its place means one flat table.
 
+    A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
+    each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
+    first word has no room come in further words. One word is read with one gather, which is what a query costs.
+
     Attributes:
-        shift: Bits of a fine slot below the block's index, along each axis.
-        shape: Bits of the block's own table along each axis, packed ``_SHAPE_BITS`` an axis.
-        offset: Where the block's own table starts in ``leaf_of_slot``.
+        words: For every word its value in each block.
+        axes: For every word the number of axes it describes.
+        width: Bits of an axis in a word.
     """
 
-    shift: Int[Array, "dim"]
-    shape: Int[Array, "blocks"]
-    offset: Int[Array, "blocks"]
+    words: tuple[Int[Array, "blocks"], ...]
+    axes: tuple[int, ...] = field(metadata={"static": True})
+    width: int = field(metadata={"static": True})
 
 
 @jax.tree_util.register_dataclass
@@ -45,9 +52,9 @@ class Tables:
     Attributes:
         lo: Lower corner of the domain.
         hi: Upper corner of the domain.
-        scale: Slots a unit of length, along each axis.
-        last: Index of the last slot along each axis.
-        stride: Stride, along each axis, of the slot index or, in a two-level table, of the block index.
+        scale: One over the width of the domain.
+        shift: Bits of a point's place below its slot (flat table) or its block (two levels), along each axis.
+        stride: Stride of the index of the slot, or of the block, along each axis.
         blocks: Coarse level, or None for a flat table.
         leaf_of_slot: Leaf of each slot.
         slope: Slope of each leaf, one array an axis.
@@ -57,7 +64,7 @@ class Tables:
     lo: Float[Array, "dim"]
     hi: Float[Array, "dim"]
     scale: Float[Array, "dim"]
-    last: Int[Array, "dim"]
+    shift: Int[Array, "dim"]
     stride: Int[Array, "dim"]
     blocks: Blocks | None
     leaf_of_slot: Integer[Array, "slots"]
@@ -66,12 +73,16 @@ class Tables:
 
 
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> Int[Array, "*batch"]:
-    """Index of the leaf that holds each point; points outside the domain get the nearest edge's leaf."""
-    slots = [_slot(tables, x, axis) for axis in range(x.shape[-1])]
-    if tables.blocks is None:
-        index = _ravel(slots, tables.stride)
-    else:
-        index = _index_in_blocks(tables.blocks, tables.stride, slots)
+    """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
+
+    Points outside the domain, and NaN, get some leaf.
+    """
+    place = [_place(tables, x, axis) for axis in range(x.shape[-1])]
+    index = (place[0] >> tables.shift[0]) * tables.stride[0]
+    for axis in range(1, len(place)):
+        index += (place[axis] >> tables.shift[axis]) * tables.stride[axis]
+    if tables.blocks is not None:
+        index = _index_in_block(tables.blocks, tables.shift, place, index)
     return _gather(tables.leaf_of_slot, index).astype(jnp.int32)
 
 
@@ -99,64 +110,82 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 
 
 def build_tables(
-    domain: Box, cells: Cells, slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
+    domain: Box,
+    cells: Cells,
+    slope: Float[np.ndarray, "leaves dim"],
+    intercept: Float[np.ndarray, "leaves"],
+    max_flat_bits: int = MAX_FLAT_BITS,
 ) -> Tables:
     """Tables of a partition: leaf ``i`` is ``cells[i]``, its plane ``intercept[i]`` high at ``table_corners``."""
     bits = cells.depth.max(axis=0)
-    block_bits = _choose_block_bits(cells, bits)
+    flat = bits.sum() <= max_flat_bits
+    block_bits = 0 * bits if flat else _choose_block_bits(cells, bits)
     shape = _block_shapes(cells, block_bits)
-    size = np.int64(1) << shape.sum(axis=1)
-    offset = np.concatenate([[0], np.cumsum(size)])
+    offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
     leaf_of_slot = np.zeros(_power_of_two(int(offset[-1])), np.uint16 if len(cells) <= 2**16 else np.int32)
     _fill_slots(leaf_of_slot, cells, block_bits, shape, offset)
-    padded = _power_of_two(len(cells))
-    blocks = None
-    if block_bits.any():
-        packed = (shape << (_SHAPE_BITS * np.arange(cells.dim))).sum(axis=1)
-        blocks = Blocks(
-            shift=jnp.asarray((bits - block_bits).astype(np.int32)),
-            shape=jnp.asarray(packed.astype(np.int32)),
-            offset=jnp.asarray(offset[:-1].astype(np.int32)),
-        )
+    top = bits if flat else block_bits
     lo, hi = table_corners(domain)
+    padded = _power_of_two(len(cells))
     return Tables(
         lo=jnp.asarray(lo),
         hi=jnp.asarray(hi),
-        scale=jnp.asarray((np.ldexp(1.0, bits) / domain.width).astype(np.float32)),
-        last=jnp.asarray(((1 << bits) - 1).astype(np.int32)),
-        stride=_strides(bits if blocks is None else block_bits),
-        blocks=blocks,
+        scale=jnp.asarray((1 / domain.width).astype(np.float32)),
+        shift=jnp.asarray((_FRACTION_BITS - top).astype(np.int32)),
+        stride=jnp.asarray((1 << (np.cumsum(top[::-1])[::-1] - top)).astype(np.int32)),
+        blocks=None if flat else _pack_blocks(shape, offset),
         leaf_of_slot=jnp.asarray(leaf_of_slot),
         slope=tuple(jnp.asarray(_pad(column.astype(np.float32), padded)) for column in slope.T),
         intercept=jnp.asarray(_pad(intercept.astype(np.float32), padded)),
     )
 
 
-def _slot(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Array, "*batch"]:
-    offset = x[..., axis] - tables.lo[axis].astype(x.dtype)
-    slot = (offset * tables.scale[axis].astype(x.dtype)).astype(jnp.int32)
-    return jnp.clip(slot, 0, tables.last[axis])
+def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Array, "*batch"]:
+    """A point's place along an axis, in units of ``2**-23`` of the domain's width.
+
+    Those are the fraction bits of the float between 1 and 2. The largest place is for the upper edge, which belongs
+    to the last cell; masking keeps every index in its table, whatever the point.
+    """
+    fraction = ((x[..., axis] - tables.lo[axis].astype(x.dtype)) * tables.scale[axis].astype(x.dtype)).astype(
+        jnp.float32
+    )
+    last = np.float32(1 - 2.0**-_FRACTION_BITS)
+    fraction = jnp.where(fraction < last, fraction, last)
+    return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.int32) & (2**_FRACTION_BITS - 1)
 
 
-def _index_in_blocks(
-    blocks: Blocks, stride: Int[Array, "dim"], slots: list[Int[Array, "*batch"]]
+def _index_in_block(
+    blocks: Blocks, shift: Int[Array, "dim"], place: list[Int[Array, "*batch"]], block: Int[Array, "*batch"]
 ) -> Int[Array, "*batch"]:
-    """Index into ``leaf_of_slot``: find the block, then the slot in the block's own table."""
-    block = _ravel([slot >> blocks.shift[axis] for axis, slot in enumerate(slots)], stride)
-    shape = _gather(blocks.shape, block)
+    """Index into ``leaf_of_slot`` of points in given blocks."""
     index = jnp.zeros_like(block)
-    for axis, slot in enumerate(slots):
-        bits = (shape >> (_SHAPE_BITS * axis)) & (2**_SHAPE_BITS - 1)
-        within = (slot & ((1 << blocks.shift[axis]) - 1)) >> (blocks.shift[axis] - bits)
-        index = (index << bits) | within
-    return _gather(blocks.offset, block) + index
+    start, axis = index, 0
+    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
+        word = _gather(table, block)
+        for slot in range(axes):
+            bits = (word >> (slot * blocks.width)) & (2**blocks.width - 1)
+            within = place[axis] & ((1 << shift[axis]) - 1)
+            index = (index << bits) | (within >> (shift[axis] - bits))
+            axis += 1
+        if number == 0:
+            start = jax.lax.shift_right_logical(word, axes * blocks.width)
+    return start + index
 
 
-def _ravel(slots: list[Int[Array, "*batch"]], stride: Int[Array, "dim"]) -> Int[Array, "*batch"]:
-    index = slots[0] * stride[0]
-    for axis in range(1, len(slots)):
-        index += slots[axis] * stride[axis]
-    return index
+def _pack_blocks(shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"]) -> Blocks:
+    """The words of all blocks; the first has the offset above the axes for which there is room."""
+    width = max(1, int(shape.max()).bit_length())
+    room = (_WORD_BITS - int(offset[-1]).bit_length()) // width
+    first, words, axes = offset[:-1], [], []
+    while not words or sum(axes) < shape.shape[1]:
+        here = shape[:, sum(axes) : sum(axes) + room]
+        word = np.zeros(len(shape), np.int64) if words else first
+        for column in here.T[::-1]:
+            word = (word << width) | column
+        words.append(jnp.asarray(word.astype(np.uint32).view(np.int32)))
+        axes.append(here.shape[1])
+        room = _WORD_BITS // width
+    return Blocks(tuple(words), tuple(axes), width)
 
 
 def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: Int[Array, "*batch"]):
@@ -164,19 +193,19 @@ def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: Int[Array, "*
 
 
 def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
-    """Coarse bits along each axis: none if one flat table will do, else those of the smallest tables."""
-    if bits.sum() <= MAX_FLAT_BITS:
-        return np.zeros_like(bits)
-    best, best_size = None, np.inf
+    """Coarse bits along each axis: those with which words and blocks' own tables take the fewest bytes."""
+    best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
-    while block_bits.sum() < _MAX_BLOCK_BITS:
+    while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
         block_bits[np.argmax(bits - block_bits)] += 1
-        if np.max(bits - block_bits) < 2**_SHAPE_BITS:
-            size = 2.0 ** block_bits.sum() * 4 + np.sum(2.0 ** _block_shapes(cells, block_bits).sum(axis=1))
-            if size < best_size:
-                best, best_size = block_bits.copy(), size
+        slots = np.sum(2.0 ** _block_shapes(cells, block_bits).sum(axis=1))
+        size = 4 * 2.0 ** block_bits.sum() + 2 * slots
+        if slots <= _MAX_SLOTS and size < fewest:
+            best, fewest = block_bits.copy(), size
     if best is None:
-        raise ValueError(f"The tree is too deep for its tables: {bits.tolist()} splits along the axes.")
+        raise ValueError(
+            f"The leaves are too deep for a query's tables: {bits.tolist()} splits along the axes. Lower max_depth."
+        )
     return best
 
 
@@ -240,11 +269,6 @@ def _row_major(
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
     return index
-
-
-def _strides(bits: Int[np.ndarray, "dim"]) -> Int[Array, "dim"]:
-    above = np.cumsum(bits[::-1])[::-1] - bits
-    return jnp.asarray((1 << above).astype(np.int32))
 
 
 def _power_of_two(n: int) -> int:

@@ -1,18 +1,21 @@
 """The scene file: a problem as JSON.
 
-Version 1 is one object with these keys; coordinates are in workspace units::
+Version 2 is one object with these keys; coordinates are in workspace units, headings in radians::
 
     "format":     "plr_jax scene"
-    "version":    1
+    "version":    2
     "workspace":  {"bounds": [[x0, y0], [x1, y1]],
                    "squeeze": whether paths may pass between obstacles that touch in one point,
                    "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
-    "robots":     [{"shape": "point"}, ...]
-    "starts":     [[x, y], ...]     one configuration a robot
+    "robots":     [{"shape": "point"} or {"shape": "disc", "radius": r}
+                   or {"shape": "rectangle", "length": l, "width": w}, ...]
+    "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any is a rectangle
     "goals":      [[x, y], ...]
+    "rotation_weight": cost of a turn by one radian; may be left out: half a rectangle's diagonal
 
-Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a list of ``[x, y]``
-points. Numbers are written with as many digits as it takes to read the same float64 back.
+Version 1 knows points only, and no ``"rotation_weight"``; a scene of points is written as version 1, so that
+older releases read it. Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a
+list of ``[x, y]`` points. Numbers are written with as many digits as it takes to read the same float64 back.
 """
 
 import json
@@ -24,12 +27,17 @@ import shapely
 
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
-from plr_jax._robot import PointRobot, Robot
+from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot
 from plr_jax._workspace import Workspace
 from plr_jax.scenes._polygons import read_json
 
 _FORMAT = "plr_jax scene"
-_VERSION = 1
+_VERSION = 2
+_SHAPES = {  # class, sizes, and the version that introduced it
+    "point": (PointRobot, (), 1),
+    "disc": (DiscRobot, ("radius",), 2),
+    "rectangle": (RectangleRobot, ("length", "width"), 2),
+}
 _KEYS = ("workspace", "robots", "starts", "goals")
 
 
@@ -45,13 +53,16 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     Raises:
         OSError: If the file cannot be written.
     """
+    weight = problem.rotation_weight
+    plain = weight is None and all(isinstance(robot, PointRobot) for robot in problem.robots)
     scene = {
         "format": _FORMAT,
-        "version": _VERSION,
+        "version": 1 if plain else _VERSION,
         "workspace": _workspace_entry(problem.workspace),
-        "robots": [{"shape": "point"} for _ in problem.robots],
+        "robots": [_robot_entry(robot) for robot in problem.robots],
         "starts": problem.starts.tolist(),
         "goals": problem.goals.tolist(),
+        **({} if weight is None else {"rotation_weight": weight}),
     }
     write_atomically(Path(path), (json.dumps(scene, indent=1) + "\n").encode())
 
@@ -74,8 +85,9 @@ def load(path: str | os.PathLike[str]) -> Problem:
     try:
         scene = read_json(path)
         _check_header(scene)
-        robots = [_robot(i, entry) for i, entry in enumerate(scene["robots"])]
-        return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"])
+        robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
+        weight = _rotation_weight(scene)
+        return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -114,10 +126,31 @@ def _check_header(scene: Any) -> None:
         raise ValueError(f'expected "robots" to be a list, got {scene["robots"]!r}.')
 
 
-def _robot(i: int, entry: Any) -> Robot:
-    if entry != {"shape": "point"}:
-        raise ValueError(f'expected robot {i} to be {{"shape": "point"}}, got {entry!r}.')
-    return PointRobot()
+def _rotation_weight(scene: dict[str, Any]) -> float | None:
+    weight = scene.get("rotation_weight") if scene["version"] > 1 else None
+    if weight is not None and (isinstance(weight, bool) or not isinstance(weight, int | float)):
+        raise ValueError(f'expected "rotation_weight" to be a number, got {weight!r}.')
+    return None if weight is None else float(weight)
+
+
+def _robot_entry(robot: Robot) -> dict[str, Any]:
+    for shape, (kind, sizes, _) in _SHAPES.items():
+        if isinstance(robot, kind):
+            return {"shape": shape, **{size: getattr(robot, size) for size in sizes}}
+    raise ValueError(f"a scene file has no word for {robot!r}.")
+
+
+def _robot(i: int, entry: Any, version: int) -> Robot:
+    known = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
+    shape = entry.get("shape") if isinstance(entry, dict) else None
+    kind, sizes, _ = known.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
+    if kind is None or set(entry) != {"shape", *sizes}:
+        forms = " or ".join(str({"shape": name, **dict.fromkeys(row[1], 1.0)}) for name, row in known.items())
+        raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {entry!r}.")
+    try:
+        return kind(*(entry[size] for size in sizes))
+    except ValueError as error:
+        raise ValueError(f"robot {i}: {error}") from None
 
 
 def _workspace_entry(workspace: Workspace) -> dict[str, Any]:

@@ -1,11 +1,17 @@
-"""The published scenes: the problems that the experiments are about."""
+"""The published scenes: the problems that the experiments are about.
+
+The scenes of teams are scene files in the folder ``published`` beside this module.
+"""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from plr_jax._problem import Problem
 from plr_jax._robot import PointRobot
 from plr_jax._workspace import Workspace
+from plr_jax.scenes._file import load
 
+_FOLDER = Path(__file__).parent / "published"
 _START, _GOAL = (0.93, 0.95), (0.06, 0.07)
 
 # Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, so no cell boundary can hide one.
@@ -43,6 +49,65 @@ def thin_maze() -> Problem:
         The problem: start and goal as in :func:`maze`.
     """
     return _point_problem(_THIN_MAZE)
+
+
+def single_door() -> Problem:
+    """A disc in two rooms, 10 x 10 in all, joined by a door 1.25 diameters wide.
+
+    Returns:
+        The problem: a disc of radius 0.4.
+    """
+    return load(_FOLDER / "single_door.json")
+
+
+def four_rooms(num_robots: int) -> Problem:
+    """Discs that change rooms by way of one center, through doors 1.25 diameters wide.
+
+    Args:
+        num_robots: 2, 3 or 4: one starts in each of the first rooms, bound for the opposite one. 8: two in
+            each room.
+
+    Returns:
+        The problem: discs of radius 0.4.
+
+    Raises:
+        ValueError: For another number of robots.
+    """
+    return _team("four_rooms", num_robots, (2, 3, 4, 8))
+
+
+def cross(num_robots: int) -> Problem:
+    """Discs in two hallways that cross, 1.5 diameters wide: two cannot pass side by side.
+
+    Args:
+        num_robots: 2, facing one another in one hallway, or 3, the third in the other.
+
+    Returns:
+        The problem: discs of radius 0.4.
+
+    Raises:
+        ValueError: For another number of robots.
+    """
+    return _team("cross", num_robots, (2, 3))
+
+
+def tangle() -> Problem:
+    """Two rectangles, 1.8 x 0.5, that change places in a hallway with a bay.
+
+    They can neither pass nor turn in the hallway; the bay is narrower than a rectangle is long and too
+    shallow to park in.
+
+    Returns:
+        The problem.
+    """
+    return load(_FOLDER / "tangle.json")
+
+
+def _team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
+    if num_robots not in numbers:
+        choices = ", ".join(map(str, numbers))
+        raise ValueError(f"The scene {name} has {choices} robots; there is none with {num_robots!r}.")
+    return load(_FOLDER / f"{name}_{num_robots}.json")
 
 
 def _point_problem(walls: Sequence[tuple[float, float, float, float]]) -> Problem:

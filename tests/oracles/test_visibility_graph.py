@@ -431,3 +431,21 @@ def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
         else:
             with pytest.raises(ValueError, match="goal"):
                 VisibilityGraph(workspace, goal)
+
+
+@pytest.mark.parametrize("thickness", [0.001, 0.04])
+@pytest.mark.parametrize("height", [1e-7, 5e-9, 1e-4])
+def test_no_wall_is_seen_through_along_the_wall_it_stands_on(thickness, height):
+    """A viewpoint barely above the floor must not see the floor beyond a wall that stands on it."""
+    far = 0.5 + thickness
+    workspace = Workspace(((0, 0), (1, 1)), [[(0.5, 0), (far, 0), (far, 1), (0.5, 1)]])
+    oracle = VisibilityGraph(workspace, (0.1, height))
+    assert np.isinf(oracle(np.array([[far, 0.0], [far + 1e-4, 0.0], [0.9, 0.5], [1.0, 0.0]]))).all()
+    assert np.isfinite(oracle(np.array([[0.5, 0.0], [0.3, 0.0], [0.5, 1.0], [0.0, 0.0]]))).all()
+
+
+def test_a_short_wall_on_a_floor_is_walked_around():
+    workspace = Workspace(((0, 0), (1, 1)), [[(0.5, 0), (0.501, 0), (0.501, 0.2), (0.5, 0.2)]])
+    oracle = VisibilityGraph(workspace, (0.1, 1e-7))
+    expected = np.hypot(0.4, 0.2 - 1e-7) + 0.001 + 0.2
+    np.testing.assert_allclose(oracle(np.array([[0.501, 0.0]])), expected, atol=1e-9)

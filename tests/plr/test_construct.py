@@ -6,6 +6,7 @@ from plr_helpers import cone, walled
 
 from plr_jax._box import Box
 from plr_jax.plr import (
+    ConstructionInterrupted,
     _construct,
     best_axis,
     center_error,
@@ -156,7 +157,7 @@ def test_an_interrupt_keeps_what_is_there():
             raise KeyboardInterrupt
         return walled(x)
 
-    with pytest.warns(UserWarning, match="interrupted; the PLR holds the .* leaves built so far"):
+    with pytest.warns(ConstructionInterrupted, match="after [0-9]+ splits: the PLR is the one built so far"):
         plr = construct(interrupted, SQUARE, max_leaves=500)
     assert 4 <= plr.num_leaves < 500
     assert np.isfinite(np.asarray(plr(np.random.default_rng(0).random((100, 2))))).all()
@@ -182,6 +183,35 @@ def test_an_interrupt_keeps_what_is_there():
 def test_bad_options_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         construct(cone, SQUARE, **({"max_leaves": 4} | options if "max_depth" not in options else options))
+
+
+def test_no_depth_is_one_leaf():
+    assert construct(cone, SQUARE, max_depth=0).num_leaves == 1
+
+
+def test_a_budget_goes_into_bits_where_leaves_need_none():
+    plr = construct(lambda x: 1 + 2 * x[:, 0] - x[:, 1], SQUARE, max_bytes=2048)
+    assert plr.num_leaves == 1
+    np.testing.assert_allclose(plr.slope, [[2, -1]], atol=1e-3)
+
+
+def test_many_axes_can_still_be_split():
+    plr = construct(cone, ([-1] * 30, [1] * 30), max_leaves=20, num_samples=64)
+    assert plr.num_leaves == 20
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({"split": lambda fit: np.full(len(fit.cells), 5)}, "split must return one axis from 0 to 1 a cell"),
+        ({"split": lambda fit: np.zeros(0, int)}, "split must return one axis"),
+        ({"should_split": lambda fit: np.ones(len(fit.cells) + 1)}, "should_split must return one priority a cell"),
+        ({"should_split": lambda fit: np.full(len(fit.cells), np.nan)}, "should_split must return one priority"),
+    ],
+)
+def test_bad_rules_are_refused(rules, message):
+    with pytest.raises(ValueError, match=message):
+        construct(cone, SQUARE, max_leaves=10, **rules)
 
 
 def test_a_goal_that_no_sample_reaches_is_an_error():

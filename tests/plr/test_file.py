@@ -70,6 +70,12 @@ def test_saving_leaves_no_other_files_and_replaces(tmp_path):
     assert load(tmp_path / "a.plr").num_leaves == 8
 
 
+def reseal(data):
+    """The bytes of a file with the size and checksum that they ought to have."""
+    data = data[:12] + struct.pack("<I", len(data) + 4) + data[16:]
+    return data + struct.pack("<I", zlib.crc32(data))
+
+
 @pytest.fixture(scope="module")
 def data():
     return construct(walled, SQUARE, max_bytes=400).to_bytes()
@@ -98,7 +104,7 @@ def test_a_forged_body_with_a_right_checksum_is_refused_or_read(data, draw):
     body = bytearray(data[: -struct.calcsize("<I")])
     for _ in range(draw.draw(st.integers(1, 8))):
         body[draw.draw(st.integers(5, len(body) - 1))] = draw.draw(st.integers(0, 255))
-    forged = bytes(body) + struct.pack("<I", zlib.crc32(bytes(body)))
+    forged = reseal(bytes(body[: draw.draw(st.integers(16, len(body)))]))
     with contextlib.suppress(ValueError):
         assert decode(forged)[1].depth.shape[1] > 0
 
@@ -108,6 +114,9 @@ def test_a_forged_body_with_a_right_checksum_is_refused_or_read(data, draw):
     [
         (lambda data: b"PK\x03\x04" + data[4:], "does not start like a PLR file"),
         (lambda data: b"", "does not start like a PLR file"),
+        (lambda data: reseal(data[:40]), "end too early"),
+        (lambda data: reseal(data[:48] + struct.pack("<ff", 0, np.nan) + data[56:-4]), "states a step of nan"),
+        (lambda data: reseal(data[:48] + struct.pack("<ff", 0, 0) + data[56:-4]), "states a step of 0"),
         (lambda data: data[:4] + b"\x09" + data[5:], "format version 9.*update plr_jax"),
         (lambda data: data[:-50], "truncated"),
         (lambda data: data[:60] + b"\xaa\xaa" + data[62:], "checksum"),

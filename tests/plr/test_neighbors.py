@@ -5,17 +5,17 @@ from plr_helpers import random_partition
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._neighbors import fill_blocked
+from plr_jax.plr._neighbors import fill_unreachable
 
 
 def quarters():
-    """Four squares in a row of the unit interval's plane: [0,1/4], [1/4,1/2], [1/2,3/4], [3/4,1] along axis 0."""
+    """Four slabs: [0, 1/4], [1/4, 1/2], [1/2, 3/4] and [3/4, 1] along axis 0."""
     halves = Cells.root(2).split(np.array([0]))
     return halves.split(np.array([0, 0]))
 
 
 def test_only_direct_neighbors_lend_their_plane():
-    slope, intercept = fill_blocked(
+    slope, intercept = fill_unreachable(
         quarters(), np.array([False, True, True, True]), np.full((4, 2), 7.0), np.array([1.0, 2, 3, 4])
     )
     np.testing.assert_array_equal(intercept, [1, 1, np.inf, np.inf])
@@ -28,14 +28,14 @@ def test_the_largest_contact_lends():
     right = halves[[1]].split(np.array([1]))
     lower = right[[0]].split(np.array([1]))
     cells = halves[[0]].append(lower).append(right[[1]])
-    _, intercept = fill_blocked(cells, np.array([True, False, False, False]), np.zeros((4, 2)), np.arange(4.0))
+    _, intercept = fill_unreachable(cells, np.array([True, False, False, False]), np.zeros((4, 2)), np.arange(4.0))
     np.testing.assert_array_equal(intercept, [3, 1, 2, 3])
 
 
 def test_nothing_to_fill_or_to_borrow():
-    _, intercept = fill_blocked(quarters(), np.zeros(4, bool), np.zeros((4, 2)), np.arange(4.0))
+    _, intercept = fill_unreachable(quarters(), np.zeros(4, bool), np.zeros((4, 2)), np.arange(4.0))
     np.testing.assert_array_equal(intercept, np.arange(4.0))
-    _, intercept = fill_blocked(quarters(), np.ones(4, bool), np.zeros((4, 2)), np.arange(4.0))
+    _, intercept = fill_unreachable(quarters(), np.ones(4, bool), np.zeros((4, 2)), np.arange(4.0))
     assert np.isinf(intercept).all()
 
 
@@ -43,7 +43,7 @@ def test_nothing_to_fill_or_to_borrow():
 def test_exactly_the_blocked_leaves_that_touch_an_open_one_are_filled(seed, dim):
     cells = random_partition(seed, dim, 25)
     blocked = np.random.default_rng(seed).random(len(cells)) < 0.7
-    _, intercept = fill_blocked(cells, blocked, np.zeros((len(cells), dim)), np.arange(float(len(cells))))
+    _, intercept = fill_unreachable(cells, blocked, np.zeros((len(cells), dim)), np.arange(float(len(cells))))
     lo, hi = cells.boxes(Box(np.zeros(dim), np.ones(dim)))
     for leaf in np.flatnonzero(blocked):
         touches = ~blocked & np.all((lo <= hi[leaf]) & (hi >= lo[leaf]), axis=1)

@@ -6,7 +6,7 @@ import shapely
 
 from plr_jax import scenes
 from plr_jax._problem import Problem
-from plr_jax._robot import PointRobot
+from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot
 from plr_jax._workspace import Workspace
 
 POINT = [PointRobot()]
@@ -40,6 +40,14 @@ PROBLEMS = {
         [(0.5, 1.5)],
         [(1.5, 0.5)],
     ),
+    "a mixed team": lambda: Problem(
+        Workspace(((0, 0), (9, 9)), [box(4, 4, 5, 5)]),
+        [DiscRobot(1 / 3), RectangleRobot(0.7, 0.1), PointRobot()],
+        [(1, 1, 0), (2, 2, np.pi), (3, 3, 0)],
+        [(8, 8, 0), (7, 7, -1e-3), (6, 6, 0)],
+        rotation_weight=0.3,
+    ),
+    "tangle": scenes.tangle,
 }
 
 
@@ -51,6 +59,7 @@ def test_a_problem_survives_the_file_exactly(make, tmp_path):
     np.testing.assert_array_equal(again.starts, problem.starts)
     np.testing.assert_array_equal(again.goals, problem.goals)
     assert again.robots == problem.robots
+    assert again.rotation_weight == problem.rotation_weight
     assert again.workspace.bounds == problem.workspace.bounds
     assert again.workspace.squeeze == problem.workspace.squeeze
     saved = shapely.get_parts(problem.workspace.obstacles)
@@ -108,6 +117,17 @@ def test_a_scene_made_by_hand_loads(tmp_path):
     assert scenes.is_scene(path)
 
 
+def test_scenes_of_points_stay_readable_by_older_releases(tmp_path):
+    for make, version in ((scenes.maze, 1), (scenes.tangle, 2), (PROBLEMS["a mixed team"], 2)):
+        scenes.save(make(), tmp_path / "a.json")
+        assert json.loads((tmp_path / "a.json").read_text())["version"] == version
+
+
+def test_a_key_that_version_1_does_not_know_is_ignored_there(tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps(scene_dict(rotation_weight=3)))
+    assert scenes.load(tmp_path / "a.json").rotation_weight is None
+
+
 def without(key):
     scene = scene_dict()
     del scene[key]
@@ -125,18 +145,26 @@ def with_obstacles(obstacles):
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        (scene_dict(version=2), "version 2, this release reads up to 1"),
+        (scene_dict(version=3), "version 3, this release reads up to 2"),
         (scene_dict(version="1"), "version number"),
         (scene_dict(format="other"), "expected a scene file"),
         ([], "expected a scene file"),
         (without("goals"), "missing goals"),
-        (scene_dict(robots=[{"shape": "disc"}]), "expected robot 0 to be"),
+        (scene_dict(robots=[{"shape": "disc", "radius": 1}]), "expected robot 0 to be like .* in version 1"),
+        (scene_dict(version=2, robots=[{"shape": "disc"}]), "expected robot 0 to be like .*'radius'"),
+        (scene_dict(version=2, robots=[{"shape": "disc", "radius": 1, "color": 2}]), "expected robot 0 to be like"),
+        (scene_dict(version=2, robots=[{"shape": []}]), "expected robot 0 to be like"),
+        (scene_dict(version=2, robots=["disc"]), "expected robot 0 to be like"),
+        (scene_dict(version=2, robots=[{"shape": "disc", "radius": -1}]), "robot 0: DiscRobot radius must be"),
+        (scene_dict(version=2, robots=[{"shape": "disc", "radius": "x"}]), "robot 0: DiscRobot radius must be"),
+        (scene_dict(version=2, rotation_weight="x"), '"rotation_weight" to be a number'),
+        (scene_dict(version=2, rotation_weight=-1), "rotation_weight must be a finite number"),
         (scene_dict(robots={}), '"robots" to be a list'),
         (scene_dict(goals=[[0.9, 2.0]]), "Robot 0 has its goal outside the bounds"),
         (scene_dict(goals=[["a", 2.0]]), "goals must be numbers"),
         (scene_dict(workspace={}), '"workspace" to have the keys'),
         (scene_dict(workspace={**WORKSPACE, "squeeze": 1}), '"squeeze" to be true or false'),
-        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "Bounds must be"),
+        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "Expected a Box or its corners"),
         (scene_dict(workspace={**WORKSPACE, "bounds": [[0, 0], [0, 1]]}), "positive width"),
         (with_obstacles(3), '"obstacles" to be a list'),
         (with_obstacles([3]), "expected obstacle 0 to be"),

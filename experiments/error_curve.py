@@ -1,0 +1,185 @@
+"""Error against bytes: PLRs by split rule and coefficients, a bilinear grid, LightGBM's linear trees.
+
+All are measured over the same random free points against the exact distance. What each rival is given:
+
+- The bilinear grid (SciPy's ``RegularGridInterpolator``) has as many float32 nodes as fit, spread in proportion to
+  the sides of the map. A node in an obstacle takes the value of the nearest free node.
+- LightGBM's linear trees get as many oracle samples, at random free points, as the default PLR of those bytes used.
+  One tree and four are tried, each with as many leaves as fit, and the one of the smaller mean error is kept. Their
+  bytes are counted as if packed into 17 bytes a leaf (axis, float32 threshold, three float32 coefficients), a
+  fraction of the text that LightGBM saves.
+"""
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lightgbm
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import distance_transform_edt
+from tqdm import tqdm
+
+from experiments._results import run
+from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics, scenes
+
+POINT_SEED, TRAINING_SEED = 1_000, 2_000
+_PACKED_BYTES_A_LEAF = 17
+_PLRS = {
+    f"PLR, {rule}, {coefficients}": {"split": split, "coefficient_bits": bits}
+    for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
+    for coefficients, bits in (("chosen bits", None), ("16-bit", 16), ("float32", 32))
+}
+_STYLES = {
+    "PLR, best axis, chosen bits": ("#0072B2", "-", "PLR (default)"),
+    "PLR, best axis, float32": ("#0072B2", "--", "PLR, float32"),
+    "PLR, axes in turn, chosen bits": ("#009E73", "-", "PLR, axes in turn"),
+    "LightGBM linear trees": ("#D55E00", "-", "LightGBM linear trees"),
+    "bilinear grid": ("#444444", "-", "bilinear grid"),
+}
+
+Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    budgets = [512, 1024] if smoke else [512 * 2**doubling for doubling in range(7)]
+    num_points = 2_000 if smoke else 500_000
+    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in _scenes().items()}
+    data = os.environ.get("PLR_JAX_DATA")
+    if data and not smoke:
+        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
+        maps["arena"] = (arena, np.array([1.0, 11.0]))
+    elif not smoke:
+        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
+    curves = {
+        name: _measure_map(workspace, goal, budgets, num_points, seed) for name, (workspace, goal) in maps.items()
+    }
+    return {"points": num_points, "budgets": budgets, "curves": curves}
+
+
+def _scenes() -> dict[str, Any]:
+    return {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
+
+
+def _measure_map(
+    workspace: Workspace, goal: Float[np.ndarray, "2"], budgets: list[int], num_points: int, seed: int
+) -> dict[str, list[dict[str, Any]]]:
+    """For each contender its bytes and errors at every budget."""
+    exact = VisibilityGraph(workspace, goal)
+    x = workspace.sample_free(num_points, POINT_SEED + seed)
+    distance = exact(x)
+    curves: dict[str, list[dict[str, Any]]] = {}
+
+    def record(name: str, num_bytes: int, approximation: Approximation) -> float:
+        report = metrics.error_map(approximation, lambda _: distance, x)
+        row = {
+            "bytes": num_bytes,
+            "max": report.max,
+            "mean": report.mean,
+            "quantile_99": report.quantiles[0.99],
+            "unanswered": report.num_unanswered,
+        }
+        curves.setdefault(name, []).append(row)
+        return report.mean
+
+    for budget in tqdm(budgets, desc="budgets", disable=None):
+        num_samples = 0
+
+        def counted(x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+            nonlocal num_samples
+            num_samples += len(x)
+            return exact(x)
+
+        for name, options in _PLRS.items():
+            default = name == next(iter(_PLRS))
+            plr = construct(counted if default else exact, workspace.bounds, max_bytes=budget, seed=seed, **options)
+            record(name, plr.num_bytes, plr)
+        grid = bilinear_grid(workspace, exact, budget)
+        record("bilinear grid", 4 * grid.values.size, grid)
+        x_train = workspace.sample_free(num_samples, TRAINING_SEED + seed)
+        trees = [linear_trees(x_train, exact(x_train), budget, number, seed) for number in (1, 4)]
+        best = min(trees, key=lambda predict: np.abs(predict(x) - distance).mean())
+        record("LightGBM linear trees", budget, best)
+    return curves
+
+
+def bilinear_grid(workspace: Workspace, exact: VisibilityGraph, num_bytes: int) -> RegularGridInterpolator:
+    """A float32 grid of so many bytes; nodes in obstacles take the value of the nearest free node."""
+    bounds = workspace.bounds
+    shape = np.floor(np.sqrt(num_bytes / 4 * bounds.width / bounds.width[::-1])).astype(int)
+    axes = [np.linspace(lo, hi, n) for lo, hi, n in zip(bounds.lo, bounds.hi, shape, strict=True)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    values = exact(nodes.reshape(-1, 2)).reshape(shape)
+    spacing = bounds.width / (shape - 1)
+    nearest = distance_transform_edt(~np.isfinite(values), spacing, return_distances=False, return_indices=True)
+    return RegularGridInterpolator(axes, values[tuple(nearest)].astype(np.float32))
+
+
+def linear_trees(
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], num_bytes: int, num_trees: int, seed: int
+) -> Approximation:
+    """Boosted trees with a plane in every leaf, of so many packed bytes together."""
+    leaves = max(2, num_bytes // _PACKED_BYTES_A_LEAF // num_trees)
+    parameters = {
+        "objective": "l2",
+        "linear_tree": True,
+        "num_leaves": leaves,
+        "learning_rate": 1.0 if num_trees == 1 else 0.7,
+        "min_data_in_leaf": 8,
+        "max_bin": 1023,
+        "linear_lambda": 1e-6,
+        "seed": seed,
+        "deterministic": True,
+        "num_threads": 2,
+        "verbosity": -1,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        booster = lightgbm.train(parameters, lightgbm.Dataset(x, distance), num_boost_round=num_trees)
+    return booster.predict
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """Mean and largest error against bytes, one column a map."""
+    curves = results["curves"]
+    figure = Figure(figsize=(3.3 * len(curves) + 0.6, 5.4), layout="constrained", facecolor="white")
+    axes = figure.subplots(2, len(curves), sharex=True, squeeze=False)
+    for column, (name, contenders) in enumerate(curves.items()):
+        for row, error in enumerate(("mean", "max")):
+            _draw_curves(axes[row, column], contenders, error)
+        axes[0, column].set_title(name.replace("_", " "))
+        axes[1, column].set_xlabel("bytes in the file")
+    axes[0, 0].set_ylabel("mean error (workspace units)")
+    axes[1, 0].set_ylabel("largest error (workspace units)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    path = output / "error_curve.png"
+    figure.savefig(path, dpi=150)
+    return [path]
+
+
+def _draw_curves(ax: Axes, contenders: dict[str, list[dict[str, Any]]], error: str) -> None:
+    for name, (color, line, label) in _STYLES.items():
+        rows = contenders[name]
+        ax.loglog(
+            [row["bytes"] for row in rows],
+            [row[error] for row in rows],
+            line,
+            color=color,
+            label=label,
+            marker=".",
+            lw=1.6,
+        )
+    ax.grid(True, which="major", color="#dddddd", lw=0.6)
+    ax.set_xticks([512, 2048, 8192, 32768], ["512", "2,048", "8,192", "32,768"])
+    ax.minorticks_off()
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+if __name__ == "__main__":
+    run("error_curve", "Error against bytes, beside a bilinear grid and LightGBM's linear trees.", compute, draw)

@@ -1,0 +1,315 @@
+"""An independent check of a path. It shares no code with the collision tests that planners call.
+
+Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
+Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
+middle of a piece bounds it throughout. Bisection goes on until the smallest clearance is known, and every
+piece is shown to be free or not to be.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from plr_jax._problem import Problem, as_path, path_cost, separation
+from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot
+from plr_jax._types import ArrayLike
+from plr_jax._workspace import Workspace
+
+_TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
+_MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
+
+
+@dataclass(frozen=True)
+class ValidationReport:
+    """What is wrong with a path, or that nothing is.
+
+    Args:
+        valid: Whether the path solves its problem.
+        cost: Its cost, recomputed, in workspace units; NaN if it has none.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the whole
+            path, to 1e-7 of the workspace's extent. If the path collides, about minus the depth of the
+            overlap in the first motion that does; NaN if the path is no path.
+        message: The first violation in words; if there is none, who comes closest to what.
+        who: Indices of the robots that the message is about.
+        when: The time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
+        where: Position of the first of these robots then.
+    """
+
+    valid: bool
+    cost: float
+    clearance: float
+    message: str
+    who: tuple[int, ...] = ()
+    when: float | None = None
+    where: tuple[float, float] | None = None
+
+
+def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
+    """Check a path on its own merits, whoever made it.
+
+    The path must begin at the starts and end at the goals exactly (but for round robots' headings), be
+    finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
+    straight, at constant rates, turning by the shorter way. Touching is allowed.
+
+    Args:
+        problem: What the path should solve.
+        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians.
+
+    Returns:
+        The report. A path that is wrong in any way is reported, not raised.
+    """
+    try:
+        path = as_path(problem, path)
+    except ValueError as error:
+        return ValidationReport(False, np.nan, np.nan, str(error))
+    broken = np.argwhere(~np.isfinite(path).all(axis=2))
+    if len(broken):
+        step, i = map(int, broken[0])
+        message = f"Robot {i} has a configuration that is not finite at step {step}."
+        return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
+    cost, encounters = path_cost(problem, path), _encounters(problem, path)
+    closest = min(encounters, key=lambda encounter: encounter.outcome.clearance)
+    collisions = [e for e in encounters if e.outcome.collision is not None]
+    if collisions:
+        first = min(collisions, key=lambda encounter: encounter.first_moment)
+        return _collision_report(problem, first, cost)
+    clearance = closest.outcome.clearance
+    fault = _squeeze(problem, path) or _wrong_end(problem, path)
+    if fault:
+        i, when, message = fault
+        where = tuple(path[int(when), i, :2].tolist())
+        return ValidationReport(False, cost, clearance, message, (i,), when, where)
+    message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.outcome.motion}."
+    return ValidationReport(True, cost, clearance, message, closest.who)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    clearance: float
+    motion: int  # where the clearance is smallest
+    collision: int | None  # the first motion that collides
+
+
+@dataclass(frozen=True, eq=False)
+class _Encounter:
+    """A robot along a path, and a blocked region or another robot along its own."""
+
+    who: tuple[int, ...]
+    robot: Robot
+    path: Float[np.ndarray, "steps dof"]
+    other: Any  # a robot if it has a path, else a region
+    other_path: Float[np.ndarray, "steps dof"] | None
+    tolerance: float
+
+    @property
+    def reach(self) -> float:
+        """Distance that the centers of discs keep beyond what their footprints, points, cover."""
+        return sum((body.radius for body in (self.robot, self.other) if isinstance(body, DiscRobot)), 0.0)
+
+    def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Clearance at some times."""
+        bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
+        if self.other_path is not None:
+            others = _bodies(self.other, _at(self.other_path, when))
+        distance = np.asarray(shapely.distance(bodies, others))
+        for k in np.flatnonzero(distance == 0):
+            distance[k] = separation(bodies[k], others[k])
+        return distance - self.reach
+
+    def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Smallest clearance of motions in which nothing turns, seen from the other body."""
+        start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
+        others = np.full(len(motion), self.other)
+        if self.other_path is not None:
+            others = _bodies(self.other, self.other_path[motion])
+            shift = shift - np.diff(self.other_path[:, :2], axis=0)[motion]
+        corners = np.concatenate([start, start + shift[:, None]], axis=1)
+        hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
+        distance = np.asarray(shapely.distance(hulls, others))
+        if self.reach == 0:
+            # Met, the other body is touched or entered: entered if so is what is left of it, peeled.
+            met = np.flatnonzero(distance == 0)
+            peeled = shapely.buffer(others[met], -self.tolerance, join_style="mitre")
+            distance[met[shapely.intersects(hulls[met], peeled)]] = -2 * self.tolerance
+        return distance - self.reach
+
+    @cached_property
+    def rates(self) -> Float[np.ndarray, "motions"]:
+        """How much the clearance can change in each motion."""
+        velocity = np.diff(self.path[:, :2], axis=0)
+        rates = _rim_speeds(self.robot, self.path)
+        if self.other_path is not None:
+            velocity = velocity - np.diff(self.other_path[:, :2], axis=0)
+            rates = rates + _rim_speeds(self.other, self.other_path)
+        return rates + np.linalg.norm(velocity, axis=1)
+
+    @cached_property
+    def turns(self) -> Any:
+        """Whether a rectangle turns, in each motion."""
+        turns = _rim_speeds(self.robot, self.path) > 0
+        return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
+
+    @cached_property
+    def outcome(self) -> _Outcome:
+        """The smallest clearance, and the first collision."""
+        smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
+        straight = np.flatnonzero(~self.turns)
+        smallest[straight] = self.swept(straight)
+        motion, begin, size = np.flatnonzero(self.turns), np.zeros(self.turns.sum()), 1.0
+        while len(motion):
+            middle = self.clearances(motion + begin + size / 2)
+            np.minimum.at(smallest, motion, middle)
+            bound = middle - self.rates[motion] * size / 2
+            # Collided motions are done with; so are pieces that are free and no closer than another.
+            unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
+            unsure &= smallest[motion] >= -self.tolerance
+            size /= 2
+            motion, begin = np.repeat(motion[unsure], 2), np.repeat(begin[unsure], 2)
+            begin[1::2] += size
+        collisions = np.flatnonzero(smallest < -self.tolerance)
+        first = int(collisions[0]) if len(collisions) else None
+        return _Outcome(float(smallest.min()), int(np.argmin(smallest)), first)
+
+    @cached_property
+    def first_moment(self) -> float:
+        """When the first collision begins, to a fraction of a step."""
+        motion = self.outcome.collision
+        assert motion is not None
+        pieces = [(0.0, 1.0)]  # a stack, the earliest on top
+        while pieces:
+            begin, size = pieces.pop()
+            middle = float(self.clearances(np.array([motion + begin + size / 2]))[0])
+            if middle - self.rates[motion] * size / 2 >= -self.tolerance:
+                continue
+            if size <= _MOMENT and middle < -self.tolerance:
+                return motion + begin + size / 2
+            if size > _MOMENT:
+                pieces += [(begin + size / 2, size / 2), (begin, size / 2)]
+        return motion + 0.5  # too brief to be pinned down
+
+    @property
+    def depth(self) -> float:
+        """Smallest clearance seen in the first motion that collides."""
+        motion = self.outcome.collision
+        assert motion is not None
+        times = np.append(motion + np.linspace(0.0, 1.0, 65), self.first_moment)
+        return min(float(self.clearances(times).min()), -self.tolerance)
+
+
+_ENDS = (slice(None, -1), slice(1, None))
+
+
+def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
+    """Every robot with what is blocked, and with every other robot; points never meet points."""
+    tolerance = _TOLERANCE * float(problem.workspace.bounds.width.max())
+    if len(path) == 1:
+        path = np.repeat(path, 2, axis=0)
+    blocked = _blocked(problem.workspace, path)
+    encounters = []
+    for j, robot in enumerate(problem.robots):
+        encounters.append(_Encounter((j,), robot, path[:, j], blocked, None, tolerance))
+        for i, other in enumerate(problem.robots[:j]):
+            if not isinstance(robot, PointRobot) or not isinstance(other, PointRobot):
+                encounters.append(_Encounter((i, j), other, path[:, i], robot, path[:, j], tolerance))
+    return encounters
+
+
+def _blocked(workspace: Workspace, path: Float[np.ndarray, "steps robots dof"]) -> Any:
+    """Everything that is not free, out to beyond the path."""
+    lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
+    hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
+    blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
+    shapely.prepare(blocked)
+    return blocked
+
+
+def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
+    """Configurations at times in steps."""
+    motion = np.minimum(when.astype(int), len(path) - 2)
+    change = np.diff(path, axis=0)
+    change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
+    return path[motion] + (when - motion)[:, None] * change[motion]
+
+
+def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
+    """Signed shorter turns; half a turn goes counterclockwise."""
+    turn = np.remainder(np.diff(path[:, 2]), 2 * np.pi)
+    return np.where(turn > np.pi, turn - 2 * np.pi, turn)
+
+
+def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
+    """How far turning takes a robot's corners in each motion."""
+    if not isinstance(robot, RectangleRobot):
+        return np.zeros(len(path) - 1)
+    return 0.5 * np.hypot(robot.length, robot.width) * np.abs(_turns(path))
+
+
+def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
+    """Corners of rectangles, counterclockwise; centers of round robots."""
+    if not isinstance(robot, RectangleRobot):
+        return q[:, None, :2]
+    x = 0.5 * robot.length * np.array([1, -1, -1, 1])
+    y = 0.5 * robot.width * np.array([1, 1, -1, -1])
+    c, s = np.cos(q[:, 2:]), np.sin(q[:, 2:])
+    return q[:, None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=2)
+
+
+def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
+    """Footprints as Shapely geometries; a disc's is its center."""
+    corners = _corners(robot, q)
+    return shapely.polygons(corners) if isinstance(robot, RectangleRobot) else shapely.points(corners[:, 0])
+
+
+def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
+    workspace, squeezes = problem.workspace, []
+    for i, robot in enumerate(problem.robots):
+        if isinstance(robot, PointRobot) and not workspace.squeeze and len(workspace.boundary.contacts):
+            hidden = np.flatnonzero(~workspace.is_visible(path[:-1, i, :2], path[1:, i, :2]))
+            squeezes += [(int(motion), i) for motion in hidden[:1]]
+    if not squeezes:
+        return None
+    motion, i = min(squeezes)
+    return i, float(motion), f"Robot {i} squeezes between obstacles that touch in a point after step {motion}."
+
+
+def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """The robot that does not begin or end where it should, when, and a message."""
+    for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
+        for i, robot in enumerate(problem.robots):
+            dof = 3 if isinstance(robot, RectangleRobot) else 2
+            if (path[row, i, :dof] != wanted[i, :dof]).any():
+                got, should = path[row, i, :dof].tolist(), wanted[i, :dof].tolist()
+                return i, float(row), f"Robot {i} {verb} at {got} and not exactly at {should}."
+    return None
+
+
+def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
+    when = collision.first_moment
+    q = _at(collision.path, np.array([when]))
+    x, y = q[0, :2].tolist()
+    depth = collision.depth
+    what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
+    if collision.other_path is None:
+        what = f"Robot {collision.who[0]} {_obstacle(problem.workspace, _bodies(collision.robot, q)[0])}"
+    message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
+    return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))
+
+
+def _obstacle(workspace: Workspace, body: Any) -> str:
+    """What a body runs into."""
+    obstacles = np.array(workspace.obstacles, dtype=object)
+    distance = np.append(shapely.distance(body, obstacles), np.inf)
+    bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
+    return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
+
+
+def _name(encounter: _Encounter) -> str:
+    if encounter.other_path is None:
+        return f"of robot {encounter.who[0]} to an obstacle or the bounds"
+    return f"of robots {encounter.who[0]} and {encounter.who[1]}"

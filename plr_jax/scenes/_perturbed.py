@@ -1,0 +1,61 @@
+"""Variants of a problem, to see how much a result owes to the starts and goals of one."""
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._problem import Problem
+from plr_jax._robot import RectangleRobot
+
+_ATTEMPTS = 1000
+
+
+def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
+    """The problem with its starts and goals moved a little, all still free.
+
+    Args:
+        problem: The problem.
+        seed: Seed of the generator; the same seed gives the same variant.
+        distance: How far a start or goal moves at most, in workspace units. A rectangle's heading turns by
+            as much as takes its corners that far.
+
+    Returns:
+        A problem that differs in its starts and goals alone.
+
+    Raises:
+        ValueError: If the distance is not positive and finite, or no variant is found that is free.
+    """
+    if not (np.isfinite(distance) and distance > 0):
+        raise ValueError(f"distance must be a positive finite number, got {distance!r}.")
+    rng = np.random.default_rng(seed)
+    ends = np.stack([problem.starts, problem.goals])
+    for i in range(len(problem.robots)):
+        for end in range(2):
+            ends[end, i] = _moved(problem, ends, end, i, rng, distance)
+    return _with_ends(problem, ends)
+
+
+def _moved(
+    problem: Problem,
+    ends: Float[np.ndarray, "2 robots dof"],
+    end: int,
+    i: int,
+    rng: np.random.Generator,
+    distance: float | int,
+) -> Float[np.ndarray, "dof"]:
+    """A free configuration near a robot's start or goal, the other robots where they are."""
+    for _ in range(_ATTEMPTS):
+        trial = ends.copy()
+        angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
+        trial[end, i, :2] += radius * np.array([np.cos(angle), np.sin(angle)])
+        if isinstance(problem.robots[i], RectangleRobot):
+            trial[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
+        try:
+            _with_ends(problem, trial)
+        except ValueError:
+            continue
+        return trial[end, i]
+    raise ValueError(f"Robot {i} found no other free {('start', 'goal')[end]} within {distance:g}.")
+
+
+def _with_ends(problem: Problem, ends: Float[np.ndarray, "2 robots dof"]) -> Problem:
+    return Problem(problem.workspace, problem.robots, ends[0], ends[1], problem.rotation_weight)

@@ -1,0 +1,41 @@
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import plr_jax
+
+
+def test_every_public_name_is_there():
+    for name in plr_jax.__all__:
+        assert getattr(plr_jax, name) is not None
+    assert dir(plr_jax) == plr_jax.__all__
+
+
+def test_type_checkers_see_the_same_names_from_the_same_homes():
+    tree = ast.parse(Path(plr_jax.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.name: statement.module for statement in block.body for alias in statement.names}
+    homes = {name: f"plr_jax.{home}" for name, home in plr_jax._HOME.items()}
+    assert seen == homes | dict.fromkeys(plr_jax._MODULES, "plr_jax")
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'contruct'"):
+        plr_jax.contruct  # noqa: B018
+
+
+def test_loading_and_asking_a_plr_imports_no_heavy_library(tmp_path):
+    path = tmp_path / "cone.plr"
+    plr_jax.save(plr_jax.construct(lambda x: abs(x[:, 0]), ([0], [1]), max_leaves=2), path)
+    code = f"""
+import sys, plr_jax
+plr_jax.load({str(path)!r})([[0.5]]).block_until_ready()
+heavy = {{"scipy.stats", "shapely", "networkx", "matplotlib", "optax", "typer"}}
+sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)
+"""
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, env={"PYTHONPATH": ":".join(sys.path), "HOME": str(tmp_path)}
+    )

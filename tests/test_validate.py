@@ -1,0 +1,289 @@
+import os
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from robots import BAR, DISC, POINT, along, random_motions, rounding, shapes
+
+from plr_jax import scenes
+from plr_jax._collision import motions_apart
+from plr_jax._obstacles import MotionTest
+from plr_jax._problem import Problem, path_cost
+from plr_jax._robot import DiscRobot, RectangleRobot
+from plr_jax._validate import validate
+from plr_jax._workspace import Workspace
+
+DATA = os.environ.get("PLR_JAX_DATA")
+needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")
+UP = np.pi / 2
+
+
+def box(x0, y0, x1, y1):
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+ROOM = Workspace(((0, 0), (4, 4)), [box(3, 3.5, 3.5, 4), box(1.8, 1.8, 2.2, 2.2)])
+
+
+def report(robots, *rows, workspace=ROOM):
+    path = np.array(rows, dtype=float)
+    return validate(Problem(workspace, robots, path[0], path[-1]), path)
+
+
+def test_a_free_path_is_valid_with_its_cost_and_clearance():
+    result = report([DISC], [(1, 1)], [(1, 3)], [(2, 3)])
+    assert result.valid
+    assert result.cost == pytest.approx(3.0)
+    assert result.clearance == pytest.approx(3 - 2.2 - 0.3, abs=1e-9)
+    assert result.message.startswith("Valid: clearance 0.5, of robot 0")
+    assert result.when is None
+
+
+def test_the_clearance_is_known_between_rows_and_during_turns():
+    passing = report([DISC], [(1, 2.6)], [(3, 2.6)])
+    assert passing.clearance == pytest.approx(0.1)
+    diagonal = np.hypot(0.9, 0.3) / 2
+    turning = report([BAR], [(2, 2.7, 0)], [(2, 2.7, UP)])
+    assert turning.clearance == pytest.approx(0.5 - diagonal, abs=5e-7)
+    pair = report([BAR, DISC], [(1, 1, 0), (1, 1.9, 0)], [(1, 1, UP), (1, 1.9, 0)])
+    assert pair.clearance == pytest.approx(0.9 - 0.3 - diagonal, abs=5e-7)
+    assert pair.who == (0, 1)
+
+
+def test_touching_is_valid():
+    assert report([DISC], [(1, 2.5)], [(3, 2.5)]).clearance == pytest.approx(0, abs=1e-9)
+    for robot, height in ((POINT, 2.2), (DISC, 2.5)):
+        assert report([robot], [(1, height)], [(3, height)]).valid
+    assert report([BAR], [(1, 2.35, 0)], [(3, 2.35, 0)]).valid
+    assert report([DISC, DISC], [(1, 1), (1, 1.6)], [(3, 1), (3, 1.6)], workspace=Workspace(((0, 0), (4, 4)))).valid
+
+
+@pytest.mark.parametrize(
+    ("robot", "start", "end", "when", "where"),
+    [
+        (POINT, (1, 2), (3, 2), 0.4, (1.8, 2)),
+        (DISC, (1, 2), (3, 2), 0.25, (1.5, 2)),
+        (BAR, (1, 2, 0), (3, 2, 0), 0.175, (1.35, 2)),
+        (BAR, (1, 2, UP), (3, 2, UP), 0.325, (1.65, 2)),
+    ],
+)
+def test_the_first_violation_is_told_by_who_where_and_when(robot, start, end, when, where):
+    rest = (0.5, 3.5, 0)[: len(start)]
+    result = report([DISC, robot], [rest, start], [rest, start], [rest, end])
+    assert not result.valid
+    assert result.who == (1,)
+    assert result.when == pytest.approx(1 + when, abs=1e-3)
+    assert result.where == pytest.approx(where, abs=2e-3)
+    assert result.message.startswith("Robot 1 collides with obstacle 1 at step 1.")
+    assert result.clearance < -0.1
+
+
+def test_robots_that_meet_are_named_and_the_earliest_meeting_counts():
+    start, end = [(0.5, 1), (3.5, 1), (0.5, 3)], [(3.5, 1), (0.5, 1), (2.9, 3)]
+    result = report([DISC, DISC, DISC], start, end)
+    assert (result.valid, result.who) == (False, (0, 1))
+    assert result.when == pytest.approx((3 - 0.6) / 2 / 3, abs=1e-3)
+    assert "Robots 0 and 1 collide at step 0.4" in result.message
+    assert result.clearance == pytest.approx(-0.6, abs=0.05)
+
+
+def test_points_never_collide_with_points():
+    assert report([POINT, POINT], [(0.5, 1), (3.5, 1)], [(3.5, 1), (0.5, 1)]).valid
+
+
+def test_a_small_point_obstacle_between_rows_is_not_missed():
+    thin = Workspace(((0, 0), (4, 4)), [box(2, 0.5, 2.00001, 4)])
+    for robot, start, end in (
+        (POINT, (1, 2), (3, 2)),
+        (DiscRobot(0.1), (1, 2), (3, 2)),
+        (RectangleRobot(0.2, 0.1), (1, 2, 0), (3, 2, 0)),
+        (RectangleRobot(0.2, 0.1), (1, 2, 0), (3, 2, 1)),
+    ):
+        assert not report([robot], [start], [end], workspace=thin).valid
+
+
+def test_a_point_may_not_squeeze_where_the_workspace_forbids_it():
+    corners = [box(0, 0, 1, 1), box(1, 1, 2, 2), box(0, 3, 2, 4)]
+    for squeeze in (False, True):
+        workspace = Workspace(((0, 0), (4, 4)), [*corners, box(2, 2, 3, 3)], squeeze=squeeze)
+        result = report(
+            [POINT], [(0.5, 2.5)], [(0.5, 1.5)], [(1.5, 0.5)], [(0.5, 1.5)], [(0.5, 2.5)], workspace=workspace
+        )
+        assert result.valid == squeeze
+        if not squeeze:
+            assert (result.who, result.when) == ((0,), 1.0)
+            assert "Robot 0 squeezes" in result.message
+
+
+def test_leaving_the_bounds_is_told():
+    result = report([DISC], [(1, 1)], [(-1, 1)], [(1, 1)])
+    assert not result.valid
+    assert "Robot 0 leaves the bounds at step 0.3" in result.message
+    assert result.when == pytest.approx(0.35, abs=1e-3)
+
+
+SOLVED = Problem(ROOM, [BAR, DISC], [(1, 1, 0), (3, 1, 0)], [(1, 3, 0), (3, 2.5, 9)])
+PATH = np.array([SOLVED.starts, SOLVED.goals])
+
+
+def test_ends_must_be_exact_but_for_headings_of_round_robots():
+    assert validate(SOLVED, PATH).valid
+    for row, i, axis, message in (
+        (0, 0, 0, "Robot 0 begins at"),
+        (0, 1, 1, "Robot 1 begins at"),
+        (1, 0, 2, "Robot 0 ends at"),
+        (1, 1, 0, "Robot 1 ends at"),
+    ):
+        wrong = PATH.copy()
+        wrong[row, i, axis] = np.nextafter(wrong[row, i, axis], 10)
+        result = validate(SOLVED, wrong)
+        assert not result.valid
+        assert message in result.message
+        assert (result.who, result.when) == ((i,), row)
+    turned = PATH.copy()
+    turned[:, 1, 2] = 5
+    assert validate(SOLVED, turned).valid
+
+
+@pytest.mark.parametrize("path", [np.zeros((0, 2, 3)), PATH[0], PATH[:, :1], PATH[..., :2], "path", [[1], [1, 2]]])
+def test_what_is_no_path_is_reported(path):
+    result = validate(SOLVED, path)
+    assert not result.valid
+    assert "A path must" in result.message
+    assert np.isnan(result.cost)
+
+
+def test_numbers_that_are_not_finite_are_reported():
+    path = np.insert(PATH, 1, PATH[0], axis=0)
+    path[1, 1, 0] = np.nan
+    result = validate(SOLVED, path)
+    assert (result.valid, result.who, result.when) == (False, (1,), 1.0)
+    assert "not finite" in result.message
+
+
+def test_a_path_of_one_row_is_valid_where_start_and_goal_are_one():
+    result = report([DISC], [(1, 1)])
+    assert result.valid
+    assert result.cost == 0
+    assert result.clearance == pytest.approx(0.7)
+
+
+def sampled_clearance(problem, path, num_samples=401):
+    """Smallest distance over dense samples, by geometry that does not come from the package."""
+    if path.shape[2] == 2:
+        path = np.pad(path, ((0, 0), (0, 0), (0, 1)))
+    bodies = [shapes(robot, along(path[:-1, i], path[1:, i], num_samples)) for i, robot in enumerate(problem.robots)]
+    radii = [rounding(robot) for robot in problem.robots]
+    blocked = shapely.difference(shapely.box(-99, -99, 99, 99), problem.workspace.free_space)
+    shapely.prepare(blocked)
+    distances = [(shapely.distance(body, blocked) - r).min() for body, r in zip(bodies, radii, strict=True)]
+    for i, j in combinations(range(len(bodies)), 2):
+        distances.append((shapely.distance(bodies[i], bodies[j]) - radii[i] - radii[j]).min())
+    return min(distances)
+
+
+def test_random_motions_by_dense_samples_and_by_the_planners_tests():
+    """Verdicts agree with samples and with the other implementation; clearances with samples."""
+    rng = np.random.default_rng(8)
+    q0, q1 = (q.reshape(200, 2, 3) for q in random_motions(rng, 400, 4.0, 0.3, 0.6))
+    planner = motions_apart(BAR, q0[:, 0], q1[:, 0], DISC, q0[:, 1], q1[:, 1], 1e-9)
+    for i, robot in enumerate((BAR, DISC)):
+        planner &= MotionTest(ROOM, robot)(q0[:, i], q1[:, i])
+    solved = 0
+    for a, b, free in zip(q0, q1, planner, strict=True):
+        try:
+            problem = Problem(ROOM, [BAR, DISC], a, b)
+        except ValueError:
+            assert not free
+            continue
+        result = validate(problem, [a, b])
+        sampled = sampled_clearance(problem, np.array([a, b]))
+        assert result.valid == free == (sampled > 0)
+        if result.valid:
+            assert result.clearance == pytest.approx(sampled, abs=3e-3)
+            assert result.clearance <= sampled + 1e-6
+        solved += result.valid
+    assert solved > 20
+
+
+SOLUTIONS = [
+    ("dbcbs/classic", "dbcbs/solutions/classic_solution"),
+    ("dbcbs/swap2_unicycle", "dbcbs/solutions/swap3_unicycle_solution"),  # two of its three robots
+    ("dynobench/multirobot/example/swap4_unicycle", "dynobench/multirobot/results/swap4_unicycle_solution"),
+    ("dynobench/multirobot/example/swap2_unicycle2", "dynobench/multirobot/results/swap2_unicycle2_solution"),
+    *(
+        (f"dynobench/unicycle1_v0/{name}", f"dynobench/unicycle1_v0/{name}/idbastar_v0_{kind}solution_v0")
+        for name in ("bugtrap_0", "kink_0", "parallelpark_0")
+        for kind in ("", "opt_")
+    ),
+]
+
+
+def published(problem, solution):
+    """A published trajectory as the path of a problem that begins and ends where it does."""
+    path = scenes.read_trajectories(Path(DATA, f"{solution}.yaml"))
+    stated = scenes.read_dbcbs(Path(DATA, f"{problem}.yaml"))
+    num_stated = len(stated.robots)
+    np.testing.assert_allclose(path[0, :num_stated], stated.starts, atol=1e-9)
+    # They end within a numerical solver's tolerance of the goals.
+    np.testing.assert_allclose(path[-1, :num_stated], stated.goals, atol=0.03)
+    return Problem(stated.workspace, [stated.robots[0]] * path.shape[1], path[0], path[-1]), path
+
+
+def planner_accepts(problem, path):
+    free = np.ones(len(path) - 1, dtype=bool)
+    for i, robot in enumerate(problem.robots):
+        free &= MotionTest(problem.workspace, robot)(path[:-1, i], path[1:, i])
+        for j in range(i):
+            other = problem.robots[j]
+            free &= motions_apart(robot, path[:-1, i], path[1:, i], other, path[:-1, j], path[1:, j], 1e-9)
+    return bool(free.all())
+
+
+@needs_data
+@pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
+def test_published_trajectories_are_accepted(problem, solution):
+    problem, path = published(problem, solution)
+    result = validate(problem, path)
+    assert result.valid, result.message
+    assert planner_accepts(problem, path)
+    assert result.cost == pytest.approx(path_cost(problem, path))
+    # At its rows a trajectory keeps 0.02 or more, between them it may come closer.
+    assert sampled_clearance(problem, path, 2) > 0.02
+    assert 0.01 < result.clearance < 0.031
+    sampled = sampled_clearance(problem, path)
+    assert sampled - 2e-4 <= result.clearance <= sampled + 1e-6
+
+
+@needs_data
+@pytest.mark.parametrize(("problem", "solution"), SOLUTIONS)
+def test_published_trajectories_are_rejected_when_a_robot_is_shifted(problem, solution):
+    """The robot that comes closest to something, shifted by 0.2 in eight directions."""
+    problem, path = published(problem, solution)
+    result = validate(problem, path)
+    shift = np.zeros(3)
+    rejected = 0
+    for angle in np.arange(8) * np.pi / 4:
+        shift[:2] = 0.2 * np.cos(angle), 0.2 * np.sin(angle)
+        moved = path.copy()
+        moved[1:-1, result.who[0]] += shift
+        wrong = validate(problem, moved)
+        assert wrong.valid == planner_accepts(problem, moved)
+        rejected += not wrong.valid
+        if not wrong.valid:
+            assert result.who[0] in wrong.who
+            assert 0 <= wrong.when <= len(path) - 1
+    assert rejected >= 2
+
+
+@needs_data
+def test_a_robot_moved_onto_another_is_rejected():
+    problem, path = published(*SOLUTIONS[2])
+    path[30, 0] = path[30, 1]
+    result = validate(problem, path)
+    assert not result.valid
+    assert 0 in result.who
+    assert 29 <= result.when <= 30
+    assert not planner_accepts(problem, path)
