@@ -39,11 +39,12 @@ class Box:
         object.__setattr__(self, "hi", hi)
 
     @classmethod
-    def of(cls, value: "Box | ArrayLike") -> "Box":
+    def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
         """The box that is meant where either a box or its corners may be given.
 
         Args:
             value: A Box, or its corners ``(lo, hi)``.
+            name: What the box is called in an error.
 
         Returns:
             The box.
@@ -56,7 +57,7 @@ class Box:
         try:
             lo, hi = value
         except (TypeError, ValueError):
-            raise ValueError(f"Expected a Box or its corners (lo, hi), got {value!r:.200}.") from None
+            raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {value!r:.200}.") from None
         return cls(lo, hi)
 
     @property

@@ -304,7 +304,7 @@ def _grid(bounds: Box) -> float:
 
 
 def _as_bounds(value: Box | ArrayLike) -> Box:
-    bounds = Box.of(value)
+    bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
     return bounds

@@ -45,9 +45,9 @@ def test_a_box_may_be_given_by_its_corners():
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (((0, 0),), "Expected a Box or its corners"),
-        (3.0, "Expected a Box or its corners"),
-        (None, "Expected a Box or its corners"),
+        (((0, 0),), "The box must be a Box or its corners"),
+        (3.0, "The box must be a Box or its corners"),
+        (None, "The box must be a Box or its corners"),
         ("ab", "Box lo must be numbers"),
         (((0, 0), (1, 0)), "positive width"),
     ],

@@ -208,7 +208,7 @@ def test_an_invalid_obstacle_is_refused_by_its_index():
     ("build", "message"),
     [
         (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "two dimensions"),
-        (lambda: Workspace(3.0), "Expected a Box or its corners"),
+        (lambda: Workspace(3.0), "Bounds must be a Box"),
         (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
         (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
         (lambda: Workspace.from_polygons([]), "at least one component"),

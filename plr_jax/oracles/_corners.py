@@ -21,8 +21,8 @@ class Corners:
         opens: Unit vector along the wall with which each corner's sector opens, ``(corners, 2)``; zero for the
             point contacts of a workspace with ``squeeze``, which may be turned around on any side.
         closes: The same for the wall with which it closes.
-        edges: Corners that see one another and that a shortest path can join, each pair once, ``(edges, 2)``. It
-            bends around a corner only if its line touches the obstacle there without cutting off a part of it.
+        edges: Corners that see one another, each pair once, ``(edges, 2)``. Left out are those whose line cuts
+            off a part of the obstacle at both: a shortest path bends around neither, so it goes on at neither.
     """
 
     table: VisibilityTable
@@ -65,14 +65,14 @@ def find_corners(workspace: Workspace) -> Corners:
 def _tangent_edges(
     table: VisibilityTable, opens: Float[np.ndarray, "corners 2"], closes: Float[np.ndarray, "corners 2"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that see one another and whose line cuts off no obstacle at either, each pair once."""
+    """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once."""
     points, slack = table.points, 100 * table.walls.tolerance
     step = max(1, _CHUNK // max(1, len(points)))
     edges = [np.empty((0, 2), int)]
     for begin in range(0, len(points), step):
         part = slice(begin, begin + step)
         tangent = _is_tangent(points[part], opens[part], closes[part], points, slack)
-        tangent &= _is_tangent(points, opens, closes, points[part], slack).T
+        tangent |= _is_tangent(points, opens, closes, points[part], slack).T
         v, w = np.nonzero(np.triu(tangent, 1 + begin))
         v += begin
         for corner, other in ((0, 1), (1, 0)):

@@ -87,7 +87,7 @@ class Roadmap:
     ):
         if not isinstance(num_samples, int | np.integer) or num_samples < 1:
             raise ValueError(f"num_samples must be a whole number of at least 1, got {num_samples!r}.")
-        domain = Box.of(domain)
+        domain = Box.of(domain, "The domain")
         is_free = checked_is_free(domain, is_free)
         is_visible = checked_is_visible(is_free, is_visible, resolution)
         goal = _free_goal(domain, is_free, goal)

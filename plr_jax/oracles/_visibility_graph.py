@@ -34,10 +34,9 @@ class VisibilityGraph:
     Attributes:
         workspace: As given.
         goal: As given.
-        graph: The tangent visibility graph: the goal as vertex 0, then the corners. Of the edges between two
-            corners it has those that a shortest path can go along and beyond at both ends.
-        distances: Distance of each vertex to the goal along the graph, ``inf`` where there is no way. For a
-            corner around which no shortest path bends, it may be longer than ``oracle(corner)``.
+        graph: The visibility graph: the goal as vertex 0, then the corners. It has no edge of which neither
+            end can be a turn of a shortest path along it.
+        distances: Distance of each vertex to the goal, ``inf`` where it cannot be reached.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.

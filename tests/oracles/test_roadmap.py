@@ -285,7 +285,7 @@ def test_counts_and_bytes():
         ({"goal": (np.nan, 0.5)}, "finite coordinates"),
         ({"goal": ("a", 0)}, "The goal must be numbers"),
         ({"domain": (0, 1)}, "Box lo must be one point"),
-        ({"domain": 3.0}, "Expected a Box or its corners"),
+        ({"domain": 3.0}, "The domain must be a Box"),
         ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
         ({"num_samples": 0}, "num_samples"),
         ({"is_visible": None}, "Give either is_visible"),
