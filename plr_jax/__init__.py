@@ -16,8 +16,14 @@ if TYPE_CHECKING:
     from plr_jax import scenes as scenes
     from plr_jax._box import Box as Box
     from plr_jax._problem import Problem as Problem
+    from plr_jax._problem import makespan as makespan
+    from plr_jax._problem import path_cost as path_cost
+    from plr_jax._robot import DiscRobot as DiscRobot
     from plr_jax._robot import PointRobot as PointRobot
+    from plr_jax._robot import RectangleRobot as RectangleRobot
     from plr_jax._types import DistanceFn as DistanceFn
+    from plr_jax._validate import ValidationReport as ValidationReport
+    from plr_jax._validate import validate as validate
     from plr_jax._workspace import Workspace as Workspace
     from plr_jax.oracles import Euclidean as Euclidean
     from plr_jax.oracles import Roadmap as Roadmap
@@ -40,8 +46,14 @@ _MODULES = ("metrics", "plot", "scenes")
 _HOME = {
     "Box": "_box",
     "Problem": "_problem",
+    "makespan": "_problem",
+    "path_cost": "_problem",
+    "DiscRobot": "_robot",
     "PointRobot": "_robot",
+    "RectangleRobot": "_robot",
     "DistanceFn": "_types",
+    "ValidationReport": "_validate",
+    "validate": "_validate",
     "Workspace": "_workspace",
     "Euclidean": "oracles",
     "Roadmap": "oracles",

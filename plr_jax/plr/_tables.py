@@ -53,8 +53,9 @@ class Tables:
     Attributes:
         lo: Lower corner of the domain, rounded down to a 32-bit float.
         hi: Upper corner of the domain, rounded up.
-        lo_rest: What the rounding took from the lower corner, so that far from the origin cells stay in place.
+        lo_rest: What the rounding took from the lower corner.
         hi_rest: What the rounding added to the upper corner.
+        lo_fraction: ``lo_rest`` over the width of the domain, so that cells far from the origin stay in place.
         scale: One over the width of the domain.
         shift: Bits of a point's place below its slot (flat table) or its block (two levels), along each axis.
         stride: Stride of the index of the slot, or of the block, along each axis.
@@ -68,6 +69,7 @@ class Tables:
     hi: Float[Array, "dim"]
     lo_rest: Float[Array, "dim"]
     hi_rest: Float[Array, "dim"]
+    lo_fraction: Float[Array, "dim"]
     scale: Float[Array, "dim"]
     shift: Int[Array, "dim"]
     stride: Int[Array, "dim"]
@@ -97,16 +99,16 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     leaf = lookup(tables, jax.lax.stop_gradient(x))
     lo, hi = tables.lo.astype(x.dtype), tables.hi.astype(x.dtype)
     value = _gather(tables.intercept, leaf).astype(x.dtype)
-    outside = nan = jnp.zeros(x.shape[:-1], bool)
+    inside, beyond = jnp.ones(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis, slope in enumerate(tables.slope):
         above, below = x[..., axis] - lo[axis], hi[axis] - x[..., axis]
         value += _gather(slope, leaf).astype(x.dtype) * above
         if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
-            outside |= (above < tables.lo_rest[axis]) | (below < tables.hi_rest[axis])
+            inside &= (above >= tables.lo_rest[axis]) & (below >= tables.hi_rest[axis])
         else:
-            outside |= (above < 0) | (below < 0)
-        nan |= jnp.isnan(above)
-    return jnp.where(nan, jnp.nan, jnp.where(outside, jnp.inf, value))
+            inside &= (above >= 0) & (below >= 0)
+        beyond += jnp.abs(above)  # NaN if any coordinate is
+    return jnp.where(inside, value, jax.lax.stop_gradient(beyond))
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
@@ -152,6 +154,7 @@ def build_tables(
         hi=jnp.asarray(hi),
         lo_rest=jnp.asarray(rest[0]),
         hi_rest=jnp.asarray(rest[1]),
+        lo_fraction=jnp.asarray(((domain.lo - lo) / domain.width).astype(np.float32)),
         scale=jnp.asarray((1 / domain.width).astype(np.float32)),
         shift=jnp.asarray((_FRACTION_BITS - top).astype(np.int32)),
         stride=jnp.asarray((1 << (np.cumsum(top[::-1])[::-1] - top)).astype(np.int32)),
@@ -168,8 +171,10 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Arra
     Those are the fraction bits of the float between 1 and 2. The largest place is for the upper edge, which belongs
     to the last cell; masking keeps every index in its table, whatever the point.
     """
-    offset = x[..., axis] - tables.lo[axis].astype(x.dtype) - tables.lo_rest[axis].astype(x.dtype)
-    fraction = (offset * tables.scale[axis].astype(x.dtype)).astype(jnp.float32)
+    above = x[..., axis] - tables.lo[axis].astype(x.dtype)
+    fraction = (above * tables.scale[axis].astype(x.dtype) - tables.lo_fraction[axis].astype(x.dtype)).astype(
+        jnp.float32
+    )
     last = np.float32(1 - 2.0**-_FRACTION_BITS)
     fraction = jnp.where(fraction < last, fraction, last)
     return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.int32) & (2**_FRACTION_BITS - 1)

@@ -164,7 +164,7 @@ def with_obstacles(obstacles):
         (scene_dict(goals=[["a", 2.0]]), "goals must be numbers"),
         (scene_dict(workspace={}), '"workspace" to have the keys'),
         (scene_dict(workspace={**WORKSPACE, "squeeze": 1}), '"squeeze" to be true or false'),
-        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "Expected a Box or its corners"),
+        (scene_dict(workspace={**WORKSPACE, "bounds": 3}), "must be a Box or its corners"),
         (scene_dict(workspace={**WORKSPACE, "bounds": [[0, 0], [0, 1]]}), "positive width"),
         (with_obstacles(3), '"obstacles" to be a list'),
         (with_obstacles([3]), "expected obstacle 0 to be"),
