@@ -42,7 +42,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     exact = VisibilityGraph(workspace, goal)
-    roadmap = Roadmap.from_workspace(workspace, goal, 300 if smoke else 10_000, seed)
+    roadmap = Roadmap.from_workspace(workspace, goal, 300 if smoke else 10_000, seed=seed)
     resolution = 48 if smoke else 256
     panels = []
     for label, oracle in (("(a) visibility graph", exact), ("(b) PRM*", roadmap)):
