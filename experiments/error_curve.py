@@ -5,16 +5,16 @@ All are measured over the same random free points against the exact distance. Wh
 - The bilinear grid (SciPy's ``RegularGridInterpolator``) has as many float32 nodes as fit, spread in proportion to
   the sides of the map. A node in an obstacle takes the value of the nearest free node.
 - LightGBM's linear trees get as many oracle samples, at random free points, as the default PLR of those bytes used.
-  One tree and four are tried, each with as many leaves as fit, and the one of the smaller mean error is kept. Their
-  bytes are counted as if packed into 17 bytes a leaf (axis, float32 threshold, three float32 coefficients), a
-  fraction of the text that LightGBM saves.
+  LightGBM gives the leaves of its first tree no slope, so that tree is a stump, and all other leaves hold planes.
+  One, two and four trees after the stump are tried, each with as many leaves as fit, and the ones of the smallest
+  mean error are kept. Bytes are counted as if packed into 17 a leaf (axis, float32 threshold, three float32
+  coefficients), a fraction of the text that LightGBM saves; the results file has the bytes of that text too.
 """
 
 import os
-import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import lightgbm
 import numpy as np
@@ -29,19 +29,21 @@ from experiments._results import run
 from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics, scenes
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
-_PACKED_BYTES_A_LEAF = 17
+_PACKED_BYTES_A_LEAF, _PACKED_BYTES_OF_STUMP = 17, 13
+_NUM_TREES = (1, 2, 4)
 _PLRS = {
     f"PLR, {rule}, {coefficients}": {"split": split, "coefficient_bits": bits}
     for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
     for coefficients, bits in (("chosen bits", None), ("16-bit", 16), ("float32", 32))
 }
 _STYLES = {
-    "PLR, best axis, chosen bits": ("#0072B2", "-", "PLR (default)"),
-    "PLR, best axis, float32": ("#0072B2", "--", "PLR, float32"),
-    "PLR, axes in turn, chosen bits": ("#009E73", "-", "PLR, axes in turn"),
-    "LightGBM linear trees": ("#D55E00", "-", "LightGBM linear trees"),
-    "bilinear grid": ("#444444", "-", "bilinear grid"),
+    "PLR, best axis, chosen bits": ("#0072B2", "-", "o", "PLR (default)"),
+    "PLR, best axis, float32": ("#0072B2", "--", "o", "PLR, float32"),
+    "PLR, axes in turn, chosen bits": ("#009E73", "-", "^", "PLR, axes in turn"),
+    "LightGBM linear trees": ("#D55E00", "-", "s", "LightGBM linear trees"),
+    "bilinear grid": ("#444444", "-", "D", "bilinear grid"),
 }
+_LABEL_HEIGHT = 0.085
 
 Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
 
@@ -49,7 +51,8 @@ Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     budgets = [512, 1024] if smoke else [512 * 2**doubling for doubling in range(7)]
     num_points = 2_000 if smoke else 500_000
-    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in _scenes().items()}
+    problems = {"maze": scenes.maze()} if smoke else {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
+    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in problems.items()}
     data = os.environ.get("PLR_JAX_DATA")
     if data and not smoke:
         arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
@@ -62,10 +65,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     return {"points": num_points, "budgets": budgets, "curves": curves}
 
 
-def _scenes() -> dict[str, Any]:
-    return {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
-
-
 def _measure_map(
     workspace: Workspace, goal: Float[np.ndarray, "2"], budgets: list[int], num_points: int, seed: int
 ) -> dict[str, list[dict[str, Any]]]:
@@ -75,7 +74,7 @@ def _measure_map(
     distance = exact(x)
     curves: dict[str, list[dict[str, Any]]] = {}
 
-    def record(name: str, num_bytes: int, approximation: Approximation) -> float:
+    def record(name: str, num_bytes: int, approximation: Approximation) -> None:
         report = metrics.error_map(approximation, lambda _: distance, x)
         row = {
             "bytes": num_bytes,
@@ -85,7 +84,6 @@ def _measure_map(
             "unanswered": report.num_unanswered,
         }
         curves.setdefault(name, []).append(row)
-        return report.mean
 
     for budget in tqdm(budgets, desc="budgets", disable=None):
         num_samples = 0
@@ -102,9 +100,10 @@ def _measure_map(
         grid = bilinear_grid(workspace, exact, budget)
         record("bilinear grid", 4 * grid.values.size, grid)
         x_train = workspace.sample_free(num_samples, TRAINING_SEED + seed)
-        trees = [linear_trees(x_train, exact(x_train), budget, number, seed) for number in (1, 4)]
-        best = min(trees, key=lambda predict: np.abs(predict(x) - distance).mean())
-        record("LightGBM linear trees", budget, best)
+        trees = [linear_trees(x_train, exact(x_train), budget, number, seed) for number in _NUM_TREES]
+        best = min(trees, key=lambda booster: np.abs(booster.predict(x) - distance).mean())
+        record("LightGBM linear trees", budget, best.predict)
+        curves["LightGBM linear trees"][-1]["bytes_as_saved"] = len(best.model_to_string())
     return curves
 
 
@@ -116,20 +115,19 @@ def bilinear_grid(workspace: Workspace, exact: VisibilityGraph, num_bytes: int) 
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     values = exact(nodes.reshape(-1, 2)).reshape(shape)
     spacing = bounds.width / (shape - 1)
-    nearest = distance_transform_edt(~np.isfinite(values), spacing, return_distances=False, return_indices=True)
+    _, nearest = cast(tuple, distance_transform_edt(~np.isfinite(values), spacing, return_indices=True))
     return RegularGridInterpolator(axes, values[tuple(nearest)].astype(np.float32))
 
 
 def linear_trees(
     x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], num_bytes: int, num_trees: int, seed: int
-) -> Approximation:
-    """Boosted trees with a plane in every leaf, of so many packed bytes together."""
-    leaves = max(2, num_bytes // _PACKED_BYTES_A_LEAF // num_trees)
+) -> lightgbm.Booster:
+    """A stump, then boosted trees with a plane in every leaf, of so many packed bytes together."""
+    leaves = max(2, (num_bytes - _PACKED_BYTES_OF_STUMP) // _PACKED_BYTES_A_LEAF // num_trees)
     parameters = {
         "objective": "l2",
         "linear_tree": True,
-        "num_leaves": leaves,
-        "learning_rate": 1.0 if num_trees == 1 else 0.7,
+        "learning_rate": 1.0,
         "min_data_in_leaf": 8,
         "max_bin": 1023,
         "linear_lambda": 1e-6,
@@ -138,47 +136,59 @@ def linear_trees(
         "num_threads": 2,
         "verbosity": -1,
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        booster = lightgbm.train(parameters, lightgbm.Dataset(x, distance), num_boost_round=num_trees)
-    return booster.predict
+    data = lightgbm.Dataset(x, distance, free_raw_data=False)
+    stump = lightgbm.train({**parameters, "num_leaves": 2}, data, num_boost_round=1)
+    return lightgbm.train({**parameters, "num_leaves": leaves}, data, num_boost_round=num_trees, init_model=stump)
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """Mean and largest error against bytes, one column a map."""
+    """Mean and largest error against bytes, one column a map, each line labeled at the right."""
     curves = results["curves"]
-    figure = Figure(figsize=(3.3 * len(curves) + 0.6, 5.4), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(2.9 * len(curves) + 1.6, 5.2), layout="constrained", facecolor="white")
     axes = figure.subplots(2, len(curves), sharex=True, squeeze=False)
     for column, (name, contenders) in enumerate(curves.items()):
         for row, error in enumerate(("mean", "max")):
             _draw_curves(axes[row, column], contenders, error)
-        axes[0, column].set_title(name.replace("_", " "))
-        axes[1, column].set_xlabel("bytes in the file")
-    axes[0, 0].set_ylabel("mean error (workspace units)")
-    axes[1, 0].set_ylabel("largest error (workspace units)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        axes[0, column].set_title(name.replace("_", " "), fontsize=11)
+        axes[1, column].set_xlabel("bytes")
+    axes[0, 0].set_ylabel("mean error (workspace units)", fontsize=9)
+    axes[1, 0].set_ylabel("largest error (workspace units)", fontsize=9)
+    for row, error in enumerate(("mean", "max")):
+        _label_ends(axes[row, -1], next(reversed(curves.values())), error)
     path = output / "error_curve.png"
     figure.savefig(path, dpi=150)
     return [path]
 
 
 def _draw_curves(ax: Axes, contenders: dict[str, list[dict[str, Any]]], error: str) -> None:
-    for name, (color, line, label) in _STYLES.items():
+    for name, (color, line, marker, _) in _STYLES.items():
         rows = contenders[name]
-        ax.loglog(
-            [row["bytes"] for row in rows],
-            [row[error] for row in rows],
-            line,
-            color=color,
-            label=label,
-            marker=".",
-            lw=1.6,
-        )
+        x, y = [row["bytes"] for row in rows], [row[error] for row in rows]
+        ax.loglog(x, y, line, color=color, marker=marker, ms=4, lw=1.5)
     ax.grid(True, which="major", color="#dddddd", lw=0.6)
     ax.set_xticks([512, 2048, 8192, 32768], ["512", "2,048", "8,192", "32,768"])
     ax.minorticks_off()
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def _label_ends(ax: Axes, contenders: dict[str, list[dict[str, Any]]], error: str) -> None:
+    """Name every line where it ends, with labels moved apart that would overlap."""
+    ends = sorted((contenders[name][-1][error], name) for name in _STYLES)
+    lo, hi = np.log(ax.get_ylim())
+    height = -np.inf
+    for value, name in ends:
+        height = max((np.log(value) - lo) / (hi - lo), height + _LABEL_HEIGHT)
+        color, _, _, label = _STYLES[name]
+        ax.annotate(
+            label,
+            (contenders[name][-1]["bytes"], value),
+            (1.06, height),
+            textcoords="axes fraction",
+            color=color,
+            va="center",
+            fontsize=9,
+            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
+        )
 
 
 if __name__ == "__main__":

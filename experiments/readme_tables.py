@@ -16,8 +16,13 @@ _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m experiments.readme_tables", description=__doc__.split("\n")[0])
-    parser.add_argument("--check", action="store_true", help="change nothing; fail if a table is out of date")
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.readme_tables", description="Render the README's tables."
+    )
+    # Every experiment has a --smoke; here it means the same as --check.
+    parser.add_argument(
+        "--check", "--smoke", action="store_true", help="change nothing; fail if a table is out of date"
+    )
     arguments = parser.parse_args()
     text = README.read_text(encoding="utf-8")
     rendered = render(text)
