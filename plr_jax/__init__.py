@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from plr_jax.oracles import Euclidean as Euclidean
     from plr_jax.oracles import Roadmap as Roadmap
     from plr_jax.oracles import VisibilityGraph as VisibilityGraph
+    from plr_jax.oracles import robot_distance_fns as robot_distance_fns
     from plr_jax.plr import PLR as PLR
     from plr_jax.plr import CellFit as CellFit
     from plr_jax.plr import ConstructionInterrupted as ConstructionInterrupted
@@ -58,6 +59,7 @@ _HOME = {
     "Euclidean": "oracles",
     "Roadmap": "oracles",
     "VisibilityGraph": "oracles",
+    "robot_distance_fns": "oracles",
     "PLR": "plr",
     "CellFit": "plr",
     "ConstructionInterrupted": "plr",

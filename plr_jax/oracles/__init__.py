@@ -2,4 +2,5 @@
 
 from plr_jax.oracles._euclidean import Euclidean as Euclidean
 from plr_jax.oracles._roadmap import Roadmap as Roadmap
+from plr_jax.oracles._robot_distances import robot_distance_fns as robot_distance_fns
 from plr_jax.oracles._visibility_graph import VisibilityGraph as VisibilityGraph

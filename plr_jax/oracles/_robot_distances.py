@@ -1,0 +1,49 @@
+"""One exact distance function for each robot of a problem: the terms of a team's heuristic."""
+
+import numpy as np
+import shapely
+import shapely.ops
+from jaxtyping import Float
+
+from plr_jax._problem import Problem
+from plr_jax._workspace import Workspace
+from plr_jax.oracles._visibility_graph import VisibilityGraph
+
+
+def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
+    """Exact distance of each robot to its goal, alone among the obstacles.
+
+    Robots of one size share the visibility of the corners.
+
+    Args:
+        problem: The robots, their workspace and their goals.
+        inflated: Whether obstacles are grown by each robot's radius (of a rectangle, its inscribed disc's), so that
+            distances are those of its center. False gives the paper's point robots, whose distances are shorter.
+
+    Returns:
+        A distance function of the position ``(n, 2)`` for each robot, never longer than the robot's own shortest
+        path. ``inf`` where its center cannot be.
+
+    References:
+        Section V-B of the paper, which uses the point robots' distances.
+    """
+    first: dict[float, VisibilityGraph] = {}
+    distance_fns = []
+    for robot, goal in zip(problem.robots, problem.goals, strict=True):
+        radius = robot.inscribed_radius if inflated else 0.0
+        if radius in first:
+            distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
+            continue
+        workspace = problem.workspace.inflate(radius) if radius > 0 else problem.workspace
+        first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace))
+        distance_fns.append(first[radius])
+    return distance_fns
+
+
+def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
+    """The goal, moved into free space where rounding left it just outside, as that of a robot that touches a wall."""
+    if workspace.is_free(goal[None])[0]:
+        return goal
+    nearest = shapely.get_coordinates(shapely.ops.nearest_points(workspace.free_space, shapely.Point(goal))[0])[0]
+    close = np.linalg.norm(nearest - goal) <= 1e3 * workspace.tolerance
+    return nearest if close else goal

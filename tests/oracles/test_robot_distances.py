@@ -1,0 +1,41 @@
+import numpy as np
+
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes
+
+
+def test_each_robot_has_its_own_goal_and_size():
+    problem = scenes.four_rooms(4)
+    inflated, points = robot_distance_fns(problem), robot_distance_fns(problem, inflated=False)
+    assert len(inflated) == len(points) == 4
+    for robot, (fat, thin) in enumerate(zip(inflated, points, strict=True)):
+        np.testing.assert_allclose(fat(problem.goals[robot][None]), 0, atol=1e-9)
+        start = problem.starts[robot][None]
+        straight = np.linalg.norm(problem.starts[robot] - problem.goals[robot])
+        assert straight <= thin(start)[0] <= fat(start)[0] < 1.5 * straight
+
+
+def test_a_disc_goes_around_a_corner_at_its_radius():
+    workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
+    problem = Problem(workspace, [DiscRobot(1.0)], [(1.0, 1.0)], [(9.0, 1.0)])
+    (distance,) = robot_distance_fns(problem)
+    # A tangent to each rounded corner, an arc from its direction to the horizontal, and the flat between them.
+    tangent = np.sqrt(3**2 + 4**2 - 1)
+    arc = np.arctan2(4, 3) + np.arcsin(1 / 5)
+    expected = 2 * (tangent + arc) + 2
+    found = distance(np.array([[1.0, 1.0]]))[0]
+    assert 0.998 * expected <= found <= expected
+
+
+def test_a_goal_that_touches_a_wall_is_kept():
+    workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
+    problem = Problem(workspace, [DiscRobot(0.3)], [(1.0, 1.0)], [(3.7, 2.0)])
+    (distance,) = robot_distance_fns(problem)
+    np.testing.assert_allclose(distance(np.array([[1.0, 1.0]])), np.hypot(2.7, 1), atol=1e-6)
+
+
+def test_mixed_teams():
+    workspace = Workspace(((0, 0), (10, 10)))
+    robots = [PointRobot(), DiscRobot(0.5), RectangleRobot(2.0, 1.0)]
+    problem = Problem(workspace, robots, [(1, 1, 0), (1, 4, 0), (2, 8, 0)], [(9, 1, 0), (9, 4, 0), (8, 8, 0)])
+    lengths = [f(start[None, :2])[0] for f, start in zip(robot_distance_fns(problem), problem.starts, strict=True)]
+    np.testing.assert_allclose(lengths, [8, 8, 6])
