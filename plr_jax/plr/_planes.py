@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
 _FLOAT_INF = 0x7F800000
-_LARGEST = 1e30
+LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ def encode_planes(
 ) -> StoredPlanes:
     """Round planes to what a file holds; a center of ``inf`` marks an unreachable leaf."""
     reachable = np.isfinite(center)
-    if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > _LARGEST:
-        raise ValueError(f"Distances must be within {_LARGEST:g} to be stored; scale them down.")
+    if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
+        raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
     half = np.where(reachable[:, None], half, 0.0)
     if bits == FLOAT_BITS:
         return StoredPlanes(bits, 0.0, 1.0, _bits_of_float(center) & 0xFFFFFFFF, _bits_of_float(half))

@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import HEADER_SIZE, decode, file_size
 from plr_jax.plr._neighbors import fill_unreachable
-from plr_jax.plr._planes import StoredPlanes
+from plr_jax.plr._planes import LARGEST, StoredPlanes
 from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
 
 
@@ -127,7 +127,7 @@ def from_bytes(data: bytes) -> PLR:
     lo, hi = cells.boxes(domain)
     corner = table_corners(domain)[0]
     slope = half * 2 / (hi - lo)
-    if not max(np.abs(slope).max(), np.abs(center[~planes.unreachable]).max(initial=0.0)) < 1e30:
+    if not max(np.abs(slope).max(), np.abs(center[~planes.unreachable]).max(initial=0.0)) < LARGEST:
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     to_center = (lo + hi) / 2 - corner
     at_corner = np.where(planes.unreachable, 0.0, center) - np.sum(slope * to_center, axis=1)

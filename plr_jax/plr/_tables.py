@@ -16,13 +16,13 @@ from jaxtyping import Array, Float, Int, Integer, Num
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._planes import LARGEST
 
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _MAX_BLOCK_BITS = 16
 _FRACTION_BITS = 23  # of a 32-bit float
 _WORD_BITS = 32
 _MAX_SLOTS = 2**28
-_LARGEST = 1e30  # of coordinates and distances: far enough from the end of 32-bit floats
 
 
 @jax.tree_util.register_dataclass
@@ -117,8 +117,8 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     Raises:
         ValueError: If 32-bit floats cannot hold the corners or the width.
     """
-    if np.abs([domain.lo, domain.hi]).max() > _LARGEST or domain.width.min() < 1 / _LARGEST:
-        raise ValueError(f"The domain must be within {_LARGEST:g}, and wider than its inverse, got {domain}.")
+    if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
+        raise ValueError(f"The domain must be within {LARGEST:g}, and wider than its inverse, got {domain}.")
     lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
     return (
         np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
