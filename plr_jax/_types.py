@@ -21,3 +21,14 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 ``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain
 or the bounds, or not a point at all (a coordinate is NaN).
 """
+
+JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
+"""A batch of joint configurations on the host, one a row."""
+
+HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
+"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf`` where it has no estimate.
+
+A heuristic that is a sum over robots may offer its terms as an attribute
+``per_robot(q: (n, robots, dof)) -> (n, robots)``. Planners evaluate the terms once a robot's configuration
+instead of once a joint one.
+"""
