@@ -9,8 +9,10 @@ from jaxtyping import Array, Float
 
 from plr_jax.plr._tables import Tables, evaluate_tables
 
-_SMALLEST = 16
-_CHUNK = 1 << 15  # the largest batch of a call; several in flight overlap with the copies between NumPy and JAX
+# The sizes of batch that are compiled. Where a call costs more than its work, fewer of them waste little; a few points
+# are worth their own, as JAX then computes at once instead of handing the work to another thread.
+_SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
+_CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,8 @@ class TableStack:
 
 
 def _padded(q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-    """The batch in the precision of JAX's floats, filled up to a power of two so that few sizes are ever compiled."""
-    size = max(_SMALLEST, 1 << (len(q) - 1).bit_length())
+    """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+    size = next(size for size in _SIZES if size >= len(q))
     padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
     padded[: len(q)], padded[len(q) :] = q, 0
     return padded
