@@ -7,18 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Integer, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.spatial import KDTree
 
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike
 from plr_jax.plot._plane import plot_workspace
-from plr_jax.plot._player import embedded, page
+from plr_jax.plot._player import HOLD, embedded, page
 from plr_jax.plot._robots import (
     add_body,
     add_number,
@@ -33,8 +34,8 @@ from plr_jax.plot._robots import (
 from plr_jax.plot._timeline import Timeline, timeline
 
 _PANEL, _MARGIN, _DPI = 4.2, 0.08, 120  # inches, inches, pixels an inch
-_HOLD = 1.2  # seconds that the last frame stays
 _LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with
+_PACK = np.array([65536, 256, 1], dtype=np.uint32)  # three bytes of a color as one number
 _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
 
 
@@ -112,26 +113,53 @@ def animate(
     if not (np.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds must be a positive finite number, got {seconds!r}.")
     if not 0 < frames_per_second <= _LARGEST_RATE:
-        raise ValueError(f"frames_per_second must be above 0 and at most {_LARGEST_RATE:g}, got {frames_per_second!r}.")
+        raise ValueError(
+            f"frames_per_second must be above 0 and at most {_LARGEST_RATE:g}, got {frames_per_second!r}."
+        )
     motion = timeline(problem, path)
     if motion.duration == 0:
-        raise ValueError(f"There is nothing to animate: no robot moves in the {len(path)} step(s) of the path.")
+        raise ValueError(
+            f"There is nothing to animate: no robot moves in the path's {len(np.asarray(path))} step(s)."
+        )
     return Animation(problem, motion, float(seconds), float(frames_per_second))
 
 
 def _gif(animation: Animation) -> bytes:
     from PIL import Image
 
-    frames = [Image.fromarray(pixels) for pixels in _frames(animation)]
-    # One palette for all frames, from three of them side by side: colors do not flicker, frames differ by little.
-    sample = np.concatenate([np.asarray(frames[k]) for k in (0, len(frames) // 2, -1)])
-    palette = Image.fromarray(sample).quantize(128, method=Image.Quantize.MEDIANCUT)
-    paged = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    frames = list(_frames(animation))
+    palette, nearest = _palette(np.stack(frames[:: max(1, len(frames) // 8)]))
+    paged = [Image.fromarray(nearest[_cells(frame)]) for frame in frames]
+    for frame in paged:
+        frame.putpalette(palette.tobytes())
     delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, in the hundredths that GIF knows
-    durations = [delay] * (len(paged) - 1) + [int(1000 * _HOLD)]
+    durations = [delay] * (len(paged) - 1) + [int(1000 * HOLD)]
     data = io.BytesIO()
     paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
     return data.getvalue()
+
+
+def _palette(
+    pixels: UInt8[np.ndarray, "*shape 3"],
+) -> tuple[UInt8[np.ndarray, "colors 3"], UInt8[np.ndarray, "32768"]]:
+    """The 256 most frequent colors, and for each cell of 8 x 8 x 8 colors the one to show in its place.
+
+    Pillow's own quantization averages, so that white is not white and flat areas flicker.
+    """
+    packed, counts = np.unique(pixels.reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True)
+    packed = packed[np.argsort(-counts, kind="stable")[:256]]
+    palette = ((packed[:, None] // _PACK) % 256).astype(np.uint8)
+    levels = np.arange(4, 256, 8)
+    centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
+    order = np.arange(len(palette))[::-1]  # of colors in one cell, the most frequent is assigned last and stays
+    nearest[_cells(palette[order])] = order
+    return palette, nearest
+
+
+def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape"]:
+    r, g, b = np.moveaxis(pixels.astype(np.int32) >> 3, -1, 0)
+    return (r << 10) | (g << 5) | b
 
 
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
@@ -139,9 +167,10 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     problem, motion = animation.problem, animation.motion
     ax = _stage(problem, motion)
     actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
-    canvas = FigureCanvasAgg(ax.figure)
+    figure = ax.figure.canvas.figure
+    canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    background = canvas.copy_from_bbox(ax.figure.bbox)
+    background = canvas.copy_from_bbox(figure.bbox)
     for time in np.linspace(0.0, motion.duration, animation.num_frames):
         so_far = motion.between(0.0, float(time))
         for i, actor in enumerate(actors):

@@ -18,7 +18,7 @@ from plr_jax.plot._timeline import Timeline
 
 _SIZE = 520.0  # pixels along the longer side of the bounds, before the browser scales them
 _BORDER, _CONTROLS, _PADDING = 2.0, 28, 6
-_HOLD = 1.2  # seconds between the end and the next round
+HOLD = 1.2  # seconds between the end and the next round
 _SMALLEST_NUMBERED = 10.0  # pixels across a body that carries a number
 
 
@@ -48,19 +48,19 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     """What the page needs to know of the path; coordinates to a twentieth of a pixel or finer."""
     bounds = problem.workspace.bounds
     digits = max(0, 4 - math.floor(math.log10(bounds.width.max())))
-    steps = motion.configurations.round(digits)
     rectangles = [isinstance(robot, RectangleRobot) for robot in problem.robots]
     return {
         "seconds": seconds,
-        "hold": _HOLD,
+        "hold": HOLD,
         "view": {"scale": _scale(problem), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])},
-        "times": [_number(time, digits) for time in motion.times],
+        "duration": motion.duration,
+        "times": [_number(share, 6) for share in motion.times / motion.duration],
         "steps": [
             [
                 [_number(x, digits), _number(y, digits)] + ([_number(rest[0], 4)] if turns else [])
                 for (x, y, *rest), turns in zip(step, rectangles, strict=True)
             ]
-            for step in steps
+            for step in motion.configurations
         ],
     }
 
@@ -114,7 +114,9 @@ def _track(problem: Problem, motion: Timeline, i: int, kind: str) -> str:
 def _goal(problem: Problem, i: int) -> str:
     corners = outline(problem.robots[i], problem.goals[i], problem.workspace.bounds)
     points = _pixels(problem, corners)
-    shape = f'<polygon class="halo" points="{points}"/><polygon class="goal" stroke="{color_of(i)}" points="{points}"/>'
+    shape = (
+        f'<polygon class="halo" points="{points}"/><polygon class="goal" stroke="{color_of(i)}" points="{points}"/>'
+    )
     if not isinstance(problem.robots[i], RectangleRobot):
         return shape
     front = _pixels(problem, corners[[0, 3]])
@@ -133,7 +135,9 @@ def _robot(problem: Problem, i: int) -> str:
             f'd="M{x:.2f} {y0:.2f}V{y1:.2f}"/>'
         )
     else:
-        body = f'<circle class="body" r="{scale * drawn_radius(robot, problem.workspace.bounds):.2f}" fill="{color}"/>'
+        body = (
+            f'<circle class="body" r="{scale * drawn_radius(robot, problem.workspace.bounds):.2f}" fill="{color}"/>'
+        )
     number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
     if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
         number = ""

@@ -73,7 +73,8 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
     ax.add_patch(body)
     if not isinstance(robot, RectangleRobot):
         return body, None
-    (bar,) = ax.plot(*placed(nose(robot), q).T, color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
+    ends = placed(nose(robot), q)
+    (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
     return body, bar
 
 
@@ -91,8 +92,9 @@ def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"],
 
 def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
     """Write the number of a robot."""
-    style = {"fontsize": FONT_SIZE - 1, "weight": "bold", "ha": "center", "va": "center_baseline"}
-    return ax.text(*at, str(i), color=color, zorder=LABEL, **style)
+    text = ax.text(at[0], at[1], str(i), color=color, fontsize=FONT_SIZE - 1, weight="bold", zorder=LABEL)
+    text.set(ha="center", va="center_baseline")
+    return text
 
 
 def add_numbers(
