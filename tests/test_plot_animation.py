@@ -182,7 +182,8 @@ const matchMedia = () => ({ matches: false });
 let next = null;
 const requestAnimationFrame = f => { next = f; };
 const frame = now => { const f = next; next = null; f(now); };
-const report = () => Object.fromEntries(Object.entries(elements).map(([k, e]) => [k, [{ ...e.attributes }, e.value]]));
+const entries = () => Object.entries(elements);
+const report = () => Object.fromEntries(entries().map(([k, e]) => [k, [{ ...e.attributes }]]));
 const reports = [];
 """
 
