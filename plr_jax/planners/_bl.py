@@ -20,7 +20,8 @@ from plr_jax.planners._solution import Solution, Stats, Status, solution_of, str
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
-_REFINEMENT = 1.5
+_REFINEMENT = 1.25
+_FIRST_TURN = 256  # expansions
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
 
@@ -53,7 +54,7 @@ class BLOptions:
     cell_size: float | None = None
     heuristic_weight: float = 3.0
     batch: int = 16
-    branching: int = 8
+    branching: int = 2
     width: int = 1024
     cost_factor: float = float("inf")
     lower_bound: float | None = None
@@ -150,47 +151,68 @@ class _Run:
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
         step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
-        finest = self.options.step or _FINEST * self.problem.workspace.bounds.width.max()
         while True:
-            status = self._attempt(step, weight)
-            if self.path is not None and self.cost <= self.options.cost_factor * self.lower_bound:
-                return Status.SOLVED
-            if status not in (Status.SOLVED, Status.EXHAUSTED):
+            status, step = self._take_turns(step, weight)
+            if status is not Status.SOLVED or self.cost <= self.options.cost_factor * self.lower_bound:
                 return status
             limit = self.effort.exceeded()
             if limit:
                 return limit
-            if status is Status.SOLVED:
-                weight = min(weight, (1 + weight) / 2)
-            if status is Status.EXHAUSTED or weight < _LEAST_WEIGHT:
-                if step <= finest:
-                    return Status.EXHAUSTED
-                step = max(step / _REFINEMENT, finest)
+            if weight > _LEAST_WEIGHT:
+                weight = (1 + weight) / 2
+            elif self.options.step is not None:
+                return Status.EXHAUSTED
+            if self.options.step is None:
+                step /= _REFINEMENT
 
-    def _attempt(self, step: float, weight: float) -> Status:
-        """One search, and its path shortened if it is the best yet."""
-        lattices = build_lattices(self.problem, step, self.options.primitives, self.tests)
+    def _take_turns(self, step: float, weight: float) -> tuple[Status, float]:
+        """Searches on finer and finer lattices that take turns, each longer than the last, until one succeeds.
+
+        Which lattice has room for robots to pass one another is not known before; one that has none would keep a
+        single search busy for ever.
+
+        Returns:
+            Why they ended, and the step of the one that did.
+        """
+        finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
+        turn, searches = _FIRST_TURN, {}
+        while True:
+            if step >= finest and (search := self._search(step, weight)):
+                searches[step] = search
+            elif step < finest and not searches:
+                return Status.EXHAUSTED, step
+            for size, search in list(searches.items()):
+                try:
+                    status = search.run(turn)
+                finally:
+                    self.samples = search.team.configurations(search.state)
+                    self._end_phase("search")
+                if status is Status.SOLVED:
+                    self.effort.memory = 0
+                    self._offer(search.team.configurations(search.branch))
+                elif status is Status.EXHAUSTED:
+                    del searches[size]
+                if status not in (None, Status.EXHAUSTED):
+                    return status, size
+            if searches:
+                turn *= 2
+            step /= _REFINEMENT
+
+    def _search(self, step: float, weight: float) -> Search | None:
+        """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
+        options = self.options
+        lattices = build_lattices(self.problem, step, options.primitives, self.tests)
         self._end_phase("lattice")
         if not all(lattice.reaches_goal() for lattice in lattices):
-            return Status.EXHAUSTED
+            return None
         team = Team(self.problem, tuple(lattices))
         estimate = estimate_of(team, self.heuristic, weight)
         self._end_phase("heuristic")
         cells = [
-            claimed_cells(lattice, robot.circumscribed_radius, self.options.cell_size)
+            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
             for lattice, robot in zip(lattices, self.problem.robots, strict=True)
         ]
-        search = Search(
-            team, estimate, cells, self.options.batch, self.options.branching, self.options.width, self.effort
-        )
-        try:
-            outcome = search.run()
-        finally:
-            self.samples = team.configurations(search.tree.state[: search.tree.size])
-            self._end_phase("search")
-        if outcome.branch is not None:
-            self._offer(team.configurations(outcome.branch))
-        return outcome.status
+        return Search(team, estimate, cells, options.batch, options.branching, options.width, self.effort)
 
     def _offer(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         """Keep a path if it is the best yet, then its shortened versions."""

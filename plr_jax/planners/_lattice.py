@@ -31,6 +31,7 @@ PRIMITIVES: tuple[Primitive, ...] = (
 
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,12 +173,16 @@ def build_lattices(
 
 
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
-    lo, width, side = [*workspace.bounds.lo], [*workspace.bounds.width], [step, step]
+    """Cells no larger than a step; headings are centered on the axes, along which hallways lie most often."""
+    lo, width = workspace.bounds.lo, workspace.bounds.width
+    shape = np.ceil(width / step - _ROUNDING).astype(int)
+    side = width / shape
     if isinstance(robot, RectangleRobot):
-        lo, width = [*lo, -np.pi], [*width, 2 * np.pi]
-        side.append(min(step / robot.circumscribed_radius, _WIDEST_TURN))
-    shape = tuple(int(np.ceil(w / largest - 1e-9)) for w, largest in zip(width, side, strict=True))
-    return Grid(np.array(lo), shape, np.array(width) / shape)
+        turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
+        quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
+        shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
+        lo = np.append(lo, -side[2] / 2)
+    return Grid(lo, tuple(shape.tolist()), side)
 
 
 def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:

@@ -100,21 +100,6 @@ class Kept:
         return self.score.nbytes + self.primitive.nbytes
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a search ended.
-
-    Args:
-        status: SOLVED, EXHAUSTED, or the limit that was reached.
-        branch: States from the starts to the goals, if they were found.
-        state: All nodes, in the order of their making.
-    """
-
-    status: Status
-    branch: State | None
-    state: State
-
-
 class Search:
     """Barraquand and Latombe's search: the best node of the frontier adds its best children in unclaimed cells.
 
@@ -151,30 +136,44 @@ class Search:
         self.frontier = [(float(self.nearest), 0, 0)]
         self.kept: dict[int, Kept] = {}
         self.wider: dict[int, int] = {}
-        self.pushed = 0
+        self.pushed, self.size = 0, 1
+        self.found = 0 if np.array_equal(start, self.goal) else None
         effort.num_nodes += 1
-        effort.memory = _NODE_BYTES
 
-    def run(self) -> Outcome:
-        """Search until the goals are reached, the frontier is empty, or a limit is."""
-        found = 0 if np.array_equal(self.tree.state[0], self.goal) else None
-        status, size = Status.EXHAUSTED, 1
-        while found is None and self.frontier:
+    def run(self, num_expansions: float) -> Status | None:
+        """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
+
+        Args:
+            num_expansions: Expansions after which to pause.
+
+        Returns:
+            SOLVED, EXHAUSTED or the limit; None for a pause.
+        """
+        pause = self.effort.num_expansions + num_expansions
+        while self.found is None and self.frontier and self.effort.num_expansions < pause:
             limit = self.effort.exceeded()
             if limit:
-                status = limit
-                break
-            batch = [heapq.heappop(self.frontier)[2] for _ in range(min(size, len(self.frontier)))]
+                return limit
+            batch = [heapq.heappop(self.frontier)[2] for _ in range(min(self.size, len(self.frontier)))]
             nearest = self.nearest
             self._expand(batch)
             for node in batch:
-                if found is None:
-                    found = self._add_children(node)
-            size = 1 if self.nearest < nearest else min(2 * size, self.batch)
-        state = self.tree.state[: self.tree.size]
-        if found is None:
-            return Outcome(status, None, state)
-        return Outcome(Status.SOLVED, self.tree.branch(found), state)
+                self._add_children(node)
+            self.size = 1 if self.nearest < nearest else min(2 * self.size, self.batch)
+        if self.found is not None:
+            return Status.SOLVED
+        return None if self.frontier else Status.EXHAUSTED
+
+    @property
+    def branch(self) -> State:
+        """States from the starts to the goals, once these are found."""
+        assert self.found is not None
+        return self.tree.branch(self.found)
+
+    @property
+    def state(self) -> State:
+        """All nodes, in the order of their making."""
+        return self.tree.state[: self.tree.size]
 
     def _expand(self, nodes: list[int]) -> None:
         """Find the best children of nodes that have none kept."""
@@ -201,17 +200,17 @@ class Search:
         self.kept[node] = children
         self.effort.memory += children.num_bytes
 
-    def _add_children(self, node: int) -> int | None:
-        """Add a node's next children in unclaimed cells and return it to the frontier; the goals, if reached."""
-        kept, missing, found = self.kept[node], self.branching, None
+    def _add_children(self, node: int) -> None:
+        """Add a node's next children in unclaimed cells, and return it to the frontier."""
+        kept, missing = self.kept[node], self.branching
         state, at = self.tree.state[node], 0
-        while at < len(kept.score) and missing and found is None:
+        while at < len(kept.score) and missing:
             ahead = slice(at, at + missing)
             primitive, score = kept.primitive[ahead], kept.score[ahead]
             parents = np.repeat(state[None], len(score), axis=0)
             child, cost = self.team.move(parents, primitive), self.team.move_costs(parents, primitive)
             rows = self._claim(child)
-            found = self._push(child[rows], self.tree.cost[node] + cost[rows], score[rows], node)
+            self._push(child[rows], self.tree.cost[node] + cost[rows], score[rows], node)
             missing -= len(rows)
             at += len(score)
         if at < len(kept.score):
@@ -223,7 +222,6 @@ class Search:
             if not kept.whole and kept.width < _WIDEST:
                 self.wider[node] = kept.width * _WIDER
                 self._return(kept.score[-1], node)
-        return found
 
     def _claim(self, child: State) -> list[int]:
         """Claim the cells of children; the rows whose cells were free to claim."""
@@ -238,19 +236,15 @@ class Search:
     def _cells_of(self, state: State) -> State:
         return np.stack([cells[column] for cells, column in zip(self.cells, state.T, strict=True)], axis=1)
 
-    def _push(
-        self, child: State, cost: Float[np.ndarray, "n"], score: Float[np.ndarray, "n"], parent: int
-    ) -> int | None:
-        """Make children nodes of the frontier; the goals, if they are among them."""
-        found = None
-        for node in self.tree.add(child, cost, parent):
-            self._return(score[node - self.tree.size], node)
-            if np.array_equal(self.tree.state[node], self.goal):
-                found = node
+    def _push(self, child: State, cost: Float[np.ndarray, "n"], score: Float[np.ndarray, "n"], parent: int) -> None:
+        """Make children nodes of the frontier."""
+        for row, node in enumerate(self.tree.add(child, cost, parent)):
+            self._return(score[row], node)
+            if np.array_equal(child[row], self.goal):
+                self.found = node
         self.nearest = min(self.nearest, (score - cost).min(initial=np.inf))
         self.effort.num_nodes += len(child)
         self.effort.memory += len(child) * (_NODE_BYTES + 8 * child.shape[1])
-        return found
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""
