@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._types import ArrayLike, DistanceFn, Distances, JointConfigurations
+from plr_jax._types import ArrayLike, DistanceFn, Distances, JointConfigurations, Points
 
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]
 """Terms of a heuristic: one a joint configuration and robot, never NaN."""
@@ -69,7 +69,7 @@ def straight_line(problem: Problem) -> SeparableHeuristic:
     return SeparableHeuristic(per_robot)
 
 
-def sum_of_distances(distance_fns: Sequence[DistanceFn]) -> SeparableHeuristic:
+def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> SeparableHeuristic:
     """Sum of the robots' distances, each found as if the robot were alone (Section V-B of the paper).
 
     A distance function of fewer dimensions than a configuration sees its leading coordinates. How many, an
@@ -81,7 +81,7 @@ def sum_of_distances(distance_fns: Sequence[DistanceFn]) -> SeparableHeuristic:
     function of joint configurations ``(n, robots, dof)`` that returns their distances ``(n, robots)``. ``PLR`` does.
 
     Args:
-        distance_fns: One distance function a robot, in the order of the robots.
+        distance_fns: One distance function a robot, in the order of the robots; they may answer in NumPy or JAX.
 
     Returns:
         A heuristic for teams of as many robots. A configuration that is not finite has ``inf`` where the distance

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from plr_jax.plr._tables import Tables, evaluate_tables
 
-# The sizes of batch that are compiled. Where a call costs more than its work, fewer of them waste little; a few points
+# The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
 # are worth their own, as JAX then computes at once instead of handing the work to another thread.
 _SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
 _CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
