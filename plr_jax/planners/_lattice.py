@@ -87,7 +87,7 @@ class Grid(NamedTuple):
         """The cells of configurations, the nearest ones outside."""
         index, size = np.floor((q - self.lo) / self.side).astype(np.intp), np.array(self.shape)
         index[:, 2:] %= size[2:]
-        return np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape)
+        return np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
 
     def centers(self) -> Float[np.ndarray, "cells dof"]:
         """Centers of all cells."""
@@ -101,7 +101,8 @@ class Grid(NamedTuple):
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
-        return np.ravel_multi_index(tuple(np.moveaxis(target, 2, 0)), self.shape, mode="clip"), exists
+        cell = np.ravel_multi_index(tuple(np.moveaxis(target, 2, 0)), self.shape, mode="clip")
+        return np.asarray(cell), np.asarray(exists)
 
 
 class Motions(NamedTuple):

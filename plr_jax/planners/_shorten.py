@@ -1,6 +1,7 @@
 """Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions."""
 
 import time
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -81,7 +82,7 @@ def _shortest(
 def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarray, "steps dof"]:
     """The motions between some rows at constant speed; the rows themselves stay as they are."""
     result = q.copy()
-    for begin, end in zip(rows[:-1], rows[1:], strict=True):
+    for begin, end in pairwise(rows):
         if end > begin + 1:
             result[begin + 1 : end] = _between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
     return result
