@@ -1,8 +1,8 @@
 """Distance functions over configuration spaces, compressed into kilobytes of planes.
 
 Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
-(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; as the heuristic of ``bl_plan``, which plans for
-several robots at once).
+(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; or as the
+heuristic of ``bl_plan``, which plans for several robots at once).
 
 Names are loaded when they are first used: a program that only loads and queries a PLR imports neither Shapely nor
 NetworkX nor Matplotlib, nor the slow parts of SciPy.

@@ -54,7 +54,7 @@ class BLOptions:
     cell_size: float | None = None
     heuristic_weight: float = 3.0
     batch: int = 16
-    branching: int = 2
+    branching: int = 1
     width: int = 1024
     cost_factor: float = float("inf")
     lower_bound: float | None = None
