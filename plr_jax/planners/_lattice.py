@@ -220,7 +220,7 @@ def _representatives(
     samples = np.repeat(q[blocked, None], _SAMPLES**2, axis=1)
     samples[..., :2] += np.array(list(product(along, along))) * grid.side[:2]
     flat = samples.reshape(-1, q.shape[1])
-    room = np.where(test(flat, flat), test.workspace.clearance(flat[:, :2]), -np.inf).reshape(len(blocked), -1)
+    room = np.where(test(flat, flat), test.workspace.clearance(flat[:, :2]), -np.inf).reshape(samples.shape[:2])
     best = room.argmax(axis=1)
     rows = np.arange(len(blocked))
     q[blocked], free[blocked] = samples[rows, best], np.isfinite(room[rows, best])
