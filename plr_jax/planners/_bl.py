@@ -22,6 +22,7 @@ from plr_jax.planners._solution import Solution, Stats, Status, solution_of, str
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _REFINEMENT = 1.25
 _FIRST_TURN = 256  # expansions
+_ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
 
@@ -153,7 +154,7 @@ class _Run:
         step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
         while True:
             status, step = self._take_turns(step, weight)
-            if status is not Status.SOLVED or self.cost <= self.options.cost_factor * self.lower_bound:
+            if status is not Status.SOLVED or self._is_good_enough():
                 return status
             limit = self.effort.exceeded()
             if limit:
@@ -164,6 +165,10 @@ class _Run:
                 return Status.EXHAUSTED
             if self.options.step is None:
                 step /= _REFINEMENT
+
+    def _is_good_enough(self) -> bool:
+        # A path of no cost is, whatever the factor: infinitely many times zero is no number.
+        return self.cost == 0 or self.cost <= self.options.cost_factor * self.lower_bound * (1 + _ROUNDING)
 
     def _take_turns(self, step: float, weight: float) -> tuple[Status, float]:
         """Searches on finer and finer lattices that take turns, each longer than the last, until one succeeds.
@@ -177,6 +182,9 @@ class _Run:
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
         turn, searches = _FIRST_TURN, {}
         while True:
+            limit = self.effort.exceeded()
+            if limit:
+                return limit, step
             if step >= finest and (search := self._search(step, weight)):
                 searches[step] = search
             elif step < finest and not searches:
@@ -217,6 +225,8 @@ class _Run:
     def _offer(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         """Keep a path if it is the best yet, then its shortened versions."""
         tests = [self.tests[robot] for robot in self.problem.robots]
+        if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
+            path = np.concatenate([self.problem.starts[None], path])
         self._record(path)
         for finer in (path, None):
             path = shorten(self.problem, path if finer is not None else subdivided(path), tests, self.effort.deadline)

@@ -221,7 +221,8 @@ class Search:
             self.effort.memory -= kept.num_bytes
             if not kept.whole and kept.width < _WIDEST:
                 self.wider[node] = kept.width * _WIDER
-                self._return(kept.score[-1], node)
+                # The cut may have left children that all collide: then look again at once.
+                self._return(kept.score[-1] if len(kept.score) else self.tree.cost[node], node)
 
     def _claim(self, child: State) -> list[int]:
         """Claim the cells of children; the rows whose cells were free to claim."""
