@@ -140,7 +140,7 @@ class Search:
         self.found = 0 if np.array_equal(start, self.goal) else None
         effort.num_nodes += 1
 
-    def run(self, num_expansions: float) -> Status | None:
+    def run(self, num_expansions: int) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
 
         Args:
