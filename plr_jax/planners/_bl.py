@@ -181,7 +181,7 @@ class _Run:
                 searches[step] = search
             elif step < finest and not searches:
                 return Status.EXHAUSTED, step
-            for size, search in list(searches.items()):
+            for size, search in reversed(list(searches.items())):
                 try:
                     status = search.run(turn)
                 finally:

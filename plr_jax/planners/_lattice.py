@@ -214,14 +214,14 @@ def _representatives(
     """A configuration of every cell, and whether it is free."""
     q = grid.centers()
     free = test(q, q)
-    near = test.workspace.clearance(q[:, :2]) + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius
-    blocked = np.flatnonzero(~free & near)
+    per_position = int(np.prod(grid.shape[2:]))
+    clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
+    blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    samples = np.repeat(q[blocked, None], _SAMPLES**2, axis=1)
-    samples[..., :2] += np.array(list(product(along, along))) * grid.side[:2]
-    flat = samples.reshape(-1, q.shape[1])
-    room = np.where(test(flat, flat), test.workspace.clearance(flat[:, :2]), -np.inf).reshape(len(blocked), -1)
-    best = room.argmax(axis=1)
-    rows = np.arange(len(blocked))
-    q[blocked], free[blocked] = samples[rows, best], np.isfinite(room[rows, best])
+    samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
+    samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
+    room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
+    room[open_] = test.workspace.clearance(samples[open_, :2])
+    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(len(blocked), -1).argmax(axis=1)
+    q[blocked], free[blocked] = samples[best], open_[best]
     return q, free

@@ -12,6 +12,7 @@ from plr_jax._problem import Problem
 from plr_jax._robot import RectangleRobot, shorter_turn
 
 _LONGEST = 32  # steps that one shortcut spans at most
+_LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
 _GAIN = 1e-3  # share of the cost below which another round is not worth its time
 
 
@@ -48,7 +49,7 @@ def _shortened(
     near = end - begin <= _LONGEST
     begin, end = begin[near], end[near]
     cost = _costs(problem, i, q[begin], q[end])
-    shorter = cost < so_far[end] - so_far[begin] - 1e-9
+    shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
     begin, end, cost = begin[shorter], end[shorter], cost[shorter]
     free = test(q[begin], q[end])
     begin, end, cost = begin[free], end[free], cost[free]
