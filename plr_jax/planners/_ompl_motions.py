@@ -35,9 +35,7 @@ class Scene:
         tolerance: Depth of overlap that still counts as touching.
     """
 
-    def __init__(
-        self, sizes: Float[np.ndarray, "robots 3"], walls: Float[np.ndarray, "walls 2 2"], tolerance: float
-    ):
+    def __init__(self, sizes: Float[np.ndarray, "robots 3"], walls: Float[np.ndarray, "walls 2 2"], tolerance: float):
         piece = _FINEST * min((math.hypot(*size[:2]) for size in sizes if size[0] > 0), default=1.0)
         header = [len(sizes), len(walls), tolerance, piece, 0, 0]
         middle, tangent = walls.mean(axis=1), walls[:, 1] - walls[:, 0]
