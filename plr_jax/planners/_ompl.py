@@ -79,16 +79,18 @@ def ompl_plan(
     planner: str = "RRTConnect",
     *,
     seed: int,
-    time_limit: float,
-    cost_target: float | None = None,
+    time_limit: float | int,
+    cost_target: float | int | None = None,
 ) -> Solution:
-    """Plan with a planner of the Open Motion Planning Library (OMPL), at its default settings.
+    """Plan with a planner of the Open Motion Planning Library (OMPL).
 
     The joint space is the product of the robots' planes and the rectangles' headings, and OMPL's distance in
     it, computed in C++, is the cost of a motion, summed over robots; so OMPL minimizes what our planners do. A
     whole motion is tested at once by compiled code, exactly for round robots; one that brings a turning
-    rectangle within 1e-4 of its half diagonal to contact may be refused. A trial has a process of its own;
-    starting it and compiling (the result is kept on disk) come before the clock starts.
+    rectangle within 1e-4 of its half diagonal to contact may be refused. Settings are OMPL's defaults but for
+    the range, the longest motion that extends a tree: at most a tenth of the bounds' longer side for
+    RRT-Connect and AORRTC and half of it for RRT*, with which teams are planned for much faster. A trial has a
+    process of its own; starting it and compiling (the result is kept on disk) come before the clock starts.
 
     Every path is put through ``validate``. One that fails is dropped with a warning, as if it had not been
     found: a trial without other paths has failed.
@@ -106,9 +108,10 @@ def ompl_plan(
         The best valid path. Its status is SOLVED if the target was reached, or the planner ended by itself
         as it found nothing left to improve; TIME_LIMIT, with or without a path; or INTERRUPTED after Ctrl-C,
         with the best path until then. Statistics: ``num_nodes`` and the solution's samples are the vertices
-        of the planner's graph at the end (of the last restart), ``num_children_scored`` and
-        ``num_children_valid`` the motions (and states) tested and those found free, ``seconds`` those of
-        ``"compile"`` and ``"plan"``; ``history`` has paths that are cheaper by at least 0.2 %.
+        of the planner's graph at the end (of its last restart; AORRTC clears its own);
+        ``num_children_scored`` and ``num_children_valid`` count the motions and states tested, and those that
+        were free; ``seconds`` are those of ``"compile"`` and ``"plan"``. Each path in ``history`` is cheaper
+        than the last by at least 0.2 %, so that the cost is within that of the planner's own best.
 
     Raises:
         ImportError: If OMPL or Numba is not installed.

@@ -17,8 +17,9 @@ from typing import Any, no_type_check
 import numpy as np
 from jaxtyping import Float
 from llvmlite import ir
-from numba import carray, njit, types
+from numba import njit, types
 from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 
 # Share of a rectangle's half diagonal: a motion that turns one may be refused if it comes this near to contact.
 _FINEST = 1e-4
