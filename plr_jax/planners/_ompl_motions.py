@@ -88,7 +88,7 @@ def is_free(first: int, last: int, scene: int) -> bool:
     """
     header = carray(_pointer(scene), (_HEADER,), np.float64)
     q0, q1 = _configurations(first, scene), _configurations(last, scene)
-    free = _is_free(q0, q1, scene)
+    free = is_motion_free(q0, q1, scene)
     header[_CHECKED] += 1
     header[_FREE] += free
     return free
@@ -96,7 +96,17 @@ def is_free(first: int, last: int, scene: int) -> bool:
 
 @njit(cache=True)
 @no_type_check
-def _is_free(q0, q1, scene):
+def is_motion_free(q0, q1, scene: int) -> bool:
+    """Whether a joint motion is free, given as configurations.
+
+    Args:
+        q0: Configurations at its start, ``(robots, 3)``.
+        q1: Configurations at its end.
+        scene: Address of the scene.
+
+    Returns:
+        As :func:`is_free`.
+    """
     header = carray(_pointer(scene), (_HEADER,), np.float64)
     robots, walls, slack, piece = int(header[_ROBOTS]), int(header[_WALLS]), header[_SLACK], header[_PIECE]
     sizes = carray(_pointer(scene + 8 * _HEADER), (robots, 3), np.float64)

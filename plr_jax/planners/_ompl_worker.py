@@ -4,6 +4,7 @@ OMPL takes a seed only before its first planner, so that trials that are to be r
 The task comes in by standard input, messages go out by standard output, both pickled.
 """
 
+import itertools
 import os
 import pickle
 import sys
@@ -18,7 +19,7 @@ from ompl import base, geometric
 from ompl import util as ompl_util
 
 from plr_jax.planners._ompl import Done, Found, Ready, Task
-from plr_jax.planners._ompl_motions import Scene, configurations_of, is_free
+from plr_jax.planners._ompl_motions import Scene, configurations_of, is_free, is_motion_free
 
 _LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one reported, as a share
 
@@ -95,6 +96,10 @@ class _Setup:
         states = range(path.getStateCount())
         return np.array([configurations_of(path.getState(i), self.scene) for i in states])
 
+    def is_valid(self, path: Float[np.ndarray, "steps robots 3"]) -> bool:
+        """Whether all motions of a path are free. While OMPL simplifies a path, and even after, it may not be."""
+        return all(is_motion_free(*motion, self.scene.address) for motion in itertools.pairwise(path))
+
     def samples(self) -> Float[np.ndarray, "nodes robots 3"]:
         """The vertices of the planner's graph."""
         data = base.PlannerData(self.information)
@@ -132,8 +137,10 @@ def _run(setup: _Setup, send: Callable[[Found], None]) -> Done:
         nonlocal best
         seconds = time.perf_counter() - begin
         if 0 < cost < best * (1 - _LEAST_IMPROVEMENT) or best > task.cost_target >= cost > 0:
-            best = cost
-            send(Found(seconds, setup.path()))
+            path = setup.path()
+            if setup.is_valid(path):
+                best = cost
+                send(Found(seconds, path))
         return seconds >= task.time_limit or best <= task.cost_target
 
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
@@ -164,7 +171,8 @@ def _plan_by_polling(setup: _Setup, report: Report, deadline: float) -> bool:
 
     def stop() -> bool:
         nonlocal over, num_paths
-        if setup.definition.getSolutionCount() != num_paths:
+        # After a solve that found none, the path nearest to the goal is there too, but it is not exact.
+        if setup.definition.getSolutionCount() != num_paths and setup.definition.hasExactSolution():
             num_paths = setup.definition.getSolutionCount()
             over = report(setup.definition.getSolutionPath().length())
         return over or time.perf_counter() >= deadline
@@ -210,7 +218,8 @@ def _setup(task: Task) -> _Setup:
     for state, q in zip(ends, (task.starts, task.goals), strict=True):
         if not np.allclose(np.exp(1j * configurations_of(state, scene)), np.exp(1j * q)):
             raise RuntimeError("This version of OMPL keeps states in another way; please use ompl 2.0.1.")
-        information.isValid(state)  # compiles
+        information.isValid(state)  # compiles, and so does the next line
+        is_motion_free(q, q, address)
     definition = base.ProblemDefinition(information)
     definition.setStartAndGoalStates(*ends)
     objective = _OBJECTIVES[task.planner](information)

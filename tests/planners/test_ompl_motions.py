@@ -57,7 +57,7 @@ def test_motions_are_free_as_the_vectorized_tests_say(team, step):
     motions = [random_motions(rng, n, 5.0, step, min(step, 2.5)) for _ in problem.robots]
     q0, q1 = (np.stack([motion[end] for motion in motions], axis=1) for end in (0, 1))
     scene = scene_of(problem)
-    got = np.array([kernels._is_free(a, b, scene.address) for a, b in zip(q0, q1, strict=True)])
+    got = np.array([kernels.is_motion_free(a, b, scene.address) for a, b in zip(q0, q1, strict=True)])
     expected = free_alone_and_together(problem, q0, q1)
     assert 20 < expected.sum() < n - 20
     assert not (got & ~expected).any()
@@ -79,24 +79,24 @@ def test_motions_are_free_as_the_vectorized_tests_say(team, step):
 def test_a_disc_by_hand(q0, q1, free):
     scene = scene_of(problem_of([DiscRobot(0.3)]))
     a, b = (np.array([[*q, 0.0]]) for q in (q0, q1))
-    assert kernels._is_free(a, b, scene.address) == free
+    assert kernels.is_motion_free(a, b, scene.address) == free
 
 
 def test_a_point_inside_a_large_obstacle_is_caught_and_one_on_its_wall_is_free():
     scene = scene_of(problem_of([PointRobot()]))
     for x, y, free in ((2.5, 2.5, False), (2.0, 2.5, True), (3.0, 3.0, True), (0.0, 0.0, True), (5.1, 1.0, False)):
         q = np.array([[x, y, 0.0]])
-        assert kernels._is_free(q, q, scene.address) == free, (x, y)
+        assert kernels.is_motion_free(q, q, scene.address) == free, (x, y)
 
 
 def test_a_rectangle_turns_the_shorter_way():
     scene = scene_of(problem_of([RectangleRobot(1.0, 0.2)]))
     # Beside the box, clear of it while the heading goes through pi, not while it goes through 0.
     low, high = (np.array([[1.62, 1.1, heading]]) for heading in (math.pi - 0.2, -math.pi + 0.2))
-    assert kernels._is_free(low, high, scene.address)
+    assert kernels.is_motion_free(low, high, scene.address)
     upright, flat = (np.array([[1.62, 2.5, heading]]) for heading in (math.pi / 2, 0.0))
-    assert kernels._is_free(upright, upright, scene.address)
-    assert not kernels._is_free(upright, flat, scene.address)
+    assert kernels.is_motion_free(upright, upright, scene.address)
+    assert not kernels.is_motion_free(upright, flat, scene.address)
 
 
 @pytest.mark.parametrize("problem", [scenes.four_rooms(3), scenes.tangle(), problem_of(TEAMS["mixed"])])
@@ -115,4 +115,4 @@ def test_states_are_read_as_they_are_written_and_their_distance_is_our_cost(prob
     assert space.distance(first, last) == pytest.approx(path_cost(problem, path[..., : problem.dof]), rel=1e-12)
     kernels.is_free(id(first), id(last), scene.address)
     assert scene.num_checked == 1
-    assert kernels.is_free(id(first), id(last), scene.address) == kernels._is_free(*path, scene.address)
+    assert kernels.is_free(id(first), id(last), scene.address) == kernels.is_motion_free(*path, scene.address)
