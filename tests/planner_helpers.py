@@ -28,7 +28,7 @@ def exact(problem):
 
 
 def team_of(problem, step, primitives=PRIMITIVES):
-    return Team(problem, tuple(build_lattices(problem, step, primitives, {})))
+    return Team(problem, tuple(build_lattices(problem, step, primitives)))
 
 
 def effort(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):

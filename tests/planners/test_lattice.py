@@ -22,7 +22,7 @@ STEPS = {"point": 0.4, "disc": 0.45, "bar": 0.7}
 
 
 def lattice_of(problem, step, primitives=PRIMITIVES):
-    return build_lattices(problem, step, primitives, {})[0]
+    return build_lattices(problem, step, primitives)[0]
 
 
 def offsets_between(workspace, robot, step, q0, q1):
@@ -258,9 +258,7 @@ def test_without_turns_a_heading_is_never_left():
 
 def test_equal_robots_share_motions_and_have_their_own_ends():
     problem = Problem(WALLS, [DiscRobot(0.4)] * 2 + [PointRobot()], [(0.7, 0.6), (0.9, 4), (1.5, 2)], [(5, 1), (3, 1), (3, 3)])
-    tests = {}
-    first, second, third = build_lattices(problem, 0.5, PRIMITIVES, tests)
-    assert set(tests) == {DiscRobot(0.4), PointRobot()}
+    first, second, third = build_lattices(problem, 0.5, PRIMITIVES)
     for lattice, start, goal in zip((first, second, third), problem.starts, problem.goals, strict=True):
         np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
     alone = [
@@ -274,7 +272,7 @@ def test_equal_robots_share_motions_and_have_their_own_ends():
 
 def test_a_shared_cell_of_one_robot_does_not_touch_its_twin():
     problem = Problem(ROOM, [DiscRobot(0.4)] * 2, [(3.1, 3.1), (7, 7)], [(3.2, 3.3), (1, 7)])
-    near, far = build_lattices(problem, 1.0, PRIMITIVES, {})
+    near, far = build_lattices(problem, 1.0, PRIMITIVES)
     assert near.start != near.goal and far.start != far.goal
     twin = lattice_of(Problem(ROOM, [DiscRobot(0.4)], [(7, 7)], [(1, 7)]), 1.0)
     np.testing.assert_array_equal(far.q, twin.q)
