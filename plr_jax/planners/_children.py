@@ -73,7 +73,7 @@ class Team(NamedTuple):
 
 
 def best_children(
-    team: Team, terms: tuple[Float[np.ndarray, "nodes primitives"], ...], state: State, width: int
+    team: Team, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int
 ) -> Children:
     """The best children of joint configurations, one robot added after the other.
 
