@@ -1,4 +1,5 @@
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def test_a_wall_is_gone_around_tightly():
     workspace = Workspace(((0, 0), (10, 10)), [shapely.box(4.5, 0, 5.5, 6)])
     problem = Problem(workspace, [DiscRobot(0.5)], [(1, 1)], [(9, 1)])
     corners = np.array([(1, 1), (1, 9), (9, 9), (9, 1)], dtype=float)
-    path = np.concatenate([np.linspace(a, b, 9) for a, b in zip(corners[:-1], corners[1:], strict=True)])[:, None]
+    path = np.concatenate([np.linspace(a, b, 9) for a, b in pairwise(corners)])[:, None]
     short = shortened(problem, path)
     report = validate(problem, short)
     assert report.valid, report.message
@@ -182,7 +183,7 @@ def test_one_robot_is_shortened_and_the_others_keep_their_motions():
     assert np.ptp(short[:, 0, 1]) < 1e-12 and validate(MIXED, short).valid
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 10_000), steps=st.integers(3, 14))
 def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
     rng = np.random.default_rng(seed)
