@@ -206,11 +206,9 @@ def plot(
 
 @command("plr-jax demo --output pictures")
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")] = Path(
-        "plr_jax_demo"
-    ),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("plr_jax_demo"),
 ) -> None:
-    """Compress a maze, measure the result beside the exact distance, and draw it."""
+    """Compress a maze, measure the result beside the exact distance, and draw it; plan for four robots."""
     from plr_jax.cli import _demo
 
     _demo.run(output)

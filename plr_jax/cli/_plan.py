@@ -109,7 +109,7 @@ def plan(
     if report is not None and report.valid:
         _write(problem, outcome, output, animation, picture)
         phases.end("writing")
-    typer.echo(_planning.seconds_line(phases, solution))
+    _planning.say_seconds(phases, solution)
     if report is not None and not report.valid:
         fail(f"The path found is not valid, and was not written: {report.message}", code=1)
     if solution.status is Status.INTERRUPTED:

@@ -95,8 +95,7 @@ def solve(
     typer.echo(f"  makespan   {solution.makespan:.4g}")
     report = validate(problem, solution.path)
     phases.end("validation")
-    if report.valid:
-        typer.echo(f"  check      {report.message}")
+    typer.echo(f"  check      {report.message}")
     return Outcome(solution, report)
 
 
@@ -155,14 +154,14 @@ def describe(robots: Sequence[Robot]) -> str:
     return ", ".join(f"{n} {_body(robot, 's' if n > 1 else '')}" for robot, n in Counter(robots).items())
 
 
-def seconds_line(phases: Phases, solution: Solution) -> str:
-    """The seconds of all phases, and in brackets those of the planner's own."""
-    inner = ", ".join(f"{name} {seconds:.2f}" for name, seconds in solution.stats.seconds.items())
-    parts = [
-        f"{name} {seconds:.2f}{f' ({inner})' if name == 'planning' else ''}"
-        for name, seconds in phases.seconds.items()
-    ]
-    return f"  seconds    {phases.total:.1f} in all: {', '.join(parts)}"
+def say_seconds(phases: Phases, solution: Solution) -> None:
+    """Print the seconds of all phases, and those of the planner's own."""
+    typer.echo(f"  seconds    {phases.total:.1f} in all: {_listed(phases.seconds)}")
+    typer.echo(f"             planning: {_listed(solution.stats.seconds)}")
+
+
+def _listed(seconds: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in seconds.items())
 
 
 def _of_plrs(plrs: Sequence[PLR], seconds: float) -> str:
