@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._obstacles import MotionTest
+from plr_jax._obstacles import motion_test
 from plr_jax._problem import Problem, path_cost
-from plr_jax._robot import Robot
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._children import Team
 from plr_jax.planners._estimate import estimate_of
@@ -17,10 +16,12 @@ from plr_jax.planners._lattice import PRIMITIVES, Lattice, Primitive, build_latt
 from plr_jax.planners._search import Effort, Search
 from plr_jax.planners._shorten import shorten, subdivided
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.planners._tube import bend
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _REFINEMENT = 1.25
+_WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _FIRST_TURN = 256  # expansions
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
@@ -37,7 +38,8 @@ class BLOptions:
         cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
             take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
             cells make a search smaller and less complete.
-        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier.
+        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier. None: 2, from six robots
+            on 3/8 a robot, as they have more ways to stand in each other's.
         batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
@@ -52,7 +54,7 @@ class BLOptions:
     primitives: Sequence[Primitive] = PRIMITIVES
     step: float | None = None
     cell_size: float | None = None
-    heuristic_weight: float = 3.0
+    heuristic_weight: float | None = None
     batch: int = 16
     branching: int = 1
     width: int = 1024
@@ -71,10 +73,9 @@ class BLOptions:
             value = getattr(self, name)
             if not (_is_number(value) and value > 0):
                 raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
-        if not (_is_number(self.heuristic_weight) and 0 <= self.heuristic_weight < float("inf")):
-            raise ValueError(
-                f"heuristic_weight must be a finite number of at least 0, got {self.heuristic_weight!r}."
-            )
+        weight = self.heuristic_weight
+        if weight is not None and not (_is_number(weight) and 0 <= weight < float("inf")):
+            raise ValueError(f"heuristic_weight must be None or a finite number of at least 0, got {weight!r}.")
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
@@ -145,15 +146,16 @@ class _Run:
         self.history: list[tuple[float, float]] = []
         self.seconds: dict[str, float] = {}
         self.samples = problem.starts[None].copy()
-        self.tests: dict[Robot, MotionTest] = {}
         self.mark = began
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
         step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
+        if weight is None:
+            weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
             status, step = self._take_turns(step, weight)
-            if status is not Status.SOLVED or self.cost <= self.options.cost_factor * self.lower_bound:
+            if status is not Status.SOLVED or self._is_good_enough():
                 return status
             limit = self.effort.exceeded()
             if limit:
@@ -181,7 +183,7 @@ class _Run:
                 searches[step] = search
             elif step < finest and not searches:
                 return Status.EXHAUSTED, step
-            for size, search in list(searches.items()):
+            for size, search in reversed(list(searches.items())):
                 try:
                     status = search.run(turn)
                 finally:
@@ -189,7 +191,7 @@ class _Run:
                     self._end_phase("search")
                 if status is Status.SOLVED:
                     self.effort.memory = 0
-                    self._offer(search.team.configurations(search.branch))
+                    self._offer(search.team.configurations(search.branch), size)
                 elif status is Status.EXHAUSTED:
                     del searches[size]
                 if status not in (None, Status.EXHAUSTED):
@@ -201,7 +203,7 @@ class _Run:
     def _search(self, step: float, weight: float) -> Search | None:
         """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
         options = self.options
-        lattices = build_lattices(self.problem, step, options.primitives, self.tests)
+        lattices = build_lattices(self.problem, step, options.primitives)
         self._end_phase("lattice")
         if not all(lattice.reaches_goal() for lattice in lattices):
             return None
@@ -214,14 +216,22 @@ class _Run:
         ]
         return Search(team, estimate, cells, options.batch, options.branching, options.width, self.effort)
 
-    def _offer(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
-        """Keep a path if it is the best yet, then its shortened versions."""
-        tests = [self.tests[robot] for robot in self.problem.robots]
+    def _offer(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
+        """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
+        tests = [motion_test(self.problem.workspace, robot) for robot in self.problem.robots]
+        deadline = self.effort.deadline
         self._record(path)
         for finer in (path, None):
-            path = shorten(self.problem, path if finer is not None else subdivided(path), tests, self.effort.deadline)
+            path = shorten(self.problem, subdivided(path) if finer is None else path, tests, deadline)
             self._end_phase("shorten")
             self._record(path)
+        if not self._is_good_enough():
+            path = bend(self.problem, path, tests, step / 2, deadline)
+            self._end_phase("bend")
+            self._record(path)
+
+    def _is_good_enough(self) -> bool:
+        return self.path is not None and self.cost <= self.options.cost_factor * self.lower_bound
 
     def _record(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         cost = path_cost(self.problem, path)

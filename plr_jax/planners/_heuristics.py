@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -36,7 +37,9 @@ class SeparableHeuristic:
         Raises:
             ValueError: If ``q`` is not of that shape, or not for the robots that the heuristic is for.
         """
-        return self.per_robot(q).sum(axis=1)
+        terms = self.per_robot(q)
+        # Column by column: NumPy's sum over a short last axis takes several times as long.
+        return reduce(np.add, terms.T, np.zeros(len(terms)))
 
 
 def zero() -> SeparableHeuristic:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from plr_jax.planners._children import State, Team, best_children
 from plr_jax.planners._estimate import Estimate
 from plr_jax.planners._solution import Status
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
-_KEPT = 8  # one of so many joint children that are found is kept
+_KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
 
@@ -61,17 +61,17 @@ class Tree:
         """A tree of its root alone."""
         return cls(root[None].astype(np.int32), np.zeros(1), np.full(1, -1), 1)
 
-    def add(self, state: State, cost: Float[np.ndarray, "n"], parent: int) -> range:
-        """Add children of a node; their indices."""
-        first, last = self.size, self.size + len(state)
-        if last > len(self.cost):
-            capacity = max(1024, 2 * last)
+    def add(self, state: Int[np.ndarray, "robots"], cost: float, parent: int) -> int:
+        """Add a child of a node; its index."""
+        node = self.size
+        if node == len(self.cost):
+            capacity = max(1024, 2 * node)
             self.state, self.cost, self.parent = (
                 np.resize(column, (capacity, *column.shape[1:])) for column in (self.state, self.cost, self.parent)
             )
-        self.state[first:last], self.cost[first:last], self.parent[first:last] = state, cost, parent
-        self.size = last
-        return range(first, last)
+        self.state[node], self.cost[node], self.parent[node] = state, cost, parent
+        self.size = node + 1
+        return node
 
     def branch(self, node: int) -> State:
         """The states from the root to a node."""
@@ -83,21 +83,30 @@ class Tree:
 
 @dataclass
 class Kept:
-    """The best children of an expanded node that have not been looked at."""
+    """The best children of an expanded node, best first, and how far they have been looked at.
+
+    Args:
+        score: Cost-to-come and weighted heuristic.
+        cost: Cost-to-come.
+        state: Where they are.
+        cell: The joint cell of each, as bytes.
+        width: How wide they were sought.
+        whole: Whether the node has no others.
+        at: The first that has not been looked at.
+    """
 
     score: Float[np.ndarray, "m"]
-    primitive: UInt8[np.ndarray, "m robots"]
+    cost: Float[np.ndarray, "m"]
+    state: State
+    cell: Shaped[np.ndarray, "m"]
     width: int
     whole: bool
-
-    def after(self, count: int) -> "Kept":
-        """Those after the first few."""
-        return Kept(self.score[count:], self.primitive[count:], self.width, self.whole)
+    at: int = 0
 
     @property
     def num_bytes(self) -> int:
         """Memory it takes."""
-        return self.score.nbytes + self.primitive.nbytes
+        return sum(column.nbytes for column in (self.score, self.cost, self.state, self.cell))
 
 
 class Search:
@@ -136,7 +145,7 @@ class Search:
         self.frontier = [(float(self.nearest), 0, 0)]
         self.kept: dict[int, Kept] = {}
         self.wider: dict[int, int] = {}
-        self.pushed, self.size = 0, 1
+        self.pushed, self.size, self.num_expansions = 0, 1, 0
         self.found = 0 if np.array_equal(start, self.goal) else None
         effort.num_nodes += 1
 
@@ -144,13 +153,12 @@ class Search:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
 
         Args:
-            num_expansions: Expansions after which to pause.
+            num_expansions: Expansions of this search, those of earlier runs included, after which to pause.
 
         Returns:
             SOLVED, EXHAUSTED or the limit; None for a pause.
         """
-        pause = self.effort.num_expansions + num_expansions
-        while self.found is None and self.frontier and self.effort.num_expansions < pause:
+        while self.found is None and self.frontier and self.num_expansions < num_expansions:
             limit = self.effort.exceeded()
             if limit:
                 return limit
@@ -186,65 +194,76 @@ class Search:
             children = best_children(self.team, self.estimate.terms, state, width)
             score, primitive = self.estimate.rescored(self.team, state, children)
             num_valid = np.isfinite(score).sum(axis=1)
-            for row, node in enumerate(alike):
-                count = min(int(num_valid[row]), max(width // _KEPT, self.branching))
-                whole = bool(children.whole[row]) and count == num_valid[row]
-                self._keep(
-                    node, Kept(self.tree.cost[node] + score[row, :count], primitive[row, :count], width, whole)
-                )
+            num_kept = np.minimum(num_valid, max(width // _KEPT, self.branching))
+            whole = children.whole & (num_kept == num_valid)
+            self._keep(alike, score, primitive, num_kept, whole, width)
+            self.num_expansions += len(alike)
             self.effort.num_expansions += len(alike)
             self.effort.num_children_scored += children.num_scored
             self.effort.num_children_valid += int(num_valid.sum())
 
-    def _keep(self, node: int, children: Kept) -> None:
-        self.kept[node] = children
-        self.effort.memory += children.num_bytes
+    def _keep(
+        self,
+        nodes: list[int],
+        score: Float[np.ndarray, "n m"],
+        primitive: UInt8[np.ndarray, "n m robots"],
+        num_kept: Int[np.ndarray, "n"],
+        whole: Bool[np.ndarray, "n"],
+        width: int,
+    ) -> None:
+        """Keep the first children of each node."""
+        row = np.repeat(np.arange(len(nodes)), num_kept)
+        last = np.cumsum(num_kept)
+        column = np.arange(len(row)) - (last - num_kept)[row]
+        parent, primitive = np.array(nodes)[row], primitive[row, column]
+        cost = self.tree.cost[parent] + self.team.move_costs(self.tree.state[parent], primitive)
+        score = self.tree.cost[parent] + score[row, column]
+        state = self.team.move(self.tree.state[parent], primitive)
+        cell = self._cells_of(state)
+        for i, node in enumerate(nodes):
+            own = slice(last[i] - num_kept[i], last[i])
+            self.kept[node] = Kept(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
+            self.effort.memory += self.kept[node].num_bytes
+
+    def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
+        """Joint cells, each as bytes."""
+        columns = [cells[column] for cells, column in zip(self.cells, state.T, strict=True)]
+        cells = np.stack(columns, axis=1, dtype=np.int32)
+        return cells.view(f"V{cells.shape[1] * cells.itemsize}")[:, 0]
 
     def _add_children(self, node: int) -> None:
-        """Add a node's next children in unclaimed cells, and return it to the frontier."""
+        """Claim the cells of a node's next children, and return it to the frontier by the score of the one after."""
         kept, missing = self.kept[node], self.branching
-        state, at = self.tree.state[node], 0
-        while at < len(kept.score) and missing:
-            ahead = slice(at, at + missing)
-            primitive, score = kept.primitive[ahead], kept.score[ahead]
-            parents = np.repeat(state[None], len(score), axis=0)
-            child, cost = self.team.move(parents, primitive), self.team.move_costs(parents, primitive)
-            rows = self._claim(child)
-            self._push(child[rows], self.tree.cost[node] + cost[rows], score[rows], node)
-            missing -= len(rows)
-            at += len(score)
-        if at < len(kept.score):
-            self.kept[node] = kept.after(at)
-            self._return(kept.score[at], node)
-        else:
-            del self.kept[node]
-            self.effort.memory -= kept.num_bytes
-            if not kept.whole and kept.width < _WIDEST:
-                self.wider[node] = kept.width * _WIDER
-                self._return(kept.score[-1], node)
+        while (child := self._next_unclaimed(kept)) is not None and missing:
+            self.claimed.add(kept.cell[child].tobytes())
+            self._push(kept, child, node)
+            kept.at, missing = child + 1, missing - 1
+        if child is not None:
+            self._return(kept.score[child], node)
+            return
+        del self.kept[node]
+        self.effort.memory -= kept.num_bytes
+        if not kept.whole and kept.width < _WIDEST:
+            self.wider[node] = kept.width * _WIDER
+            self._return(kept.score[-1], node)
 
-    def _claim(self, child: State) -> list[int]:
-        """Claim the cells of children; the rows whose cells were free to claim."""
-        rows = []
-        for row, cells in enumerate(self._cells_of(child)):
-            key = cells.tobytes()
-            if key not in self.claimed:
-                self.claimed.add(key)
-                rows.append(row)
-        return rows
+    def _next_unclaimed(self, kept: Kept) -> int | None:
+        """The best child whose cell is free to claim."""
+        for child in range(kept.at, len(kept.score)):
+            if kept.cell[child].tobytes() not in self.claimed:
+                return child
+        return None
 
-    def _cells_of(self, state: State) -> State:
-        return np.stack([cells[column] for cells, column in zip(self.cells, state.T, strict=True)], axis=1)
-
-    def _push(self, child: State, cost: Float[np.ndarray, "n"], score: Float[np.ndarray, "n"], parent: int) -> None:
-        """Make children nodes of the frontier."""
-        for row, node in enumerate(self.tree.add(child, cost, parent)):
-            self._return(score[row], node)
-            if np.array_equal(child[row], self.goal):
-                self.found = node
-        self.nearest = min(self.nearest, (score - cost).min(initial=np.inf))
-        self.effort.num_nodes += len(child)
-        self.effort.memory += len(child) * (_NODE_BYTES + 8 * child.shape[1])
+    def _push(self, kept: Kept, child: int, parent: int) -> None:
+        """Make a child a node of the frontier."""
+        state, cost, score = kept.state[child], kept.cost[child], kept.score[child]
+        node = self.tree.add(state, cost, parent)
+        self._return(score, node)
+        if np.array_equal(state, self.goal):
+            self.found = node
+        self.nearest = min(self.nearest, score - cost)
+        self.effort.num_nodes += 1
+        self.effort.memory += _NODE_BYTES + 8 * len(state)
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""
