@@ -11,7 +11,7 @@ import typer
 
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._robot import DiscRobot, RectangleRobot, Robot
-from plr_jax._types import HeuristicFn
+from plr_jax._types import DistanceFn, HeuristicFn
 from plr_jax._validate import ValidationReport, validate
 from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph, robot_distance_fns
@@ -132,7 +132,7 @@ def build(
     return sum_of_distances([plrs[key] for key in keys]), list(plrs.values())
 
 
-def lower_bound(problem: Problem, exact: Sequence[VisibilityGraph]) -> float:
+def lower_bound(problem: Problem, exact: Sequence[DistanceFn]) -> float:
     """A cost below which there is no path: each robot's, alone, of its way and of its shorter turn to the goal.
 
     Args:
