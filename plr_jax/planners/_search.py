@@ -200,7 +200,7 @@ class Search:
             self.num_expansions += len(alike)
             self.effort.num_expansions += len(alike)
             self.effort.num_children_scored += children.num_scored
-            self.effort.num_children_valid += int(num_valid.sum())
+            self.effort.num_children_valid += children.num_valid
 
     def _keep(
         self,
