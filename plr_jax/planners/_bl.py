@@ -23,6 +23,7 @@ _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 
 _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _FIRST_TURN = 256  # expansions
+_ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
 
@@ -52,17 +53,17 @@ class BLOptions:
     """
 
     primitives: Sequence[Primitive] = PRIMITIVES
-    step: float | None = None
-    cell_size: float | None = None
-    heuristic_weight: float | None = None
+    step: float | int | None = None
+    cell_size: float | int | None = None
+    heuristic_weight: float | int | None = None
     batch: int = 16
     branching: int = 1
     width: int = 1024
-    cost_factor: float = float("inf")
-    lower_bound: float | None = None
-    time_limit: float = 60.0
-    max_expansions: float = float("inf")
-    max_memory: float = 4e9
+    cost_factor: float | int = float("inf")
+    lower_bound: float | int | None = None
+    time_limit: float | int = 60.0
+    max_expansions: float | int = float("inf")
+    max_memory: float | int = 4e9
 
     def __post_init__(self) -> None:
         for name in ("step", "cell_size", "lower_bound"):
@@ -179,6 +180,9 @@ class _Run:
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
         turn, searches = _FIRST_TURN, {}
         while True:
+            limit = self.effort.exceeded()
+            if limit:
+                return limit, step
             if step >= finest and (search := self._search(step, weight)):
                 searches[step] = search
             elif step < finest and not searches:
@@ -220,6 +224,8 @@ class _Run:
         """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
         tests = [motion_test(self.problem.workspace, robot) for robot in self.problem.robots]
         deadline = self.effort.deadline
+        if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
+            path = np.concatenate([self.problem.starts[None], path])
         self._record(path)
         for finer in (path, None):
             path = shorten(self.problem, subdivided(path) if finer is None else path, tests, deadline)
@@ -231,7 +237,8 @@ class _Run:
             self._record(path)
 
     def _is_good_enough(self) -> bool:
-        return self.path is not None and self.cost <= self.options.cost_factor * self.lower_bound
+        # A path of no cost is, whatever the factor: infinitely many times zero is no number.
+        return self.cost == 0 or self.cost <= self.options.cost_factor * self.lower_bound * (1 + _ROUNDING)
 
     def _record(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         cost = path_cost(self.problem, path)

@@ -226,6 +226,6 @@ def _representatives(
     samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
     room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
     room[open_] = test.workspace.clearance(samples[open_, :2])
-    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(len(blocked), -1).argmax(axis=1)
+    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
     q[blocked], free[blocked] = samples[best], open_[best]
     return q, free

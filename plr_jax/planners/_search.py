@@ -29,8 +29,8 @@ class Effort:
     """
 
     deadline: float
-    max_expansions: float
-    max_memory: float
+    max_expansions: float | int
+    max_memory: float | int
     num_nodes: int = 0
     num_expansions: int = 0
     num_children_scored: int = 0
@@ -149,7 +149,7 @@ class Search:
         self.found = 0 if np.array_equal(start, self.goal) else None
         effort.num_nodes += 1
 
-    def run(self, num_expansions: float) -> Status | None:
+    def run(self, num_expansions: int) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
 
         Args:
@@ -200,7 +200,7 @@ class Search:
             self.num_expansions += len(alike)
             self.effort.num_expansions += len(alike)
             self.effort.num_children_scored += children.num_scored
-            self.effort.num_children_valid += int(num_valid.sum())
+            self.effort.num_children_valid += children.num_valid
 
     def _keep(
         self,
@@ -245,7 +245,8 @@ class Search:
         self.effort.memory -= kept.num_bytes
         if not kept.whole and kept.width < _WIDEST:
             self.wider[node] = kept.width * _WIDER
-            self._return(kept.score[-1], node)
+            # A cut may leave nothing but children that collide: then look again at once.
+            self._return(kept.score[-1] if len(kept.score) else self.tree.cost[node], node)
 
     def _next_unclaimed(self, kept: Kept) -> int | None:
         """The best child whose cell is free to claim."""
