@@ -135,8 +135,9 @@ def test_discs_face_to_face_have_the_children_that_one_draws():
     children = best_children(team, terms_of(team), state, 1000)
     moves = {
         (round(float(a[0] - 1.5)), round(float(b[0] - 2.5)))
-        for a, b in team.configurations(team.move(np.repeat(state, 9, axis=0), children.primitive[0, :9]))[:, :, :2]
-        .astype(float)[: int(np.isfinite(children.score).sum())]
+        for a, b in team.configurations(team.move(np.repeat(state, 9, axis=0), children.primitive[0, :9]))[
+            :, :, :2
+        ].astype(float)[: int(np.isfinite(children.score).sum())]
     }
     assert moves == {(-1, -1), (-1, 0), (-1, 1), (0, 0), (0, 1), (1, 1)}
 

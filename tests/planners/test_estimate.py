@@ -11,7 +11,10 @@ from plr_jax.planners._estimate import estimate_of
 
 DOOR = scenes.single_door()
 MIXED = Problem(
-    ROOM, [DiscRobot(0.4), RectangleRobot(2, 1), PointRobot()], [(1, 1, 5), (2, 8, 0), (5, 5, 0)], [(9, 5, 5), (8, 8, 3), (1, 5, 2)]
+    ROOM,
+    [DiscRobot(0.4), RectangleRobot(2, 1), PointRobot()],
+    [(1, 1, 5), (2, 8, 0), (5, 5, 0)],
+    [(9, 5, 5), (8, 8, 3), (1, 5, 2)],
 )
 
 
@@ -99,7 +102,9 @@ def test_a_plain_function_is_called_for_joint_configurations():
 def test_children_are_rescored_by_a_plain_function():
     team = team_of(MIXED, 1.0)
     estimate = estimate_of(team, bent, 2.0)
-    state = np.array([[lattice.start for lattice in team.lattices], [lattice.goal for lattice in team.lattices]], np.int32)
+    state = np.array(
+        [[lattice.start for lattice in team.lattices], [lattice.goal for lattice in team.lattices]], np.int32
+    )
     children = best_children(team, estimate.terms, state, 5000)
     score, primitive = estimate.rescored(team, state, children)
     assert not np.array_equal(primitive, children.primitive)
@@ -199,9 +204,7 @@ def test_infinity_prunes_nothing(heuristic):
     ids=["nan", "negative", "short", "column", "scalar", "text", "none"],
 )
 def test_a_wrong_heuristic_is_refused(separable, wrong, message):
-    heuristic = (
-        Separable(lambda q: wrong(zero().per_robot(q))) if separable else lambda q: wrong(np.zeros(len(q)))
-    )
+    heuristic = Separable(lambda q: wrong(zero().per_robot(q))) if separable else lambda q: wrong(np.zeros(len(q)))
     with pytest.raises(ValueError, match=message):
         bl_plan(DOOR, heuristic, BLOptions(step=0.5))
 

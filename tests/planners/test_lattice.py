@@ -11,7 +11,8 @@ from plr_jax.planners._lattice import PRIMITIVES, build_lattices
 
 BAR = RectangleRobot(1.3, 0.5)
 WALLS = Workspace(
-    ((0, 0), (6, 5)), [[(2, 0), (2.3, 0), (2.3, 3), (2, 3)], [(4, 2.1), (5, 3), (4.2, 4)], shapely.box(3, 4.3, 3.2, 5)]
+    ((0, 0), (6, 5)),
+    [[(2, 0), (2.3, 0), (2.3, 3), (2, 3)], [(4, 2.1), (5, 3), (4.2, 4)], shapely.box(3, 4.3, 3.2, 5)],
 )
 ALONE = {
     "point": Problem(WALLS, [PointRobot()], [(0.7, 0.6)], [(5.3, 4.7)]),
@@ -219,12 +220,16 @@ def random_boxes(seed):
     rng = np.random.default_rng(seed)
     corners = rng.uniform(0.8, 4.5, (6, 2))
     sizes = rng.uniform(0.05, 1.6, (6, 2))
-    return Workspace(((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)])
+    return Workspace(
+        ((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)]
+    )
 
 
 def test_reaches_goal_as_networkx_says():
     answers = []
-    for seed, step, primitives in product(range(3), (0.5, 1.5), (PRIMITIVES, FOUR_NEIGHBORS[::2], ((2, 1, 0), (-1, 2, 0)))):
+    for seed, step, primitives in product(
+        range(3), (0.5, 1.5), (PRIMITIVES, FOUR_NEIGHBORS[::2], ((2, 1, 0), (-1, 2, 0)))
+    ):
         try:
             problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
         except ValueError:  # no way for the disc
@@ -257,7 +262,9 @@ def test_without_turns_a_heading_is_never_left():
 
 
 def test_equal_robots_share_motions_and_have_their_own_ends():
-    problem = Problem(WALLS, [DiscRobot(0.4)] * 2 + [PointRobot()], [(0.7, 0.6), (0.9, 4), (1.5, 2)], [(5, 1), (3, 1), (3, 3)])
+    problem = Problem(
+        WALLS, [DiscRobot(0.4)] * 2 + [PointRobot()], [(0.7, 0.6), (0.9, 4), (1.5, 2)], [(5, 1), (3, 1), (3, 3)]
+    )
     first, second, third = build_lattices(problem, 0.5, PRIMITIVES)
     for lattice, start, goal in zip((first, second, third), problem.starts, problem.goals, strict=True):
         np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
