@@ -151,7 +151,7 @@ class Search:
         self.memory = 0
         effort.num_nodes += 1
 
-    def run(self, num_expansions: int) -> Status | None:
+    def run(self, num_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
 
         Args:
