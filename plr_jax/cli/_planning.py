@@ -83,12 +83,13 @@ def solve(
     solution = bl_plan(problem, function, replace(options, lower_bound=bound or None))
     phases.end("planning")
     stats = solution.stats
-    typer.echo(f"  status     {solution.status}{'' if solution.solved else '; no path'}")
+    typer.echo(f"  status     {solution.status}")
     typer.echo(f"  search     {stats.num_nodes:,} nodes, {stats.num_expansions:,} expansions")
     typer.echo(
         f"             {stats.num_children_scored:,} joint children scored, {stats.num_children_valid:,} valid"
     )
     if solution.path is None:
+        typer.echo("  cost       none: there is no path")
         return Outcome(solution, None)
     ratio = f", {solution.cost / bound:.3f} times the lower bound of {bound:.4g}" if bound else ""
     typer.echo(f"  cost       {solution.cost:.4g}{ratio}")
