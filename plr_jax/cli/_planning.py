@@ -89,7 +89,7 @@ def solve(
         f"             {stats.num_children_scored:,} joint children scored, {stats.num_children_valid:,} valid"
     )
     if solution.path is None:
-        typer.echo("  cost       none: there is no path")
+        typer.echo("  cost       none: no path was found")
         return Outcome(solution, None)
     ratio = f", {solution.cost / bound:.3f} times the lower bound of {bound:.4g}" if bound else ""
     typer.echo(f"  cost       {solution.cost:.4g}{ratio}")

@@ -241,7 +241,7 @@ def test_no_path_is_exit_code_1_and_nothing_is_written(tmp_path):
     result = run("four_rooms", "--heuristic", "none", "--max-expansions", 3, "-o", tmp_path / "a.json")
     assert result.exit_code == 1
     assert "status     the limit on expansions was reached\n" in result.stdout
-    assert "cost       none: there is no path\n" in result.stdout
+    assert "cost       none: no path was found\n" in result.stdout
     assert result.stderr == "Error: No path: the limit on expansions was reached.\n"
     assert not list(tmp_path.iterdir())
 
