@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from tqdm import tqdm
 
 from plr_jax._obstacles import motion_test
 from plr_jax._problem import Problem, path_cost
@@ -117,11 +118,12 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
     """
     options = options or BLOptions()
     began = time.perf_counter()
-    run = _Run(problem, heuristic, options, began)
-    try:
-        status = run.until_done()
-    except KeyboardInterrupt:
-        status = Status.INTERRUPTED
+    with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
+        run = _Run(problem, heuristic, options, began, progress)
+        try:
+            status = run.until_done()
+        except KeyboardInterrupt:
+            status = Status.INTERRUPTED
     effort = run.effort
     stats = Stats(
         effort.num_nodes,
@@ -137,7 +139,7 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
 class _Run:
     """One call of the planner: searches on finer and finer lattices, and the best path so far."""
 
-    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float):
+    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float, progress: tqdm):
         self.problem, self.heuristic, self.options, self.began = problem, heuristic, options, began
         self.effort = Effort(began + options.time_limit, options.max_expansions, options.max_memory)
         straight = straight_line_bound(problem)
@@ -147,7 +149,7 @@ class _Run:
         self.history: list[tuple[float, float]] = []
         self.seconds: dict[str, float] = {}
         self.samples = problem.starts[None].copy()
-        self.mark = began
+        self.mark, self.progress = began, progress
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
@@ -188,8 +190,9 @@ class _Run:
             elif step < finest and not searches:
                 return Status.EXHAUSTED, step
             for size, search in reversed(list(searches.items())):
+                self.progress.set_postfix(step=f"{size:.3g}", nodes=self.effort.num_nodes, cost=f"{self.cost:.4g}")
                 try:
-                    status = search.run(turn)
+                    status = search.run(turn, self.progress)
                 finally:
                     self.samples = search.team.configurations(search.state)
                     self._end_phase("search")
@@ -197,7 +200,7 @@ class _Run:
                     self.effort.memory = 0
                     self._offer(search.team.configurations(search.branch), size)
                 elif status is Status.EXHAUSTED:
-                    del searches[size]
+                    self.effort.memory -= searches.pop(size).memory
                 if status not in (None, Status.EXHAUSTED):
                     return status, size
             if searches:
