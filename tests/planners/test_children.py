@@ -68,6 +68,7 @@ def test_all_children_when_nothing_is_cut(problem, step):
         assert (np.diff(children.score[row][: len(found)]) >= 0).all(), "best first"
         num_valid += len(found)
     assert 0 < num_valid < 0.9 * len(state) * sizes[-1], "some children collide"
+    assert children.num_valid == num_valid
 
 
 @pytest.mark.parametrize("width", [1, 7, 60])
@@ -98,6 +99,7 @@ def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
         np.testing.assert_array_equal(children.score, best)
         np.testing.assert_array_equal(children.whole, np.isfinite(terms[0]).sum(axis=1) <= width)
         assert children.num_scored == terms[0].size
+        assert children.num_valid == np.isfinite(terms[0]).sum(), "counted before the cut"
 
 
 def test_a_wide_cut_of_three_robots_keeps_the_best_child():
