@@ -23,7 +23,8 @@ from plr_jax.planners._tube import bend
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
-_FIRST_TURN = 256  # expansions
+_FIRST_TURN, _LONGER = 256, 1.5  # expansions of a new search, and their growth
+_GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
@@ -39,7 +40,8 @@ class BLOptions:
             problem is solved.
         cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
             take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
-            cells make a search smaller and less complete.
+            cells make a search smaller and less complete: they want primitives long enough to leave a cell, as a
+            joint configuration in a claimed cell is dropped.
         heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier. None: 2, from six robots
             on 3/8 a robot, as they have more ways to stand in each other's.
         batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
@@ -171,31 +173,28 @@ class _Run:
                 step /= _REFINEMENT
 
     def _take_turns(self, step: float, weight: float) -> tuple[Status, float]:
-        """Searches on finer and finer lattices that take turns, each longer than the last, until one succeeds.
+        """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
 
         Which lattice has room for robots to pass one another is not known before; one that has none would keep a
-        single search busy for ever.
+        single search busy for ever. Every round adds a search and lets each of the others grow by half.
 
         Returns:
             Why they ended, and the step of the one that did.
         """
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
-        turn, searches = _FIRST_TURN, {}
+        searches: dict[float, Search] = {}
+        budget: dict[float, int] = {}
         while True:
             limit = self.effort.exceeded()
             if limit:
                 return limit, step
             if step >= finest and (search := self._search(step, weight)):
-                searches[step] = search
+                searches[step], budget[step] = search, _FIRST_TURN
+                weight *= _GREEDIER
             elif step < finest and not searches:
                 return Status.EXHAUSTED, step
             for size, search in reversed(list(searches.items())):
-                self.progress.set_postfix(step=f"{size:.3g}", nodes=self.effort.num_nodes, cost=f"{self.cost:.4g}")
-                try:
-                    status = search.run(turn, self.progress)
-                finally:
-                    self.samples = search.team.configurations(search.state)
-                    self._end_phase("search")
+                status = self._run(search, size, budget[size])
                 if status is Status.SOLVED:
                     self.effort.memory = 0
                     self._offer(search.team.configurations(search.branch), size)
@@ -203,9 +202,17 @@ class _Run:
                     self.effort.memory -= searches.pop(size).memory
                 if status not in (None, Status.EXHAUSTED):
                     return status, size
-            if searches:
-                turn *= 2
+                budget[size] = int(_LONGER * budget[size])
             step /= _REFINEMENT
+
+    def _run(self, search: Search, step: float, num_expansions: int) -> Status | None:
+        """Let a search run until it has made so many expansions in all."""
+        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.effort.num_nodes, cost=f"{self.cost:.4g}")
+        try:
+            return search.run(num_expansions, self.progress)
+        finally:
+            self.samples = search.team.configurations(search.state)
+            self._end_phase("search")
 
     def _search(self, step: float, weight: float) -> Search | None:
         """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
