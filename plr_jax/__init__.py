@@ -1,7 +1,8 @@
 """Distance functions over configuration spaces, compressed into kilobytes of planes.
 
 Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
-(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``).
+(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; or as the
+heuristic of ``bl_plan``, which plans for several robots at once).
 
 Names are loaded when they are first used: a program that only loads and queries a PLR imports neither Shapely nor
 NetworkX nor Matplotlib, nor the slow parts of SciPy.
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from plr_jax._robot import PointRobot as PointRobot
     from plr_jax._robot import RectangleRobot as RectangleRobot
     from plr_jax._types import DistanceFn as DistanceFn
+    from plr_jax._types import HeuristicFn as HeuristicFn
     from plr_jax._validate import ValidationReport as ValidationReport
     from plr_jax._validate import validate as validate
     from plr_jax._workspace import Workspace as Workspace
@@ -29,6 +31,15 @@ if TYPE_CHECKING:
     from plr_jax.oracles import Roadmap as Roadmap
     from plr_jax.oracles import VisibilityGraph as VisibilityGraph
     from plr_jax.oracles import robot_distance_fns as robot_distance_fns
+    from plr_jax.planners import BLOptions as BLOptions
+    from plr_jax.planners import Solution as Solution
+    from plr_jax.planners import Stats as Stats
+    from plr_jax.planners import Status as Status
+    from plr_jax.planners import bl_plan as bl_plan
+    from plr_jax.planners import sba_star_plan as sba_star_plan
+    from plr_jax.planners import straight_line as straight_line
+    from plr_jax.planners import sum_of_distances as sum_of_distances
+    from plr_jax.planners import zero as zero
     from plr_jax.plr import PLR as PLR
     from plr_jax.plr import CellFit as CellFit
     from plr_jax.plr import ConstructionInterrupted as ConstructionInterrupted
@@ -53,6 +64,7 @@ _HOME = {
     "PointRobot": "_robot",
     "RectangleRobot": "_robot",
     "DistanceFn": "_types",
+    "HeuristicFn": "_types",
     "ValidationReport": "_validate",
     "validate": "_validate",
     "Workspace": "_workspace",
@@ -60,6 +72,15 @@ _HOME = {
     "Roadmap": "oracles",
     "VisibilityGraph": "oracles",
     "robot_distance_fns": "oracles",
+    "BLOptions": "planners",
+    "Solution": "planners",
+    "Stats": "planners",
+    "Status": "planners",
+    "bl_plan": "planners",
+    "sba_star_plan": "planners",
+    "straight_line": "planners",
+    "sum_of_distances": "planners",
+    "zero": "planners",
     "PLR": "plr",
     "CellFit": "plr",
     "ConstructionInterrupted": "plr",

@@ -20,6 +20,10 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 
 ``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain
 or the bounds, or not a point at all (a coordinate is NaN).
+
+A distance function may say by an attribute ``dim`` how many coordinates it takes. A type whose instances are distance
+functions may offer a static method ``stack(fns: Sequence[DistanceFn])`` that gives one function for a whole team, of
+joint configurations ``(n, robots, dof)`` to distances ``(n, robots)``; heuristics then call that.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]

@@ -25,6 +25,11 @@ class Euclidean:
     def __init__(self, goal: ArrayLike):
         object.__setattr__(self, "goal", as_finite_point("The goal", goal))
 
+    @property
+    def dim(self) -> int:
+        """Number of coordinates of a point."""
+        return self.goal.size
+
     def __call__(self, x: ArrayLike) -> Distances:
         """Distance of each point to the goal.
 

@@ -146,6 +146,11 @@ class Roadmap:
         return self.graph.vertices[0]
 
     @property
+    def dim(self) -> int:
+        """Number of coordinates of a point."""
+        return self.domain.dim
+
+    @property
     def num_bytes(self) -> int:
         """Bytes of the roadmap as a file would hold it: float64 vertices, int32 edges, float64 lengths.
 

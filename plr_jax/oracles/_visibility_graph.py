@@ -75,6 +75,11 @@ class VisibilityGraph:
         return oracle
 
     @property
+    def dim(self) -> int:
+        """Number of coordinates of a point: 2."""
+        return 2
+
+    @property
     def num_bytes(self) -> int:
         """Bytes of the arrays that a query reads and another goal needs, including what their oracles share."""
         own = self._goal_table.num_bytes + self._turns.num_bytes + self._parents.nbytes + self.distances.nbytes

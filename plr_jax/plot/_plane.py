@@ -24,7 +24,7 @@ from plr_jax.plot._page import (
 )
 
 _QUIET = "#6e6e6e"
-_OBSTACLE = "#ececec"
+OBSTACLE = "#ececec"
 _ERROR_COLORS = "inferno"
 
 
@@ -39,12 +39,16 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
         The axes.
     """
     ax = dressed_axes(ax, workspace.bounds, room_for_colorbar=False)
+    for polygon in blocked_polygons(workspace):
+        ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
+    return ax
+
+
+def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
+    """What obstacles cover of the bounds, merged."""
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
-    for polygon in shapely.get_parts(blocked):
-        if polygon.geom_type == "Polygon":
-            ax.add_patch(PathPatch(_outline(polygon), facecolor=_OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
-    return ax
+    return [polygon for polygon in shapely.get_parts(blocked) if polygon.geom_type == "Polygon"]
 
 
 def plot_contours(

@@ -1,6 +1,7 @@
 """The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import HEADER_SIZE, decode, file_size
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import LARGEST, StoredPlanes
+from plr_jax.plr._stack import TableStack
 from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
 
 
@@ -40,6 +42,23 @@ class PLR:
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
         return evaluate(self, x)
+
+    @staticmethod
+    def stack(plrs: Sequence["PLR"]) -> TableStack:
+        """One function of all robots' PLRs: a batch of joint configurations in one compiled call.
+
+        Args:
+            plrs: One PLR a robot; they may differ in size and dimension.
+
+        Returns:
+            A function of joint configurations ``(n, robots, dof)``, NumPy, that returns each robot's distance
+            ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
+
+        Raises:
+            ValueError: When called, if the robots are not as many as the PLRs, or a PLR has more dimensions than
+                there are coordinates.
+        """
+        return TableStack(tuple(plr.tables for plr in plrs))
 
     @cached_property
     def _leaves(self) -> tuple[Box, Cells, StoredPlanes]:

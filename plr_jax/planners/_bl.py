@@ -1,0 +1,282 @@
+"""The Barraquand-Latombe planner for several robots at once (Section V of the paper)."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._obstacles import MotionTest
+from plr_jax._problem import Problem, path_cost
+from plr_jax._robot import Robot
+from plr_jax._types import HeuristicFn
+from plr_jax.planners._children import Team
+from plr_jax.planners._estimate import estimate_of
+from plr_jax.planners._lattice import PRIMITIVES, Lattice, Primitive, build_lattices
+from plr_jax.planners._search import Effort, Search
+from plr_jax.planners._shorten import shorten, subdivided
+from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+
+# Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
+_COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
+_REFINEMENT = 1.25
+_FIRST_TURN = 256  # expansions
+_LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
+
+
+@dataclass(frozen=True)
+class BLOptions:
+    """Options of :func:`bl_plan`.
+
+    Args:
+        primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
+            lattice. Round robots leave out those that turn.
+        step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
+            problem is solved.
+        cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
+            take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
+            cells make a search smaller and less complete.
+        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier.
+        batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
+        branching: Children that a node adds at a time.
+        width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
+        cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
+            costs more, the search goes on with smaller weights and steps, until a limit.
+        lower_bound: A cost below which there is no path, in workspace units. None: that of straight lines.
+        time_limit: Seconds.
+        max_expansions: Most expansions; deterministic, unlike the time limit.
+        max_memory: Most bytes of a search's nodes.
+    """
+
+    primitives: Sequence[Primitive] = PRIMITIVES
+    step: float | None = None
+    cell_size: float | None = None
+    heuristic_weight: float = 3.0
+    batch: int = 16
+    branching: int = 1
+    width: int = 1024
+    cost_factor: float = float("inf")
+    lower_bound: float | None = None
+    time_limit: float = 60.0
+    max_expansions: float = float("inf")
+    max_memory: float = 4e9
+
+    def __post_init__(self) -> None:
+        for name in ("step", "cell_size", "lower_bound"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0 < value < float("inf")):
+                raise ValueError(f"{name} must be None or a positive finite number, got {value!r}.")
+        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
+            value = getattr(self, name)
+            if not (_is_number(value) and value > 0):
+                raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
+        if not (_is_number(self.heuristic_weight) and 0 <= self.heuristic_weight < float("inf")):
+            raise ValueError(
+                f"heuristic_weight must be a finite number of at least 0, got {self.heuristic_weight!r}."
+            )
+        for name in ("batch", "branching", "width"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
+        _require_primitives(self.primitives)
+
+
+def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None = None) -> Solution:
+    """Plan for all robots at once by best-first search over cells of the joint space, then shorten the path.
+
+    Every robot moves on a lattice of its own, whose start and goal are exact. A node of the search is a joint
+    configuration; its children are the products of the robots' primitives that keep clear of obstacles and of one
+    another along the whole motion. Each cell of the joint space is claimed once, by the first node in it. The best
+    node by cost-to-come and weighted heuristic is expanded next, as in A*. The first path found is shortened robot
+    by robot.
+
+    Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
+
+    Args:
+        problem: What to plan.
+        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
+            :func:`straight_line`, :func:`sum_of_distances` or a function of your own, at least 0 and not NaN. An
+            infinite estimate prunes nothing. Terms (``per_robot``) are used where it offers them, which is much
+            faster than a plain function.
+        options: How to search, and when to stop.
+
+    Returns:
+        The best path found, and why the search ended: SOLVED if its cost is within ``cost_factor`` of the lower
+        bound; EXHAUSTED if the frontier ran empty on the finest lattice (the given ``step``, or 1/2048 of the
+        bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
+
+    Raises:
+        ValueError: If the heuristic returns NaN, a negative number, or another shape than ``(n,)``.
+
+    References:
+        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
+        of the paper.
+    """
+    options = options or BLOptions()
+    began = time.perf_counter()
+    run = _Run(problem, heuristic, options, began)
+    try:
+        status = run.until_done()
+    except KeyboardInterrupt:
+        status = Status.INTERRUPTED
+    effort = run.effort
+    stats = Stats(
+        effort.num_nodes,
+        effort.num_expansions,
+        effort.num_children_scored,
+        effort.num_children_valid,
+        run.seconds,
+        tuple(run.history),
+    )
+    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples)
+
+
+class _Run:
+    """One call of the planner: searches on finer and finer lattices, and the best path so far."""
+
+    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float):
+        self.problem, self.heuristic, self.options, self.began = problem, heuristic, options, began
+        self.effort = Effort(began + options.time_limit, options.max_expansions, options.max_memory)
+        straight = straight_line_bound(problem)
+        self.lower_bound = straight if options.lower_bound is None else max(options.lower_bound, straight)
+        self.path: Float[np.ndarray, "steps robots dof"] | None = None
+        self.cost = float("inf")
+        self.history: list[tuple[float, float]] = []
+        self.seconds: dict[str, float] = {}
+        self.samples = problem.starts[None].copy()
+        self.tests: dict[Robot, MotionTest] = {}
+        self.mark = began
+
+    def until_done(self) -> Status:
+        """Search, then search better, until the path is good enough or a limit is reached."""
+        step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
+        while True:
+            status, step = self._take_turns(step, weight)
+            if status is not Status.SOLVED or self.cost <= self.options.cost_factor * self.lower_bound:
+                return status
+            limit = self.effort.exceeded()
+            if limit:
+                return limit
+            if weight > _LEAST_WEIGHT:
+                weight = (1 + weight) / 2
+            elif self.options.step is not None:
+                return Status.EXHAUSTED
+            if self.options.step is None:
+                step /= _REFINEMENT
+
+    def _take_turns(self, step: float, weight: float) -> tuple[Status, float]:
+        """Searches on finer and finer lattices that take turns, each longer than the last, until one succeeds.
+
+        Which lattice has room for robots to pass one another is not known before; one that has none would keep a
+        single search busy for ever.
+
+        Returns:
+            Why they ended, and the step of the one that did.
+        """
+        finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
+        turn, searches = _FIRST_TURN, {}
+        while True:
+            if step >= finest and (search := self._search(step, weight)):
+                searches[step] = search
+            elif step < finest and not searches:
+                return Status.EXHAUSTED, step
+            for size, search in reversed(list(searches.items())):
+                try:
+                    status = search.run(turn)
+                finally:
+                    self.samples = search.team.configurations(search.state)
+                    self._end_phase("search")
+                if status is Status.SOLVED:
+                    self.effort.memory = 0
+                    self._offer(search.team.configurations(search.branch))
+                elif status is Status.EXHAUSTED:
+                    del searches[size]
+                if status not in (None, Status.EXHAUSTED):
+                    return status, size
+            if searches:
+                turn *= 2
+            step /= _REFINEMENT
+
+    def _search(self, step: float, weight: float) -> Search | None:
+        """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
+        options = self.options
+        lattices = build_lattices(self.problem, step, options.primitives, self.tests)
+        self._end_phase("lattice")
+        if not all(lattice.reaches_goal() for lattice in lattices):
+            return None
+        team = Team(self.problem, tuple(lattices))
+        estimate = estimate_of(team, self.heuristic, weight)
+        self._end_phase("heuristic")
+        cells = [
+            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
+            for lattice, robot in zip(lattices, self.problem.robots, strict=True)
+        ]
+        return Search(team, estimate, cells, options.batch, options.branching, options.width, self.effort)
+
+    def _offer(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
+        """Keep a path if it is the best yet, then its shortened versions."""
+        tests = [self.tests[robot] for robot in self.problem.robots]
+        self._record(path)
+        for finer in (path, None):
+            path = shorten(self.problem, path if finer is not None else subdivided(path), tests, self.effort.deadline)
+            self._end_phase("shorten")
+            self._record(path)
+
+    def _record(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
+        cost = path_cost(self.problem, path)
+        if cost < self.cost:
+            self.path, self.cost = path, cost
+            self.history.append((time.perf_counter() - self.began, cost))
+
+    def _end_phase(self, name: str) -> None:
+        """Count the seconds since the last phase ended."""
+        now = time.perf_counter()
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self.mark
+        self.mark = now
+
+
+def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
+    """The cell of a robot's configuration space that each configuration of its lattice claims.
+
+    Args:
+        lattice: The lattice.
+        radius: How far the robot's corners are from its center.
+        cell_size: Side of the cells; None makes every configuration its own.
+
+    Returns:
+        A number for each cell. The goal has a cell of its own, so that nothing else claims it.
+    """
+    nodes = np.arange(len(lattice.q))
+    if cell_size is None:
+        return nodes
+    scale = np.array([1.0, 1.0, radius])[: lattice.q.shape[1]]
+    cells = np.unique(np.floor(lattice.q * scale / cell_size), axis=0, return_inverse=True)[1].reshape(-1)
+    cells[lattice.goal] = -1
+    return cells
+
+
+def _first_step(problem: Problem) -> float:
+    """A lattice about as fine as the smallest robot is large."""
+    extent = float(problem.workspace.bounds.width.max())
+    sizes = [
+        min(robot.circumscribed_radius, 2 * robot.inscribed_radius) or _POINT_STEP * extent
+        for robot in problem.robots
+    ]
+    return float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
+
+
+def _require_primitives(primitives: Sequence[Primitive]) -> None:
+    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 255"
+    try:
+        offsets = np.array(primitives)
+    except (TypeError, ValueError):
+        raise ValueError(f"{message}, got {primitives!r}.") from None
+    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 255:
+        raise ValueError(f"{message}, got {primitives!r}.")
+    if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
+        raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")

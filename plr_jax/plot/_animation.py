@@ -1,0 +1,220 @@
+"""Paths in motion: GIFs, and pages that play them."""
+
+import io
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Integer, UInt8
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.spatial import KDTree
+
+from plr_jax._atomic import write_atomically
+from plr_jax._problem import Problem
+from plr_jax._robot import RectangleRobot
+from plr_jax._types import ArrayLike
+from plr_jax.plot._plane import plot_workspace
+from plr_jax.plot._player import HOLD, embedded, page
+from plr_jax.plot._robots import (
+    add_body,
+    add_number,
+    add_outline,
+    color_of,
+    ink_on,
+    nose,
+    number_size,
+    outline,
+    placed,
+)
+from plr_jax.plot._timeline import Timeline, timeline
+
+_PANEL, _MARGIN, _DPI = 4.2, 0.08, 120  # inches, inches, pixels an inch
+_LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with
+_PACK = np.array([65536, 256, 1], dtype=np.uint32)  # three bytes of a color as one number
+_TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
+
+
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """A path in motion, as :func:`animate` makes it. In a notebook it shows itself.
+
+    Args:
+        problem: What the path solves.
+        motion: The path in time.
+        seconds: How long it plays, once.
+        frames_per_second: Of a GIF.
+    """
+
+    problem: Problem
+    motion: Timeline
+    seconds: float
+    frames_per_second: float
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of a GIF, the first at the start and the last at the end of the path."""
+        return max(1, round(self.seconds * self.frames_per_second)) + 1
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the animation.
+
+        Args:
+            path: The file. ``.gif``: a picture that plays in a loop. ``.html``: a page that plays in any
+                browser, without a network, sharp at any size, with a slider.
+
+        Raises:
+            ValueError: If the ending is another one.
+            OSError: If the file cannot be written.
+        """
+        path = Path(path)
+        ending = path.suffix.lower()
+        if ending == ".gif":
+            write_atomically(path, _gif(self))
+        elif ending == ".html":
+            write_atomically(path, page(self.problem, self.motion, self.seconds).encode())
+        else:
+            raise ValueError(f"An animation is written as .gif or .html, got {str(path)!r}.")
+
+    def __repr__(self) -> str:
+        steps = len(self.motion.times)
+        return f"Animation({len(self.problem.robots)} robots, {steps} steps, {self.seconds:g} s)"
+
+    def _repr_html_(self) -> str:
+        return embedded(self.problem, self.motion, self.seconds)
+
+
+def animate(
+    problem: Problem, path: ArrayLike, *, seconds: float | int = 8.0, frames_per_second: float | int = 20.0
+) -> Animation:
+    """Set a path in motion.
+
+    Each motion takes its share of the makespan: at any time the robot of the largest cost moves at unit speed,
+    and the others arrive with it. Rectangles turn by the shorter way. Steps in which nothing moves are skipped.
+
+    Args:
+        problem: What the path solves.
+        path: Joint configurations ``(steps, robots, dof)``.
+        seconds: How long the animation plays, positive.
+        frames_per_second: Of a GIF, above 0, at most 50, kept to the nearest that whole hundredths of a second
+            give; a page is as smooth as the screen.
+
+    Returns:
+        The animation, to be saved or shown in a notebook.
+
+    Raises:
+        ValueError: If the path has a wrong shape, is not finite, or nothing moves, or seconds or frames per
+            second are out of range.
+    """
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise ValueError(f"seconds must be a positive finite number, got {seconds!r}.")
+    if not 0 < frames_per_second <= _LARGEST_RATE:
+        raise ValueError(
+            f"frames_per_second must be above 0 and at most {_LARGEST_RATE:g}, got {frames_per_second!r}."
+        )
+    motion = timeline(problem, path)
+    if motion.duration == 0:
+        raise ValueError(
+            f"There is nothing to animate: no robot moves in the path's {len(np.asarray(path))} step(s)."
+        )
+    return Animation(problem, motion, float(seconds), float(frames_per_second))
+
+
+def _gif(animation: Animation) -> bytes:
+    from PIL import Image
+
+    frames = list(_frames(animation))
+    palette, nearest = _palette(np.stack(frames[:: max(1, len(frames) // 8)]))
+    paged = [Image.fromarray(nearest[_cells(frame)]) for frame in frames]
+    for frame in paged:
+        frame.putpalette(palette.tobytes())
+    delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, in the hundredths that GIF knows
+    durations = [delay] * (len(paged) - 1) + [int(1000 * HOLD)]
+    data = io.BytesIO()
+    paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
+    return data.getvalue()
+
+
+def _palette(
+    pixels: UInt8[np.ndarray, "*shape 3"],
+) -> tuple[UInt8[np.ndarray, "colors 3"], UInt8[np.ndarray, "32768"]]:
+    """The 256 most frequent colors, and for each cell of 8 x 8 x 8 colors the one to show in its place.
+
+    Pillow's own quantization averages, so that white is not white and flat areas flicker.
+    """
+    packed, counts = np.unique(pixels.reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True)
+    packed = packed[np.argsort(-counts, kind="stable")[:256]]
+    palette = ((packed[:, None] // _PACK) % 256).astype(np.uint8)
+    levels = np.arange(4, 256, 8)
+    centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
+    order = np.arange(len(palette))[::-1]  # of colors in one cell, the most frequent is assigned last and stays
+    nearest[_cells(palette[order])] = order
+    return palette, nearest
+
+
+def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape"]:
+    r, g, b = np.moveaxis(pixels.astype(np.int32) >> 3, -1, 0)
+    return (r << 10) | (g << 5) | b
+
+
+def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """The pixels of each frame; what stands still is drawn once."""
+    problem, motion = animation.problem, animation.motion
+    ax = _stage(problem, motion)
+    actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
+    figure = ax.figure.canvas.figure
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
+    for time in np.linspace(0.0, motion.duration, animation.num_frames):
+        so_far = motion.between(0.0, float(time))
+        for i, actor in enumerate(actors):
+            actor.play(so_far[:, i])
+        canvas.restore_region(background)
+        for artist in sorted((a for actor in actors for a in actor.artists), key=Artist.get_zorder):
+            ax.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _stage(problem: Problem, motion: Timeline) -> Axes:
+    """What stands still: the workspace, whole tracks as thin lines, goals as outlines."""
+    bounds = problem.workspace.bounds
+    width, height = _PANEL * bounds.width / bounds.width.max()
+    total = np.array([width, height]) + 2 * _MARGIN
+    figure = Figure(figsize=tuple(total), dpi=_DPI, facecolor="white")
+    ax = figure.add_axes((_MARGIN / total[0], _MARGIN / total[1], width / total[0], height / total[1]))
+    plot_workspace(problem.workspace, ax)
+    ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    for i in range(len(problem.robots)):
+        ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
+        add_outline(ax, problem, i, problem.goals[i], zorder=_GOAL)
+    return ax
+
+
+class _Actor:
+    """What of a robot moves: its body and number, and its trail."""
+
+    def __init__(self, ax: Axes, problem: Problem, i: int):
+        q = problem.starts[i]
+        self.robot, self.bounds = problem.robots[i], problem.workspace.bounds
+        (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
+        self.body, self.nose = add_body(ax, problem, i, q)
+        self.number = add_number(ax, i, q[:2], ink_on(color_of(i)))
+        self.number.set_visible(2 * self.robot.inscribed_radius >= 0.75 * number_size(ax, i))
+        self.artists = [a for a in (self.trail, self.body, self.nose, self.number) if a is not None]
+        for artist in self.artists:
+            artist.set_animated(True)
+
+    def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
+        """Move to the end of what the robot has done so far."""
+        q = so_far[-1]
+        self.trail.set_data(*so_far[:, :2].T)
+        self.body.set_xy(outline(self.robot, q, self.bounds))
+        self.number.set_position(tuple(q[:2]))
+        if self.nose is not None and isinstance(self.robot, RectangleRobot):
+            self.nose.set_data(*placed(nose(self.robot), q).T)

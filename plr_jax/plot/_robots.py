@@ -1,0 +1,152 @@
+"""Robots in a picture: their colors, bodies and numbers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
+
+from plr_jax._box import Box
+from plr_jax._problem import Problem
+from plr_jax._robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.plot._page import FONT_SIZE, INK
+
+# Chosen among named color-blind-safe palettes so that any two (the first four above all) stay apart as normal,
+# red-, green- and blue-blind readers see them.
+ROBOT_COLORS = ("#0072B2", "#E69F00", "#B22222", "#56B4E9", "#009988", "#882255", "#D55E00", "#1B4F9C")
+DASHES = (3.0, 1.6)  # of a goal's outline, in line widths
+_DOT = 0.011  # radius of a point robot's dot, over the longer side of the bounds
+_CORNERS = 72  # of a disc as a polygon
+_LIGHT = 0.55  # colors brighter than this carry dark numbers
+_AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
+
+BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
+
+
+def color_of(i: int) -> str:
+    """Color of a robot; from the ninth on, they repeat."""
+    return ROBOT_COLORS[i % len(ROBOT_COLORS)]
+
+
+def ink_on(color: str) -> str:
+    """Color of a number that is legible on a color."""
+    return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
+
+
+def drawn_radius(robot: Robot, bounds: Box) -> float:
+    """Radius that a round robot is drawn with; a point gets that of a small dot."""
+    return robot.radius if isinstance(robot, DiscRobot) else _DOT * float(bounds.width.max())
+
+
+def nose(robot: RectangleRobot) -> Float[np.ndarray, "2 2"]:
+    """A bar near the front of a rectangle, at heading 0, that shows where it heads."""
+    x = robot.length / 2 - 0.2 * min(robot.length, robot.width)
+    return np.array([[x, -0.28 * robot.width], [x, 0.28 * robot.width]])
+
+
+def placed(points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
+    """Points of a body at heading 0 about the origin, moved to a configuration."""
+    cos, sin = (np.cos(q[2]), np.sin(q[2])) if len(q) == 3 else (1.0, 0.0)
+    return q[:2] + points @ np.array([[cos, sin], [-sin, cos]])
+
+
+def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
+    """Corners of a robot's body at a configuration, counterclockwise."""
+    if isinstance(robot, RectangleRobot):
+        signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+        return placed(signs * np.array([robot.length, robot.width]) / 2, q)
+    angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
+    return q[:2] + drawn_radius(robot, bounds) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
+    """Draw a robot as a solid body, and the bar that shows where it heads if it is a rectangle."""
+    robot, color = problem.robots[i], color_of(i)
+    corners = outline(robot, q, problem.workspace.bounds)
+    body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
+    ax.add_patch(body)
+    if not isinstance(robot, RectangleRobot):
+        return body, None
+    ends = placed(nose(robot), q)
+    (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
+    return body, bar
+
+
+def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> Polygon:
+    """Draw a robot as a dashed outline, as goals are; a white line under it parts it from bodies."""
+    corners = outline(problem.robots[i], q, problem.workspace.bounds)
+    style = {"edgecolor": color_of(i), "linewidth": 1.2}
+    ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
+    dashed = Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2)
+    ax.add_patch(dashed)
+    if isinstance(problem.robots[i], RectangleRobot):  # its front is a line without gaps
+        ax.add_patch(Polygon(corners[[0, 3]], closed=False, fill=False, **style, zorder=zorder + 0.2))
+    return dashed
+
+
+def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
+    """Write the number of a robot."""
+    text = ax.text(at[0], at[1], str(i), color=color, fontsize=FONT_SIZE - 1, weight="bold", zorder=LABEL)
+    text.set(ha="center", va="center_baseline")
+    return text
+
+
+def add_numbers(
+    ax: Axes, problem: Problem, bodies: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "_ dof"]
+) -> None:
+    """Number solid bodies, and goals if there are any: inside where there is room, else beside them."""
+    bounds, num_robots = problem.workspace.bounds, len(bodies)
+    robots, ends = [*problem.robots, *problem.robots[: len(goals)]], [*bodies, *goals]
+    shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
+    solid, dashed = shapes[:num_robots], [shape.exterior for shape in shapes[num_robots:]]
+    taken = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
+    for k, (robot, q, shape) in enumerate(zip(robots, ends, shapes, strict=True)):
+        i = k % num_robots
+        size = number_size(ax, i)
+        if fits := 2 * robot.inscribed_radius >= 0.75 * size:
+            # Off the center where a goal's outline runs through it.
+            inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
+            spot = _freest(inside, dashed, size) if k < num_robots else q[:2]
+        if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
+            spot = _freest(_beside(shape, q[:2], size), taken, size)
+            taken.append(_square(spot, size))
+            text = add_number(ax, i, spot, color_of(i))
+            text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+        else:
+            add_number(ax, i, spot, ink_on(color_of(i)) if k < num_robots else color_of(i))
+
+
+def number_size(ax: Axes, i: int) -> float:
+    """Width and height that the number of a robot takes, in workspace units."""
+    ax.apply_aspect()
+    points = FONT_SIZE * (1 if i < 10 else 1.5)
+    units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
+    return float(units[1, 0] - units[0, 0])
+
+
+def _beside(body: shapely.Polygon, center: Float[np.ndarray, "2"], size: float) -> list[Float[np.ndarray, "2"]]:
+    """Eight places for a number around a body, close to it."""
+    spots = []
+    for way in np.array(_AROUND):
+        reach = max(float(way @ (corner - center)) for corner in shapely.get_coordinates(body))
+        spots.append(center + (reach + 0.62 * size) * way)
+    return spots
+
+
+def _freest(
+    spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
+) -> Float[np.ndarray, "2"]:
+    """The first spot at which a number covers least of what is taken."""
+    covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
+    return spots[int(np.argmin(covered))]
+
+
+def _square(center: Float[np.ndarray, "2"], size: float) -> shapely.Polygon:
+    x, y = center
+    return shapely.box(x - size / 2, y - size / 2, x + size / 2, y + size / 2)
