@@ -1,0 +1,106 @@
+"""What the experiments on planning share: the scenes of Table II, the heuristics, a plan that has been checked."""
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from plr_jax import (
+    BLOptions,
+    DistanceFn,
+    HeuristicFn,
+    Problem,
+    Solution,
+    bl_plan,
+    construct,
+    robot_distance_fns,
+    scenes,
+    straight_line,
+    sum_of_distances,
+    validate,
+    zero,
+)
+
+PLR_BYTES = 4_096
+
+SCENES: dict[str, Callable[[], Problem]] = {
+    "single door": scenes.single_door,
+    "four rooms 2": lambda: scenes.four_rooms(2),
+    "four rooms 3": lambda: scenes.four_rooms(3),
+    "four rooms 4": lambda: scenes.four_rooms(4),
+    "four rooms 8": lambda: scenes.four_rooms(8),
+    "cross 2": lambda: scenes.cross(2),
+    "cross 3": lambda: scenes.cross(3),
+    "tangle": scenes.tangle,
+}
+
+NONE, STRAIGHT, POINT_PLR, PLR, EXACT = HEURISTICS = ("none", "straight line", "PLR, point robots", "PLR", "exact")
+
+
+class Built(NamedTuple):
+    """A heuristic, and the seconds that its exact distances and its PLRs took."""
+
+    heuristic: HeuristicFn
+    oracle_seconds: float
+    plr_seconds: float
+
+
+def build(problem: Problem, name: str) -> Built:
+    """A heuristic of :data:`HEURISTICS` for a problem."""
+    if name == NONE:
+        return Built(zero(), 0.0, 0.0)
+    if name == STRAIGHT:
+        return Built(straight_line(problem), 0.0, 0.0)
+    began = time.perf_counter()
+    distance_fns: list[DistanceFn] = list(robot_distance_fns(problem, inflated=name != POINT_PLR))
+    middle = time.perf_counter()
+    if name != EXACT:
+        bounds = problem.workspace.bounds
+        distance_fns = [construct(oracle, bounds, max_bytes=PLR_BYTES) for oracle in distance_fns]
+    return Built(sum_of_distances(distance_fns), middle - began, time.perf_counter() - middle)
+
+
+def lower_bound(problem: Problem) -> float:
+    """Sum of the robots' exact distances from their starts, each alone; turns of rectangles are left out."""
+    return float(sum_of_distances(robot_distance_fns(problem))(problem.starts[None])[0])
+
+
+def plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions) -> tuple[Solution, float]:
+    """A solution of BL, and its seconds from call to return."""
+    began = time.perf_counter()
+    solution = bl_plan(problem, heuristic, options)
+    return solution, time.perf_counter() - began
+
+
+def is_valid(problem: Problem, solution: Solution) -> bool | None:
+    """Whether a solution's path is valid; None if it has none."""
+    return None if solution.path is None else validate(problem, solution.path).valid
+
+
+def rounded_path(problem: Problem, solution: Solution) -> list[Any]:
+    """A path to nine decimals, as JSON has it. A path that is not valid is an error, and ends the experiment."""
+    if solution.path is None:
+        raise RuntimeError(f"The scene was not solved: {solution.status}.")
+    path = np.round(solution.path, 9)
+    report = validate(problem, path)
+    if not report.valid:
+        raise RuntimeError(f"The path is not valid: {report.message}")
+    return path.tolist()
+
+
+def spread(values: list[float | None], form: str) -> str:
+    """The median of the values there are, and in brackets the largest."""
+    known = [value for value in values if value is not None]
+    return f"{np.median(known):{form}} ({max(known):{form}})" if known else "-"
+
+
+def aligned(rows: list[list[str]], numbers: int) -> str:
+    """A table as text, with a line under its head; its last columns hold numbers."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    words = len(widths) - numbers
+    lines = [
+        "  ".join(cell.ljust(width) if at < words else cell.rjust(width) for at, (cell, width) in enumerate(pairs))
+        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
+    ]
+    return "\n".join(line.rstrip() for line in [lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
