@@ -78,10 +78,16 @@ def is_valid(problem: Problem, solution: Solution) -> bool | None:
     return None if solution.path is None else validate(problem, solution.path).valid
 
 
-def rounded_path(problem: Problem, solution: Solution) -> list[Any]:
-    """A path to nine decimals, as JSON has it. A path that is not valid is an error, and ends the experiment."""
+def solve(problem: Problem, heuristic: str) -> Solution:
+    """BL's first path under a heuristic. A missing one is an error, and ends the experiment."""
+    solution, _ = plan(problem, build(problem, heuristic).heuristic, BLOptions())
     if solution.path is None:
         raise RuntimeError(f"The scene was not solved: {solution.status}.")
+    return solution
+
+
+def rounded_path(problem: Problem, solution: Solution) -> list[Any]:
+    """A path to nine decimals, as JSON has it, which must be valid."""
     path = np.round(solution.path, 9)
     report = validate(problem, path)
     if not report.valid:
@@ -89,18 +95,8 @@ def rounded_path(problem: Problem, solution: Solution) -> list[Any]:
     return path.tolist()
 
 
-def spread(values: list[float | None], form: str) -> str:
-    """The median of the values there are, and in brackets the largest."""
-    known = [value for value in values if value is not None]
-    return f"{np.median(known):{form}} ({max(known):{form}})" if known else "-"
-
-
-def aligned(rows: list[list[str]], numbers: int) -> str:
-    """A table as text, with a line under its head; its last columns hold numbers."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    words = len(widths) - numbers
-    lines = [
-        "  ".join(cell.ljust(width) if at < words else cell.rjust(width) for at, (cell, width) in enumerate(pairs))
-        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
-    ]
-    return "\n".join(line.rstrip() for line in [lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
+def solved_scene(name: str) -> dict[str, Any]:
+    """A scene as published, solved under PLRs, for JSON."""
+    problem = SCENES[name]()
+    solution = solve(problem, PLR)
+    return {"cost": solution.cost, "makespan": solution.makespan, "path": rounded_path(problem, solution)}

@@ -24,14 +24,13 @@ from experiments._planning import (
     SCENES,
     STRAIGHT,
     Built,
-    aligned,
     build,
     is_valid,
     lower_bound,
     plan,
-    spread,
 )
 from experiments._results import run
+from experiments._tables import aligned, nodes_of, num_solved, spread
 from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS = 20
@@ -58,6 +57,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     return {
         "plr_bytes": PLR_BYTES,
         "seeds": seeds,
+        "teams_without_heuristic": {"starts": len(seeds_none), "seconds": limit_none},
         "paper": PAPER,
         "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none)],
         "cold": [
@@ -70,7 +70,9 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     }
 
 
-def measure_scene(name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float) -> list[dict[str, Any]]:
+def measure_scene(
+    name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float
+) -> list[dict[str, Any]]:
     """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in HEURISTICS}
     alone = len(SCENES[name]().robots) == 1
@@ -137,7 +139,7 @@ def with_phases(solution: Solution) -> dict[str, float]:
 
 
 def children_rates(num_expansions: int, num_runs: int) -> list[dict[str, Any]]:
-    """Joint children a second of the search's own seconds: 4 discs of 9 primitives, so ``9**4`` joint children a node.
+    """Joint children a second of the search's own seconds: 4 discs of 9 primitives, ``9**4`` joint children a node.
 
     Children grow robot by robot: 9, 81, 729 and 6,561 of them are given a score and tested against the robots so far,
     and all four numbers are counted as scored. Valid are those of all four robots that collide with nothing, as far
@@ -199,7 +201,9 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
         "Nodes: medians over perturbed starts and goals": nodes_table(results),
         "Seconds of the first plan in a new process": cold_table(results["cold"]),
         "Joint children, 4 discs in four rooms, millions a second of search": rate_table(results["children_rate"]),
-        "Problems of db-CBS, holonomic, with PLRs": dbcbs_table(results["dbcbs"]) if results["dbcbs"] else "left out\n",
+        "Problems of db-CBS, holonomic, with PLRs": dbcbs_table(results["dbcbs"])
+        if results["dbcbs"]
+        else "left out\n",
     }
     text = "\n".join(f"{title}\n\n{table}" for title, table in tables.items())
     num_paths, num_invalid = count_paths(results)
@@ -239,16 +243,6 @@ def nodes_table(results: dict[str, Any]) -> str:
         found = {row["heuristic"]: nodes_of(row) for row in results["rows"] if row["scene"] == name}
         rows.append([name, *(found[heuristic] for heuristic in HEURISTICS)])
     return aligned(rows, numbers=len(HEURISTICS))
-
-
-def nodes_of(row: dict[str, Any]) -> str:
-    """Median nodes of a row of runs."""
-    more = "> " if 2 * num_solved(row) < len(row["seed"]) else ""
-    return f"{more}{np.median(row['nodes']):,.0f}"
-
-
-def num_solved(row: dict[str, Any]) -> int:
-    return sum(cost is not None for cost in row["cost"])
 
 
 def cold_table(entries: list[dict[str, Any]]) -> str:
