@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from plr_jax.planners import Stats as Stats
     from plr_jax.planners import Status as Status
     from plr_jax.planners import bl_plan as bl_plan
+    from plr_jax.planners import ompl_plan as ompl_plan
     from plr_jax.planners import sba_star_plan as sba_star_plan
     from plr_jax.planners import straight_line as straight_line
     from plr_jax.planners import sum_of_distances as sum_of_distances
@@ -77,6 +78,7 @@ _HOME = {
     "Stats": "planners",
     "Status": "planners",
     "bl_plan": "planners",
+    "ompl_plan": "planners",
     "sba_star_plan": "planners",
     "straight_line": "planners",
     "sum_of_distances": "planners",

@@ -63,11 +63,11 @@ def bodies_of(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray
 
 def motions_apart(
     robot_a: Robot,
-    a0: Float[np.ndarray, "*#batch dof"],
-    a1: Float[np.ndarray, "*#batch dof"],
+    a0: Float[np.ndarray, "*#batch dof_a"],
+    a1: Float[np.ndarray, "*#batch dof_a"],
     robot_b: Robot,
-    b0: Float[np.ndarray, "*#batch dof"],
-    b1: Float[np.ndarray, "*#batch dof"],
+    b0: Float[np.ndarray, "*#batch dof_b"],
+    b1: Float[np.ndarray, "*#batch dof_b"],
     tolerance: float,
 ) -> Bool[np.ndarray, "*batch"]:
     """Whether two robots stay clear of one another while both move.
@@ -250,10 +250,10 @@ def _roundness(robot: Robot) -> float:
 
 
 def _closest_approach(
-    a0: Float[np.ndarray, "*#batch dof"],
-    a1: Float[np.ndarray, "*#batch dof"],
-    b0: Float[np.ndarray, "*#batch dof"],
-    b1: Float[np.ndarray, "*#batch dof"],
+    a0: Float[np.ndarray, "*#batch dof_a"],
+    a1: Float[np.ndarray, "*#batch dof_a"],
+    b0: Float[np.ndarray, "*#batch dof_b"],
+    b1: Float[np.ndarray, "*#batch dof_b"],
 ) -> Float[np.ndarray, "*batch"]:
     """Smallest distance of two centers that move at the same time."""
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
@@ -262,10 +262,10 @@ def _closest_approach(
 
 
 def distance_to_segment(
-    x: Float[np.ndarray, "*batch"],
-    y: Float[np.ndarray, "*batch"],
-    dx: Float[np.ndarray, "*batch"],
-    dy: Float[np.ndarray, "*batch"],
+    x: Float[np.ndarray, "*#batch"],
+    y: Float[np.ndarray, "*#batch"],
+    dx: Float[np.ndarray, "*#batch"],
+    dy: Float[np.ndarray, "*#batch"],
 ) -> Float[np.ndarray, "*batch"]:
     """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
     squared = dx * dx + dy * dy

@@ -6,6 +6,7 @@ their cell.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,20 @@ class MotionTest:
             bodies, walls = pieces.take(piece[near]), _walls(self.workspace.boundary.segments[edge[near]])
             clear[piece[near][~bisect(judge_boxes, bodies, walls, -self.workspace.tolerance)]] = False
         return clear
+
+
+@lru_cache(maxsize=16)
+def motion_test(workspace: Workspace, robot: Robot) -> MotionTest:
+    """The motion test of a robot in a workspace, kept for the next call.
+
+    Args:
+        workspace: Where it moves.
+        robot: The robot.
+
+    Returns:
+        The test.
+    """
+    return MotionTest(workspace, robot)
 
 
 def _grid(workspace: Workspace, robot: Robot) -> tuple[float, tuple[int, int], Float[np.ndarray, "cells 2"]]:

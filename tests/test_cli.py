@@ -160,11 +160,13 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
     monkeypatch.setattr(_demo, "_ORACLE_POINTS", 100)
     result = run("demo", "--output", tmp_path / "new" / "folder")
     assert result.exit_code == 0, result.output
-    for name in ("maze.plr", "maze_distance.png", "maze_error.png", "maze_surface.png"):
+    pictures = ("maze_distance.png", "maze_error.png", "maze_surface.png", "four_rooms.html", "four_rooms.gif")
+    for name in ("maze.plr", *pictures):
         path = tmp_path / "new" / "folder" / name
         assert path.stat().st_size > 0
         assert str(path) in result.stdout
-    for word in ("bytes in the file", "max 0.0", "mean 0.0", "PLR / oracle"):
+    words = ("bytes in the file", "max 0.0", "mean 0.0", "PLR / oracle", "times the lower bound", "Valid: clearance")
+    for word in words:
         assert word in result.stdout
 
 
@@ -196,7 +198,7 @@ def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatc
     assert not (tmp_path / "out.plr").exists()
 
 
-@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["plan"], ["demo"]])
 def test_help_has_an_example(command):
     result = run(*command, "--help")
     assert result.exit_code == 0

@@ -1,13 +1,11 @@
-"""The commands themselves.
+"""The commands about one distance function: build, query, info, plot; and the demo.
 
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
 
-import functools
 import sys
 import time
 import warnings
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +14,7 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
+from plr_jax.cli._app import INTERRUPTED_EXIT, command
 from plr_jax.cli._inputs import SCENES, parse_goal, parse_points, read_map, read_text
 
 if TYPE_CHECKING:
@@ -23,57 +22,6 @@ if TYPE_CHECKING:
 
 _DEFAULT_BYTES = 16_384
 _ERROR_POINTS = 20_000
-_SIGINT_EXIT = 130
-
-app = typer.Typer(
-    name="plr-jax",
-    help="Distance functions over maps, compressed into kilobytes of planes.",
-    epilog="Start with: plr-jax demo",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
-def main() -> None:
-    """Run the command line; the entry point of ``plr-jax``."""
-    try:
-        app()
-    except KeyboardInterrupt:
-        sys.exit(_SIGINT_EXIT)
-
-
-def _command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130."""
-
-    def register(function: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(function)
-        def run(*args: object, **kwargs: object) -> None:
-            try:
-                function(*args, **kwargs)
-            except KeyboardInterrupt:
-                typer.echo("Interrupted.", err=True)
-                raise typer.Exit(_SIGINT_EXIT) from None
-            except BrokenPipeError:
-                raise  # a reader such as `head` that has seen enough
-            except OSError as error:
-                # strerror and filename alone read better than "[Errno 2] ...".
-                where = f"{error.filename}: " if error.filename else ""
-                _fail(f"{where}{error.strerror or error}")
-            except ValueError as error:
-                _fail(str(error))
-
-        return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
-
-    return register
-
-
-def _fail(message: str) -> None:
-    typer.echo(f"Error: {message}", err=True)
-    raise typer.Exit(2)
-
 
 _Map = Annotated[
     str,
@@ -91,7 +39,7 @@ _Goal = Annotated[
 ]
 
 
-@_command(
+@command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
     "plr-jax build arena.map --goal 10.5,30",
 )
@@ -141,7 +89,7 @@ def build(
     save(plr, output)
     if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
-        raise typer.Exit(_SIGINT_EXIT)
+        raise typer.Exit(INTERRUPTED_EXIT)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
     report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
@@ -158,7 +106,7 @@ def build(
     typer.echo(f"time    {built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
-@_command(
+@command(
     "plr-jax query maze.plr points.csv",
     "echo 0.93,0.95 | plr-jax query maze.plr",
 )
@@ -188,7 +136,7 @@ def query(
     sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)
 
 
-@_command("plr-jax info maze.plr")
+@command("plr-jax info maze.plr")
 def info(file: _File) -> None:
     """Say what is in a .plr file."""
     from plr_jax.plr import load
@@ -211,7 +159,7 @@ class Picture(StrEnum):
     error = "error"
 
 
-@_command(
+@command(
     "plr-jax plot maze.plr --map maze -o maze.png",
     "plr-jax plot maze.plr --map maze --kind error -o error.png",
 )
@@ -256,13 +204,11 @@ def plot(
     typer.echo(f"wrote {output}")
 
 
-@_command("plr-jax demo --output pictures")
+@command("plr-jax demo --output pictures")
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the file and the pictures.")] = Path(
-        "plr_jax_demo"
-    ),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")] = Path("plr_jax_demo"),
 ) -> None:
-    """Compress a maze, measure the result beside the exact distance, and draw it."""
+    """Compress a maze, measure the result beside the exact distance, and draw it; plan for four robots."""
     from plr_jax.cli import _demo
 
     _demo.run(output)

@@ -1,4 +1,4 @@
-"""``plr-jax demo``: the maze in a few kilobytes, beside the oracle it was made from."""
+"""``plr-jax demo``: a maze in a few kilobytes, beside the oracle it was made from; then four robots in four rooms."""
 
 import statistics
 import time
@@ -12,21 +12,31 @@ import typer
 from plr_jax import metrics, plot, scenes
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax._workspace import Workspace
+from plr_jax.cli import _planning
+from plr_jax.cli._app import fail
+from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph
+from plr_jax.planners import BLOptions
 from plr_jax.plr import PLR, construct, save
 
 _MAX_BYTES = 2_048
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
+_GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames: they take longer to draw than the path to find
 
 
 def run(output: Path) -> None:
-    """Build the maze's PLR, measure it beside its oracle, and draw it.
+    """Build the maze's PLR, measure it beside its oracle, and draw it; plan for four robots, and animate the path.
 
     Args:
-        output: Folder for the file and the pictures; made where missing.
+        output: Folder for the files; made where missing.
     """
     output.mkdir(parents=True, exist_ok=True)
+    _maze(output)
+    _four_rooms(output)
+
+
+def _maze(output: Path) -> None:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls; the distance from anywhere to {tuple(goal.tolist())}, to be stored.")
@@ -55,6 +65,23 @@ def run(output: Path) -> None:
     for path in _draw(plr, oracle, workspace, goal, output):
         typer.echo(f"  wrote   {path}")
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
+
+
+def _four_rooms(output: Path) -> None:
+    began = time.perf_counter()
+    problem = scenes.four_rooms(4)
+    typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
+    phases = _planning.Phases(began)
+    outcome = _planning.solve(problem, Heuristic.plr, BLOptions(), _MAX_BYTES, 0, phases)
+    path, report = outcome.solution.path, outcome.report
+    if path is None or report is None or not report.valid:
+        fail("There is no valid path for the four rooms.", code=1)
+    animation = plot.animate(problem, path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
+    for file in (output / "four_rooms.html", output / "four_rooms.gif"):
+        animation.save(file)
+        typer.echo(f"  wrote      {file}")
+    phases.end("writing")
+    _planning.say_seconds(phases, outcome.solution)
 
 
 def _device() -> str:

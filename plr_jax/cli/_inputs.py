@@ -1,6 +1,10 @@
-"""What the commands are given: maps, goals, points."""
+"""What the commands are given: maps, scenes, goals, points, names of files to write."""
 
+import errno
+import os
 import sys
+from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,9 +12,22 @@ import numpy as np
 from jaxtyping import Float
 
 if TYPE_CHECKING:
+    from plr_jax._problem import Problem
     from plr_jax._workspace import Workspace
 
 SCENES = ("maze", "thin_maze")
+TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)
+_DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
+
+
+class Heuristic(StrEnum):
+    """The heuristics that ``plr-jax plan`` knows."""
+
+    none = "none"
+    straight_line = "straight-line"
+    point_plr = "point-plr"
+    plr = "plr"
+    oracle = "oracle"
 
 
 def read_map(name: str) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
@@ -42,6 +59,61 @@ def read_map(name: str) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
             f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in .map or .json, got {name!r}."
         )
     return problem.workspace, problem.goals[0, :2] if len(problem.robots) == 1 else None
+
+
+def read_problem(name: str, num_robots: int | None) -> "Problem":
+    """The problem that a SCENE argument means.
+
+    Args:
+        name: Name of a scene, or path of a scene file or a db-CBS problem.
+        num_robots: Number of robots of a scene that comes in several sizes; None for its default.
+
+    Returns:
+        The problem.
+
+    Raises:
+        ValueError: If it is none of these, has no such number of robots, or is impossible.
+        OSError: If the file cannot be read.
+    """
+    from plr_jax import scenes
+
+    if num_robots is not None and name not in _DEFAULT_ROBOTS:
+        raise ValueError(f"--robots is for the scenes {' and '.join(_DEFAULT_ROBOTS)}, not for {name!r}.")
+    if name in _DEFAULT_ROBOTS:
+        return getattr(scenes, name)(_DEFAULT_ROBOTS[name] if num_robots is None else num_robots)
+    if name in TEAM_SCENES:
+        return getattr(scenes, name)()
+    match Path(name).suffix:
+        case ".json":
+            return scenes.load(name)
+        case ".yaml" | ".yml":
+            return scenes.read_dbcbs(name)
+    raise ValueError(
+        f"SCENE must be a scene ({', '.join(TEAM_SCENES)}) or a file ending in .json or .yaml, got {name!r}."
+    )
+
+
+def require_writable(path: Path | None, endings: Sequence[str]) -> None:
+    """Refuse a file to be written before the work that it would hold is done.
+
+    Args:
+        path: The file; None is nothing to write.
+        endings: What its name may end in.
+
+    Raises:
+        ValueError: If its name ends otherwise.
+        OSError: If it is a folder, lies in none, or must not be written.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() not in endings:
+        raise ValueError(f"{path} must end in {' or '.join(endings)}.")
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not path.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
 def parse_goal(text: str) -> Float[np.ndarray, "2"]:

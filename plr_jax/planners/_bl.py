@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from tqdm import tqdm
 
-from plr_jax._obstacles import MotionTest
+from plr_jax._obstacles import motion_test
 from plr_jax._problem import Problem, path_cost
-from plr_jax._robot import Robot
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._children import Team
 from plr_jax.planners._estimate import estimate_of
@@ -17,11 +17,14 @@ from plr_jax.planners._lattice import PRIMITIVES, Lattice, Primitive, build_latt
 from plr_jax.planners._search import Effort, Search
 from plr_jax.planners._shorten import shorten, subdivided
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.planners._tube import bend
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _REFINEMENT = 1.25
+_WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _FIRST_TURN = 256  # expansions
+_ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
 
@@ -37,7 +40,8 @@ class BLOptions:
         cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
             take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
             cells make a search smaller and less complete.
-        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier.
+        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier. None: 2, from six robots
+            on 3/8 a robot, as they have more ways to stand in each other's.
         batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
@@ -50,17 +54,17 @@ class BLOptions:
     """
 
     primitives: Sequence[Primitive] = PRIMITIVES
-    step: float | None = None
-    cell_size: float | None = None
-    heuristic_weight: float = 3.0
+    step: float | int | None = None
+    cell_size: float | int | None = None
+    heuristic_weight: float | int | None = None
     batch: int = 16
     branching: int = 1
     width: int = 1024
-    cost_factor: float = float("inf")
-    lower_bound: float | None = None
-    time_limit: float = 60.0
-    max_expansions: float = float("inf")
-    max_memory: float = 4e9
+    cost_factor: float | int = float("inf")
+    lower_bound: float | int | None = None
+    time_limit: float | int = 60.0
+    max_expansions: float | int = float("inf")
+    max_memory: float | int = 4e9
 
     def __post_init__(self) -> None:
         for name in ("step", "cell_size", "lower_bound"):
@@ -71,10 +75,9 @@ class BLOptions:
             value = getattr(self, name)
             if not (_is_number(value) and value > 0):
                 raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
-        if not (_is_number(self.heuristic_weight) and 0 <= self.heuristic_weight < float("inf")):
-            raise ValueError(
-                f"heuristic_weight must be a finite number of at least 0, got {self.heuristic_weight!r}."
-            )
+        weight = self.heuristic_weight
+        if weight is not None and not (_is_number(weight) and 0 <= weight < float("inf")):
+            raise ValueError(f"heuristic_weight must be None or a finite number of at least 0, got {weight!r}.")
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
@@ -115,11 +118,12 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
     """
     options = options or BLOptions()
     began = time.perf_counter()
-    run = _Run(problem, heuristic, options, began)
-    try:
-        status = run.until_done()
-    except KeyboardInterrupt:
-        status = Status.INTERRUPTED
+    with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
+        run = _Run(problem, heuristic, options, began, progress)
+        try:
+            status = run.until_done()
+        except KeyboardInterrupt:
+            status = Status.INTERRUPTED
     effort = run.effort
     stats = Stats(
         effort.num_nodes,
@@ -135,7 +139,7 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
 class _Run:
     """One call of the planner: searches on finer and finer lattices, and the best path so far."""
 
-    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float):
+    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float, progress: tqdm):
         self.problem, self.heuristic, self.options, self.began = problem, heuristic, options, began
         self.effort = Effort(began + options.time_limit, options.max_expansions, options.max_memory)
         straight = straight_line_bound(problem)
@@ -145,15 +149,16 @@ class _Run:
         self.history: list[tuple[float, float]] = []
         self.seconds: dict[str, float] = {}
         self.samples = problem.starts[None].copy()
-        self.tests: dict[Robot, MotionTest] = {}
-        self.mark = began
+        self.mark, self.progress = began, progress
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
         step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
+        if weight is None:
+            weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
             status, step = self._take_turns(step, weight)
-            if status is not Status.SOLVED or self.cost <= self.options.cost_factor * self.lower_bound:
+            if status is not Status.SOLVED or self._is_good_enough():
                 return status
             limit = self.effort.exceeded()
             if limit:
@@ -177,21 +182,25 @@ class _Run:
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
         turn, searches = _FIRST_TURN, {}
         while True:
+            limit = self.effort.exceeded()
+            if limit:
+                return limit, step
             if step >= finest and (search := self._search(step, weight)):
                 searches[step] = search
             elif step < finest and not searches:
                 return Status.EXHAUSTED, step
             for size, search in reversed(list(searches.items())):
+                self.progress.set_postfix(step=f"{size:.3g}", nodes=self.effort.num_nodes, cost=f"{self.cost:.4g}")
                 try:
-                    status = search.run(turn)
+                    status = search.run(turn, self.progress)
                 finally:
                     self.samples = search.team.configurations(search.state)
                     self._end_phase("search")
                 if status is Status.SOLVED:
                     self.effort.memory = 0
-                    self._offer(search.team.configurations(search.branch))
+                    self._offer(search.team.configurations(search.branch), size)
                 elif status is Status.EXHAUSTED:
-                    del searches[size]
+                    self.effort.memory -= searches.pop(size).memory
                 if status not in (None, Status.EXHAUSTED):
                     return status, size
             if searches:
@@ -201,7 +210,7 @@ class _Run:
     def _search(self, step: float, weight: float) -> Search | None:
         """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
         options = self.options
-        lattices = build_lattices(self.problem, step, options.primitives, self.tests)
+        lattices = build_lattices(self.problem, step, options.primitives)
         self._end_phase("lattice")
         if not all(lattice.reaches_goal() for lattice in lattices):
             return None
@@ -214,14 +223,25 @@ class _Run:
         ]
         return Search(team, estimate, cells, options.batch, options.branching, options.width, self.effort)
 
-    def _offer(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
-        """Keep a path if it is the best yet, then its shortened versions."""
-        tests = [self.tests[robot] for robot in self.problem.robots]
+    def _offer(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
+        """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
+        tests = [motion_test(self.problem.workspace, robot) for robot in self.problem.robots]
+        deadline = self.effort.deadline
+        if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
+            path = np.concatenate([self.problem.starts[None], path])
         self._record(path)
         for finer in (path, None):
-            path = shorten(self.problem, path if finer is not None else subdivided(path), tests, self.effort.deadline)
+            path = shorten(self.problem, subdivided(path) if finer is None else path, tests, deadline)
             self._end_phase("shorten")
             self._record(path)
+        if not self._is_good_enough():
+            path = bend(self.problem, path, tests, step / 2, deadline)
+            self._end_phase("bend")
+            self._record(path)
+
+    def _is_good_enough(self) -> bool:
+        # A path of no cost is, whatever the factor: infinitely many times zero is no number.
+        return self.cost == 0 or self.cost <= self.options.cost_factor * self.lower_bound * (1 + _ROUNDING)
 
     def _record(self, path: Float[np.ndarray, "steps robots dof"]) -> None:
         cost = path_cost(self.problem, path)

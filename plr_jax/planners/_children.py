@@ -19,12 +19,14 @@ class Children(NamedTuple):
         score: Sums of the robots' terms; ``inf`` for children that collide.
         primitive: The primitive of each robot.
         num_scored: Joint children, whole and partial, that were scored to find them.
+        num_valid: Of the whole ones, how many collide with nothing.
         whole: Whether no collision-free child is missing.
     """
 
     score: Float[np.ndarray, "n m"]
     primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int
+    num_valid: int
     whole: Bool[np.ndarray, "n"]
 
 
@@ -91,7 +93,8 @@ def best_children(
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
-    num_scored, whole, rows = 0, np.ones(len(state), dtype=bool), np.arange(len(state))[:, None]
+    num_scored, num_valid, whole = 0, len(state), np.ones(len(state), dtype=bool)
+    rows = np.arange(len(state))[:, None]
     for i, term in enumerate(terms):
         extended = score[:, :, None] + term[state[:, i], None]
         for j in range(i):
@@ -101,12 +104,14 @@ def best_children(
                 extended[near] += penalty[np.arange(len(near))[:, None], primitive[near, :, j]]
         num_scored += extended.size
         score = extended.reshape(len(state), -1)
+        valid = np.count_nonzero(score < np.inf, axis=1)
+        num_valid = int(valid.sum())
         kept = np.broadcast_to(np.arange(score.shape[1]), score.shape)
         if width < score.shape[1]:
-            whole &= np.isfinite(score).sum(axis=1) <= width
+            whole &= valid <= width
             kept = np.argpartition(score, width - 1, axis=1)[:, :width]
             score = np.take_along_axis(score, kept, axis=1)
         parent, own = np.divmod(kept, term.shape[1])
         primitive = np.concatenate([primitive[rows, parent], own[..., None].astype(np.uint8)], axis=2)
     order = np.argsort(score, axis=1, kind="stable")
-    return Children(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, whole)
+    return Children(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)

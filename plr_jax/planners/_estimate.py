@@ -24,7 +24,7 @@ class Estimate(NamedTuple):
         tables: Each robot's unweighted term; of a heuristic that has none, its straight line's.
         terms: For each robot, cost and weighted term of each configuration's primitives.
         joint: The heuristic if it has no terms.
-        farthest: What stands for an infinite joint estimate.
+        farthest: The least that stands for an infinite joint estimate.
     """
 
     weight: float
@@ -37,7 +37,9 @@ class Estimate(NamedTuple):
         """Weighted estimates of joint configurations, always finite."""
         if self.joint is None:
             return self.weight * np.sum([table[s] for table, s in zip(self.tables, state.T, strict=True)], axis=0)
-        return self.weight * np.minimum(_checked(self.joint, team.configurations(state)), self.farthest)
+        values = _checked(self.joint, team.configurations(state))
+        known = np.isfinite(values)
+        return self.weight * np.where(known, values, max(self.farthest, 2 * values[known].max(initial=0.0)))
 
     def rescored(
         self, team: Team, state: State, children: Children

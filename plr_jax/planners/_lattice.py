@@ -7,14 +7,14 @@ the goal represent their own cells, which makes the ends of every path exact. He
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._obstacles import MotionTest
+from plr_jax._obstacles import MotionTest, motion_test
 from plr_jax._problem import Problem
 from plr_jax._robot import RectangleRobot, Robot, shorter_turn
 from plr_jax._workspace import Workspace
@@ -143,34 +143,38 @@ class Motions(NamedTuple):
         self.child[cells], self.cost[cells] = child, cost
 
 
-def build_lattices(
-    problem: Problem, step: float, primitives: Sequence[Primitive], tests: dict[Robot, MotionTest]
-) -> list[Lattice]:
-    """The lattice of every robot; those of one kind share their motions.
+def build_lattices(problem: Problem, step: float, primitives: Sequence[Primitive]) -> list[Lattice]:
+    """The lattice of every robot.
+
+    Robots of one kind share their motions, which are kept for the next problem in the same workspace.
 
     Args:
         problem: The problem.
         step: Largest side of a cell, in workspace units; turning by one cell takes a rectangle's corners as far.
         primitives: Motions besides staying; turns are for rectangles alone.
-        tests: The motion test of each kind of robot; missing ones are added.
 
     Returns:
         One lattice a robot, of its free configurations.
     """
-    shared: dict[Robot, Motions] = {}
-    lattices = []
+    lattices, primitives = [], tuple(primitives)
     for i, robot in enumerate(problem.robots):
-        dof, weight = 3 if isinstance(robot, RectangleRobot) else 2, float(problem.rotation_weights[i])
-        ends = np.stack([problem.starts[i], problem.goals[i]])[:, :dof]
-        if robot not in tests:
-            tests[robot] = MotionTest(problem.workspace, robot)
-        grid = _grid(problem.workspace, robot, step)
+        ends = np.stack([problem.starts[i], problem.goals[i]])[:, : 3 if isinstance(robot, RectangleRobot) else 2]
+        weight, grid = float(problem.rotation_weights[i]), _grid(problem.workspace, robot, step)
         if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
-            motions = _motions(tests[robot], weight, _split_between(grid, ends), primitives)
+            grid = _split_between(grid, ends)
+            motions = _motions(motion_test(problem.workspace, robot), weight, grid, primitives)
         else:
-            motions = shared[robot] = shared.get(robot) or _motions(tests[robot], weight, grid, primitives)
+            motions = _shared_motions(problem.workspace, robot, weight, step, primitives)
         lattices.append(motions.with_ends(ends))
     return lattices
+
+
+@lru_cache(maxsize=8)
+def _shared_motions(
+    workspace: Workspace, robot: Robot, rotation_weight: float, step: float, primitives: tuple[Primitive, ...]
+) -> Motions:
+    test = motion_test(workspace, robot)
+    return _motions(test, rotation_weight, _grid(workspace, robot, step), primitives)
 
 
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
@@ -222,6 +226,6 @@ def _representatives(
     samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
     room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
     room[open_] = test.workspace.clearance(samples[open_, :2])
-    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(len(blocked), -1).argmax(axis=1)
+    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
     q[blocked], free[blocked] = samples[best], open_[best]
     return q, free

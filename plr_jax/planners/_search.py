@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from tqdm import tqdm
 
 from plr_jax.planners._children import State, Team, best_children
 from plr_jax.planners._estimate import Estimate
@@ -29,8 +30,8 @@ class Effort:
     """
 
     deadline: float
-    max_expansions: float
-    max_memory: float
+    max_expansions: float | int
+    max_memory: float | int
     num_nodes: int = 0
     num_expansions: int = 0
     num_children_scored: int = 0
@@ -147,13 +148,15 @@ class Search:
         self.wider: dict[int, int] = {}
         self.pushed, self.size, self.num_expansions = 0, 1, 0
         self.found = 0 if np.array_equal(start, self.goal) else None
+        self.memory = 0
         effort.num_nodes += 1
 
-    def run(self, num_expansions: float) -> Status | None:
+    def run(self, num_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
 
         Args:
             num_expansions: Expansions of this search, those of earlier runs included, after which to pause.
+            progress: Told of every expansion.
 
         Returns:
             SOLVED, EXHAUSTED or the limit; None for a pause.
@@ -163,10 +166,12 @@ class Search:
             if limit:
                 return limit
             batch = [heapq.heappop(self.frontier)[2] for _ in range(min(self.size, len(self.frontier)))]
-            nearest = self.nearest
+            nearest, before = self.nearest, self.num_expansions
             self._expand(batch)
             for node in batch:
                 self._add_children(node)
+            if progress is not None:
+                progress.update(self.num_expansions - before)
             self.size = 1 if self.nearest < nearest else min(2 * self.size, self.batch)
         if self.found is not None:
             return Status.SOLVED
@@ -200,7 +205,7 @@ class Search:
             self.num_expansions += len(alike)
             self.effort.num_expansions += len(alike)
             self.effort.num_children_scored += children.num_scored
-            self.effort.num_children_valid += int(num_valid.sum())
+            self.effort.num_children_valid += children.num_valid
 
     def _keep(
         self,
@@ -223,7 +228,7 @@ class Search:
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
             self.kept[node] = Kept(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
-            self.effort.memory += self.kept[node].num_bytes
+            self._hold(self.kept[node].num_bytes)
 
     def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
         """Joint cells, each as bytes."""
@@ -242,10 +247,11 @@ class Search:
             self._return(kept.score[child], node)
             return
         del self.kept[node]
-        self.effort.memory -= kept.num_bytes
+        self._hold(-kept.num_bytes)
         if not kept.whole and kept.width < _WIDEST:
             self.wider[node] = kept.width * _WIDER
-            self._return(kept.score[-1], node)
+            # A cut may leave nothing but children that collide: then look again at once.
+            self._return(kept.score[-1] if len(kept.score) else self.tree.cost[node], node)
 
     def _next_unclaimed(self, kept: Kept) -> int | None:
         """The best child whose cell is free to claim."""
@@ -263,9 +269,14 @@ class Search:
             self.found = node
         self.nearest = min(self.nearest, score - cost)
         self.effort.num_nodes += 1
-        self.effort.memory += _NODE_BYTES + 8 * len(state)
+        self._hold(_NODE_BYTES + 8 * len(state))
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""
         self.pushed += 1
         heapq.heappush(self.frontier, (float(score), -self.pushed, node))
+
+    def _hold(self, num_bytes: int) -> None:
+        """Count memory that is taken, or given back."""
+        self.memory += num_bytes
+        self.effort.memory += num_bytes

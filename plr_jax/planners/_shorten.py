@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._collision import motions_apart
 from plr_jax._obstacles import MotionTest
-from plr_jax._problem import Problem
+from plr_jax._problem import Problem, path_cost
 from plr_jax._robot import RectangleRobot, shorter_turn
 
 _LONGEST = 32  # steps that one shortcut spans at most
@@ -19,16 +19,25 @@ _GAIN = 1e-3  # share of the cost below which another round is not worth its tim
 def shorten(
     problem: Problem, path: Float[np.ndarray, "steps robots dof"], tests: list[MotionTest], deadline: float
 ) -> Float[np.ndarray, "steps robots dof"]:
-    """The path with each robot's motions replaced by shortcuts, in turn, until that gains little."""
-    path = path.copy()
+    """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
+
+    Args:
+        problem: The problem.
+        path: A path that solves it.
+        tests: Each robot's motion test.
+        deadline: When to stop, on the clock of ``time.perf_counter``.
+
+    Returns:
+        A path of as many rows that solves the problem, never costlier.
+    """
+    path, cost = path.copy(), path_cost(problem, path)
     while True:
-        before = sum(_costs(problem, i, path[:-1, i], path[1:, i]).sum() for i in range(len(problem.robots)))
-        for i in range(len(problem.robots)):
+        for i, test in enumerate(tests):
             if time.perf_counter() > deadline:
                 return path
-            path[:, i] = _shortened(problem, path, i, tests[i])
-        after = sum(_costs(problem, i, path[:-1, i], path[1:, i]).sum() for i in range(len(problem.robots)))
-        if before - after <= _GAIN * before:
+            path[:, i] = _shortened(problem, path, i, test)
+        before, cost = cost, path_cost(problem, path)
+        if before - cost <= _GAIN * before:
             return path
 
 
@@ -44,11 +53,11 @@ def _shortened(
 ) -> Float[np.ndarray, "steps dof"]:
     """One robot's motions along the shortest way from its first row to its last in the graph of shortcuts."""
     q, steps = path[:, i], len(path)
-    so_far = np.concatenate([[0.0], np.cumsum(_costs(problem, i, q[:-1], q[1:]))])
+    so_far = np.concatenate([[0.0], np.cumsum(robot_costs(problem, i, q[:-1], q[1:]))])
     begin, end = np.triu_indices(steps, 2)
     near = end - begin <= _LONGEST
     begin, end = begin[near], end[near]
-    cost = _costs(problem, i, q[begin], q[end])
+    cost = robot_costs(problem, i, q[begin], q[end])
     shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
     begin, end, cost = begin[shorter], end[shorter], cost[shorter]
     free = test(q[begin], q[end])
@@ -125,11 +134,11 @@ def _apart(
     return apart
 
 
-def _costs(
-    problem: Problem, i: int, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]
-) -> Float[np.ndarray, "n"]:
+def robot_costs(
+    problem: Problem, i: int, q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"]
+) -> Float[np.ndarray, "*batch"]:
     """Cost of one robot's motions."""
-    cost = np.hypot(q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1])
+    cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if isinstance(problem.robots[i], RectangleRobot):
-        cost = cost + problem.rotation_weights[i] * np.abs(shorter_turn(q0[:, 2], q1[:, 2]))
+        cost = cost + problem.rotation_weights[i] * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
     return cost

@@ -1,0 +1,60 @@
+"""The application, and what all its commands have in common: their errors and exit codes."""
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+import typer
+
+INTERRUPTED_EXIT = 130
+
+app = typer.Typer(
+    name="plr-jax",
+    help="Distance functions over maps, compressed into kilobytes of planes, and plans for several robots.",
+    epilog="Start with: plr-jax demo",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line; the entry point of ``plr-jax``."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED_EXIT)
+
+
+def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(*args: object, **kwargs: object) -> None:
+            try:
+                function(*args, **kwargs)
+            except KeyboardInterrupt:
+                typer.echo("Interrupted.", err=True)
+                raise typer.Exit(INTERRUPTED_EXIT) from None
+            except BrokenPipeError:
+                raise  # a reader such as `head` that has seen enough
+            except OSError as error:
+                # strerror and filename alone read better than "[Errno 2] ...".
+                where = f"{error.filename}: " if error.filename else ""
+                fail(f"{where}{error.strerror or error}")
+            except ValueError as error:
+                fail(str(error))
+
+        return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
+
+    return register
+
+
+def fail(message: str, code: int = 2) -> NoReturn:
+    """End with one line on standard error, whatever the message."""
+    typer.echo("Error: " + " ".join(line.strip() for line in message.splitlines()), err=True)
+    raise typer.Exit(code)

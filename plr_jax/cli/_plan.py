@@ -1,0 +1,155 @@
+"""The command ``plr-jax plan``: from a scene to a checked path for all its robots."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from plr_jax.cli._app import INTERRUPTED_EXIT, command, fail
+from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
+
+if TYPE_CHECKING:
+    from plr_jax._problem import Problem
+    from plr_jax.cli._planning import Outcome
+
+DEFAULT_BYTES = 2_048
+_INF = float("inf")
+
+
+@command(
+    "plr-jax plan four_rooms --robots 4 --animation four_rooms.gif",
+    "plr-jax plan tangle --heuristic oracle --output path.json",
+    "plr-jax plan four_rooms --robots 3 --cost-factor 1.02 --time-limit 10",
+)
+def plan(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help=f"A scene ({', '.join(TEAM_SCENES)}), a scene file (.json), or a db-CBS problem (.yaml).",
+            show_default=False,
+        ),
+    ],
+    robots: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of robots: 2, 3, 4 or 8 in four_rooms, 2 or 3 in cross.",
+            show_default="4 in four_rooms, 2 in cross",
+        ),
+    ] = None,
+    heuristic: Annotated[
+        Heuristic,
+        typer.Option(
+            help="Cost-to-go: nothing, straight lines, PLRs of point robots as in the paper, PLRs of obstacles "
+            "grown by each robot's radius, or the exact distance that these compress."
+        ),
+    ] = Heuristic.plr,
+    plr_bytes: Annotated[int, typer.Option(help="Largest size of each PLR.")] = DEFAULT_BYTES,
+    seed: Annotated[int, typer.Option(help="Seed of the PLRs' sample pattern.")] = 0,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Side of a lattice's cells, in workspace units.", show_default="chosen, then refined"),
+    ] = None,
+    cell_size: Annotated[
+        float | None,
+        typer.Option(
+            help="Side of the cells that joint configurations claim, in workspace units.",
+            show_default="each its own",
+        ),
+    ] = None,
+    weight: Annotated[float, typer.Option(help="Factor of the heuristic; the larger, the greedier.")] = 3.0,
+    batch: Annotated[int, typer.Option(help="Most nodes expanded at once.")] = 16,
+    branching: Annotated[int, typer.Option(help="Children that a node adds at a time.")] = 1,
+    width: Annotated[int, typer.Option(help="Joint children held while a product is assembled.")] = 1024,
+    cost_factor: Annotated[
+        float,
+        typer.Option(help="Search on while the cost is above this multiple of the lower bound, until a limit."),
+    ] = _INF,
+    time_limit: Annotated[float, typer.Option(help="Seconds of planning.")] = 60.0,
+    max_expansions: Annotated[float, typer.Option(help="Most expansions.")] = _INF,
+    max_memory: Annotated[float, typer.Option(help="Most bytes of a search's nodes.", show_default="4e9")] = 4e9,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help='Write the path as JSON: "path" is (steps, robots, dof).'),
+    ] = None,
+    animation: Annotated[Path | None, typer.Option(help="Write the path in motion: .gif or .html.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the path: .png, .pdf or .svg.")] = None,
+) -> None:
+    """Plan for all robots of a SCENE at once, check the path, and report.
+
+    PLRs of the robots' distances are built on the way. Exit code 1: no path was found.
+    """
+    began = time.perf_counter()
+    require_writable(output, (".json",))
+    require_writable(animation, (".gif", ".html"))
+    require_writable(picture, (".png", ".pdf", ".svg"))
+    from plr_jax.cli import _planning
+    from plr_jax.planners import BLOptions, Status
+
+    options = BLOptions(
+        step=step,
+        cell_size=cell_size,
+        heuristic_weight=weight,
+        batch=batch,
+        branching=branching,
+        width=width,
+        cost_factor=cost_factor,
+        time_limit=time_limit,
+        max_expansions=max_expansions,
+        max_memory=max_memory,
+    )
+    problem = read_problem(scene, robots)
+    phases = _planning.Phases(began)
+    phases.end("loading")
+    typer.echo(scene)
+    outcome = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
+    solution, report = outcome.solution, outcome.report
+    if report is not None and report.valid:
+        _write(problem, outcome, output, animation, picture)
+        phases.end("writing")
+    _planning.say_seconds(phases, solution)
+    if report is not None and not report.valid:
+        fail(f"The path found is not valid, and was not written: {report.message}", code=1)
+    if solution.status is Status.INTERRUPTED:
+        typer.echo(f"Interrupted: {'the best path so far' if solution.solved else 'no path yet'}.", err=True)
+        raise typer.Exit(INTERRUPTED_EXIT)
+    if not solution.solved:
+        fail(f"No path: {solution.status}.", code=1)
+
+
+def _write(
+    problem: "Problem", outcome: "Outcome", output: Path | None, animation: Path | None, picture: Path | None
+) -> None:
+    path = outcome.solution.path
+    assert path is not None
+    if output is not None:
+        _write_json(outcome, output)
+    if animation is not None or picture is not None:
+        from plr_jax import plot
+
+        if animation is not None:
+            plot.animate(problem, path).save(animation)
+        if picture is not None:
+            plot.save(plot.plot_path(problem, path), picture)
+    for file in (output, animation, picture):
+        if file is not None:
+            typer.echo(f"  wrote      {file}")
+
+
+def _write_json(outcome: "Outcome", output: Path) -> None:
+    """One object; numbers have as many digits as it takes to read the same float64 back."""
+    from plr_jax._atomic import write_atomically
+
+    solution, report = outcome.solution, outcome.report
+    assert solution.path is not None and report is not None
+    entry = {
+        "status": solution.status.name,
+        "cost": solution.cost,
+        "lower_bound": solution.lower_bound,
+        "makespan": solution.makespan,
+        "clearance": report.clearance,
+        "path": solution.path.tolist(),
+    }
+    write_atomically(output, (json.dumps(entry) + "\n").encode())

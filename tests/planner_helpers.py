@@ -1,0 +1,69 @@
+"""What the tests of the planner share: small problems, lattices as graphs, and heuristics."""
+
+import time
+
+import networkx as nx
+import numpy as np
+import shapely
+from robots import along, rounding, shapes
+
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, robot_distance_fns
+from plr_jax.planners import sum_of_distances
+from plr_jax.planners._children import Team
+from plr_jax.planners._lattice import PRIMITIVES, build_lattices
+from plr_jax.planners._search import Effort
+
+FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
+ROOM = Workspace(((0, 0), (10, 10)))
+
+
+def hallway(length):
+    """Two discs that would have to pass one another where there is no room for it."""
+    ends = [(0.5, 0.5), (length - 0.5, 0.5)]
+    return Problem(Workspace(((0, 0), (length, 1))), [DiscRobot(0.4)] * 2, ends, ends[::-1])
+
+
+def exact(problem):
+    return sum_of_distances(robot_distance_fns(problem))
+
+
+def team_of(problem, step, primitives=PRIMITIVES):
+    return Team(problem, tuple(build_lattices(problem, step, primitives)))
+
+
+def effort(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
+    return Effort(time.perf_counter() + seconds, max_expansions, max_memory)
+
+
+def graph_of(lattice):
+    """The motions of a lattice that are not blocked, but for staying."""
+    graph = nx.DiGraph()
+    graph.add_nodes_from(range(len(lattice.q)))
+    node, primitive = np.nonzero(np.isfinite(lattice.cost[:, 1:]))
+    cost = lattice.cost[node, primitive + 1].tolist()
+    graph.add_weighted_edges_from(
+        zip(node.tolist(), lattice.child[node, primitive + 1].tolist(), cost, strict=True), "cost"
+    )
+    return graph
+
+
+def blocked_region(workspace):
+    """Obstacles and the plane beyond the bounds, as one Shapely geometry."""
+    box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    return shapely.union_all([*workspace.obstacles, box.buffer(10, join_style="mitre").difference(box)])
+
+
+def deepest_overlap(workspace, robot, q0, q1):
+    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
+    q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
+    num_samples, region = 201, blocked_region(workspace)
+    bodies = shapes(robot, along(q0, q1, num_samples))
+    if isinstance(robot, RectangleRobot):
+        overlap = shapely.intersection(bodies, region)
+        depth = np.where(shapely.area(overlap) > 0, shapely.area(overlap) / robot.length, 0.0)
+        depth = np.where(depth > 0, depth, -shapely.distance(bodies, region))
+    else:
+        inside = shapely.distance(bodies, shapely.boundary(region))
+        distance = shapely.distance(bodies, region)
+        depth = rounding(robot) - np.where(distance > 0, distance, -inside)
+    return depth.reshape(-1, num_samples).max(axis=1)
