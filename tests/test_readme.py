@@ -1,5 +1,6 @@
 """The README's Python runs, and so do its commands."""
 
+import json
 import re
 import subprocess
 import sys
@@ -18,10 +19,10 @@ COMMANDS = [
 
 
 def test_the_readme_has_code():
-    assert len(PYTHON) == 2 and len(COMMANDS) == 4
+    assert len(PYTHON) == 3 and len(COMMANDS) == 5
 
 
-@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map"])
+@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map", "several robots"])
 def test_python_blocks_run(code, tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=120)
 
@@ -32,3 +33,5 @@ def test_commands_run_in_order(tmp_path):
         subprocess.run(command.replace("plr-jax", program), shell=True, cwd=tmp_path, check=True, timeout=120)
     assert (tmp_path / "maze.plr").stat().st_size <= 2048
     assert (tmp_path / "maze.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "path.json").read_text())["status"] == "SOLVED"
+    assert (tmp_path / "four_rooms.gif").read_bytes().startswith(b"GIF89a")

@@ -59,7 +59,12 @@ def plan(
             show_default="each its own",
         ),
     ] = None,
-    weight: Annotated[float, typer.Option(help="Factor of the heuristic; the larger, the greedier.")] = 3.0,
+    weight: Annotated[
+        float | None,
+        typer.Option(
+            help="Factor of the heuristic; the larger, the greedier.", show_default="by the number of robots"
+        ),
+    ] = None,
     batch: Annotated[int, typer.Option(help="Most nodes expanded at once.")] = 16,
     branching: Annotated[int, typer.Option(help="Children that a node adds at a time.")] = 1,
     width: Annotated[int, typer.Option(help="Joint children held while a product is assembled.")] = 1024,

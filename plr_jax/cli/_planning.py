@@ -11,7 +11,7 @@ import typer
 
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._robot import DiscRobot, RectangleRobot, Robot
-from plr_jax._types import HeuristicFn
+from plr_jax._types import DistanceFn, HeuristicFn
 from plr_jax._validate import ValidationReport, validate
 from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph, robot_distance_fns
@@ -83,12 +83,13 @@ def solve(
     solution = bl_plan(problem, function, replace(options, lower_bound=bound or None))
     phases.end("planning")
     stats = solution.stats
-    typer.echo(f"  status     {solution.status}{'' if solution.solved else '; no path'}")
+    typer.echo(f"  status     {solution.status}")
     typer.echo(f"  search     {stats.num_nodes:,} nodes, {stats.num_expansions:,} expansions")
     typer.echo(
         f"             {stats.num_children_scored:,} joint children scored, {stats.num_children_valid:,} valid"
     )
     if solution.path is None:
+        typer.echo("  cost       none: no path was found")
         return Outcome(solution, None)
     ratio = f", {solution.cost / bound:.3f} times the lower bound of {bound:.4g}" if bound else ""
     typer.echo(f"  cost       {solution.cost:.4g}{ratio}")
@@ -132,7 +133,7 @@ def build(
     return sum_of_distances([plrs[key] for key in keys]), list(plrs.values())
 
 
-def lower_bound(problem: Problem, exact: Sequence[VisibilityGraph]) -> float:
+def lower_bound(problem: Problem, exact: Sequence[DistanceFn]) -> float:
     """A cost below which there is no path: each robot's, alone, of its way and of its shorter turn to the goal.
 
     Args:

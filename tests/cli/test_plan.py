@@ -74,11 +74,9 @@ def test_four_rooms_from_start_to_end(tmp_path):
     lines = result.stdout.splitlines()
     assert lines[0] == "four_rooms"
     words = [line.split()[0] for line in lines[1:]]
-    assert words == (
-        "robots heuristic status search {} cost makespan check wrote wrote wrote seconds planning:".format(
-            words[4]  # a number
-        ).split()
-    )
+    del words[4]  # a number: the search takes two lines
+    before = ["robots", "heuristic", "status", "search", "cost", "makespan", "check"]
+    assert words == [*before, "wrote", "wrote", "wrote", "seconds", "planning:"]
     text = result.stdout
     assert "robots     4 discs of radius 0.4\n" in text
     assert "plr: 4 PLRs, " in text and " bytes, built in " in text
@@ -242,7 +240,8 @@ def test_an_impossible_problem_is_refused(data_dir):
 def test_no_path_is_exit_code_1_and_nothing_is_written(tmp_path):
     result = run("four_rooms", "--heuristic", "none", "--max-expansions", 3, "-o", tmp_path / "a.json")
     assert result.exit_code == 1
-    assert "status     the limit on expansions was reached; no path\n" in result.stdout
+    assert "status     the limit on expansions was reached\n" in result.stdout
+    assert "cost       none: no path was found\n" in result.stdout
     assert result.stderr == "Error: No path: the limit on expansions was reached.\n"
     assert not list(tmp_path.iterdir())
 
