@@ -5,10 +5,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from plr_jax import (
     BLOptions,
-    DistanceFn,
     HeuristicFn,
     Problem,
     Solution,
@@ -53,12 +53,12 @@ def build(problem: Problem, name: str) -> Built:
     if name == STRAIGHT:
         return Built(straight_line(problem), 0.0, 0.0)
     began = time.perf_counter()
-    distance_fns: list[DistanceFn] = list(robot_distance_fns(problem, inflated=name != POINT_PLR))
+    oracles = robot_distance_fns(problem, inflated=name != POINT_PLR)
     middle = time.perf_counter()
-    if name != EXACT:
-        bounds = problem.workspace.bounds
-        distance_fns = [construct(oracle, bounds, max_bytes=PLR_BYTES) for oracle in distance_fns]
-    return Built(sum_of_distances(distance_fns), middle - began, time.perf_counter() - middle)
+    if name == EXACT:
+        return Built(sum_of_distances(oracles), middle - began, 0.0)
+    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=PLR_BYTES) for oracle in oracles]
+    return Built(sum_of_distances(plrs), middle - began, time.perf_counter() - middle)
 
 
 def lower_bound(problem: Problem) -> float:
@@ -78,25 +78,22 @@ def is_valid(problem: Problem, solution: Solution) -> bool | None:
     return None if solution.path is None else validate(problem, solution.path).valid
 
 
-def solve(problem: Problem, heuristic: str) -> Solution:
-    """BL's first path under a heuristic. A missing one is an error, and ends the experiment."""
+def solve(problem: Problem, heuristic: str) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
+    """BL's first path under a heuristic, to nine decimals, and how it was found.
+
+    A path that is missing, or not valid when rounded, is an error, and ends the experiment.
+    """
     solution, _ = plan(problem, build(problem, heuristic).heuristic, BLOptions())
     if solution.path is None:
         raise RuntimeError(f"The scene was not solved: {solution.status}.")
-    return solution
-
-
-def rounded_path(problem: Problem, solution: Solution) -> list[Any]:
-    """A path to nine decimals, as JSON has it, which must be valid."""
     path = np.round(solution.path, 9)
     report = validate(problem, path)
     if not report.valid:
         raise RuntimeError(f"The path is not valid: {report.message}")
-    return path.tolist()
+    return solution, path
 
 
 def solved_scene(name: str) -> dict[str, Any]:
     """A scene as published, solved under PLRs, for JSON."""
-    problem = SCENES[name]()
-    solution = solve(problem, PLR)
-    return {"cost": solution.cost, "makespan": solution.makespan, "path": rounded_path(problem, solution)}
+    solution, path = solve(SCENES[name](), PLR)
+    return {"cost": solution.cost, "makespan": solution.makespan, "path": path.tolist()}

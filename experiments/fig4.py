@@ -20,14 +20,14 @@ _DOT = 9.0  # square points
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     """The scenes as published; nothing here is random, and the smallest setting is the full one."""
     samples = {
-        name: {heuristic: np.round(solve(SCENES[name](), heuristic).samples, 4).tolist() for heuristic in ROWS}
+        name: {heuristic: np.round(solve(SCENES[name](), heuristic)[0].samples, 4).tolist() for heuristic in ROWS}
         for name in COLUMNS
     }
     return {"plr_bytes": PLR_BYTES, "samples": samples}
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    figure = Figure(figsize=(11.6, 8.2), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(11.6, 8.4), layout="constrained", facecolor="white")
     axes = figure.subplots(len(ROWS), len(COLUMNS))
     for row, heuristic in zip(axes, ROWS, strict=True):
         for ax, name in zip(row, COLUMNS, strict=True):
@@ -35,6 +35,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
             plot.plot_samples(problem, moved_apart(problem, samples), ax)
             ax.collections[-1].set_sizes([_DOT])
             ax.set_title(f"{name}, {heuristic}: {len(samples):,} samples", fontsize=10)
+    figure.supxlabel(f"samples of a team's robots are drawn {_APART} apart, so that none hides another's", fontsize=9)
     path = output / "fig4.png"
     plot.save(axes[0, 0], path)
     return [path]

@@ -20,8 +20,7 @@ from tqdm import tqdm
 from experiments._planning import PLR, PLR_BYTES, SCENES, build, is_valid, lower_bound, plan
 from experiments._results import run
 from experiments._tables import aligned
-from plr_jax import BLOptions, HeuristicFn, Problem, Solution, scenes
-from plr_jax.planners._ompl import ompl_plan
+from plr_jax import BLOptions, HeuristicFn, Problem, Solution, ompl_plan, scenes
 
 PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar")
 NUM_STARTS, NUM_RUNS = 5, 5
