@@ -1,6 +1,7 @@
 """What the tests of the planner share: small problems, lattices as graphs, and heuristics."""
 
 import time
+from itertools import combinations
 
 import networkx as nx
 import numpy as np
@@ -8,6 +9,7 @@ import shapely
 from robots import along, rounding, shapes
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, robot_distance_fns
+from plr_jax._collision import motions_apart
 from plr_jax.planners import sum_of_distances
 from plr_jax.planners._children import Team
 from plr_jax.planners._lattice import PRIMITIVES, build_lattices
@@ -45,6 +47,19 @@ def graph_of(lattice):
         zip(node.tolist(), lattice.child[node, primitive + 1].tolist(), cost, strict=True), "cost"
     )
     return graph
+
+
+def apart(team, state, primitive):
+    """Whether joint primitives keep all pairs of robots apart, one by one."""
+    robots, tolerance = team.problem.robots, team.problem.workspace.tolerance
+    clear = np.ones(len(state), dtype=bool)
+    for i, j in combinations(range(len(robots)), 2):
+        motions = []
+        for k in (i, j):
+            lattice = team.lattices[k]
+            motions += [robots[k], lattice.q[state[:, k]], lattice.q[lattice.child[state[:, k], primitive[:, k]]]]
+        clear &= motions_apart(*motions, tolerance)
+    return clear
 
 
 def blocked_region(workspace):

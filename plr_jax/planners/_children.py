@@ -74,9 +74,7 @@ class Team(NamedTuple):
         return near, ~motions_apart(robot_a, *motions_a, robot_b, *motions_b, tolerance)
 
 
-def best_children(
-    team: Team, terms: tuple[Float[np.ndarray, "nodes primitives"], ...], state: State, width: int
-) -> Children:
+def best_children(team: Team, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int) -> Children:
     """The best children of joint configurations, one robot added after the other.
 
     The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next

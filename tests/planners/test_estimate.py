@@ -132,7 +132,7 @@ def test_finite_estimates_of_a_plain_function_are_taken_as_they_are(factor):
 def test_a_plain_function_guides_like_its_separable_twin():
     heuristic = exact(DOOR)
     options = BLOptions(step=0.4)
-    separable, plain = bl_plan(DOOR, heuristic, options), bl_plan(DOOR, lambda q: heuristic(q), options)
+    separable, plain = bl_plan(DOOR, heuristic, options), bl_plan(DOOR, heuristic.__call__, options)
     assert plain.stats.num_nodes == separable.stats.num_nodes
     np.testing.assert_allclose(plain.path, separable.path)
 
