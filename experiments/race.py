@@ -89,7 +89,7 @@ def ours_of(problem: Problem, heuristic: HeuristicFn, improve_seconds: float) ->
         "nodes": solution.stats.num_nodes,
         "cost": round(solution.cost, 9),
         "valid": is_valid(problem, solution),
-        "improved_cost": improved.cost,
+        "improved_cost": round(improved.cost, 9) if improved.solved else None,
         "improved_valid": is_valid(problem, improved),
         **history_of(improved),
     }
@@ -102,7 +102,7 @@ def trial(problem: Problem, planner: str, seed: int, limit: float, target: float
     return {
         "seconds": round(reached[0], 5) if reached else None,
         "first_path_seconds": round(solution.stats.history[0][0], 5) if solution.solved else None,
-        "cost": solution.cost if solution.solved else None,
+        "cost": round(solution.cost, 9) if solution.solved else None,
         "valid": is_valid(problem, solution),
         "seconds_compile": round(solution.stats.seconds["compile"], 3),
         "vertices": solution.stats.num_nodes,
