@@ -6,10 +6,12 @@ python -m experiments.readme_tables [--check]
 import argparse
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from experiments._results import RESULTS, read
+from experiments._tables import nodes_of, num_solved, spread
 
 README = Path(__file__).parent.parent / "README.md"
 _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
@@ -34,7 +36,7 @@ def main() -> None:
 
 def render(text: str) -> str:
     """The text with every table made anew."""
-    return _TABLE.sub(lambda match: match[1] + TABLES[match[2]](read(RESULTS, match[2])["results"]) + match[3], text)
+    return _TABLE.sub(lambda match: match[1] + TABLES[match[2]]() + match[3], text)
 
 
 def table1(results: dict[str, Any]) -> str:
@@ -85,13 +87,77 @@ def query(results: dict[str, Any]) -> str:
     return markdown(rows, numbers=4)
 
 
+def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
+    """Table II, one row a scene: the paper's seconds, BL under PLRs and under less, and the best of OMPL."""
+    head = ["scene", "paper s", "s", "nodes", "cost / bound", "nodes, straight line", "nodes, none"]
+    rows = [[*head, "best of OMPL s", "times ours"]]
+    runs = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
+    summaries = {total["scene"]: total["same_cost"] for total in race["summary"]}
+    for name in dict.fromkeys(row["scene"] for row in results["rows"]):
+        ours = runs[name, "PLR"]
+        cells = [
+            f"{results['paper'].get(name, {}).get('plr', '-')}",
+            spread(ours["seconds"], ".3f"),
+            spread(ours["nodes"], ",.0f"),
+            spread(ours["cost_over_bound"], ".3f"),
+            *(nodes_of(runs[name, heuristic]) for heuristic in ("straight line", "none")),
+        ]
+        best = summaries.get(name)
+        more = "> " if best and best["at_least"] else ""
+        cells += [f"{more}{best['best']:.2g}", f"{more}{best['ratio']:.2g}"] if best else ["-", "-"]
+        rows.append([name, *cells])
+    rows_of_plr, none = (
+        [row for row in results["rows"] if row["heuristic"] == "PLR"],
+        results["teams_without_heuristic"],
+    )
+    note = (
+        f"\nMedians, and in brackets the worst, of {len(results['seeds'])} perturbed starts and goals; "
+        f"{sum(map(num_solved, rows_of_plr))} of {sum(len(row['seed']) for row in rows_of_plr)} were solved. PLRs of "
+        f"{results['plr_bytes']:,} bytes a robot, built before the clock starts. Without a heuristic teams get "
+        f"{none['seconds']:g} s and {none['starts']} of the starts. Best of OMPL: seconds to a path that costs no "
+        f"more than ours, medians over {len(race['seeds'])} of the starts; >: mostly none within the limit.\n"
+    )
+    return markdown(rows, numbers=len(rows[0]) - 1) + note
+
+
+def heuristics(results: dict[str, Any]) -> str:
+    """Nodes under every heuristic, scene by scene."""
+    names = list(dict.fromkeys(row["heuristic"] for row in results["rows"]))
+    rows = [["nodes", *names]]
+    for scene in dict.fromkeys(row["scene"] for row in results["rows"]):
+        rows.append([scene, *(nodes_of(row) for row in results["rows"] if row["scene"] == scene)])
+    return markdown(rows, numbers=len(names))
+
+
+def race(results: dict[str, Any]) -> str:
+    """Which of OMPL's planners is how far behind or ahead, to the same cost and to 5 % more."""
+    rows = [["scene", "ours s", "same cost s", "times ours", "times ours with PLR build", "5 % more s", "times ours"]]
+    for total in results["summary"]:
+        same, near = total["same_cost"], total["cost_5_percent_more"]
+        cells = [(same, "best"), (same, "ratio"), (same, "ratio_with_plr"), (near, "best"), (near, "ratio")]
+        texts = [f"{'> ' if each['at_least'] else ''}{each[key]:.2g}" for each, key in cells]
+        rows.append([total["scene"], f"{total['ours']:.3f}", *texts])
+    return markdown(rows, numbers=6)
+
+
 def markdown(rows: list[list[str]], numbers: int) -> str:
     """A table whose last columns hold numbers."""
     rule = ["---"] * (len(rows[0]) - numbers) + ["--:"] * numbers
     return "".join("| " + " | ".join(row) + " |\n" for row in [rows[0], rule, *rows[1:]])
 
 
-TABLES = {"table1": table1, "error_curve": error_curve, "query": query}
+def results_of(name: str) -> dict[str, Any]:
+    return read(RESULTS, name)["results"]
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "table1": lambda: table1(results_of("table1")),
+    "error_curve": lambda: error_curve(results_of("error_curve")),
+    "query": lambda: query(results_of("query")),
+    "table2": lambda: table2(results_of("table2"), results_of("race")),
+    "heuristics": lambda: heuristics(results_of("table2")),
+    "race": lambda: race(results_of("race")),
+}
 
 
 if __name__ == "__main__":

@@ -1,0 +1,99 @@
+"""What the experiments on planning share: the scenes of Table II, the heuristics, a plan that has been checked."""
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax import (
+    BLOptions,
+    HeuristicFn,
+    Problem,
+    Solution,
+    bl_plan,
+    construct,
+    robot_distance_fns,
+    scenes,
+    straight_line,
+    sum_of_distances,
+    validate,
+    zero,
+)
+
+PLR_BYTES = 4_096
+
+SCENES: dict[str, Callable[[], Problem]] = {
+    "single door": scenes.single_door,
+    "four rooms 2": lambda: scenes.four_rooms(2),
+    "four rooms 3": lambda: scenes.four_rooms(3),
+    "four rooms 4": lambda: scenes.four_rooms(4),
+    "four rooms 8": lambda: scenes.four_rooms(8),
+    "cross 2": lambda: scenes.cross(2),
+    "cross 3": lambda: scenes.cross(3),
+    "tangle": scenes.tangle,
+}
+
+NONE, STRAIGHT, POINT_PLR, PLR, EXACT = HEURISTICS = ("none", "straight line", "PLR, point robots", "PLR", "exact")
+
+
+class Built(NamedTuple):
+    """A heuristic, and the seconds that its exact distances and its PLRs took."""
+
+    heuristic: HeuristicFn
+    oracle_seconds: float
+    plr_seconds: float
+
+
+def build(problem: Problem, name: str) -> Built:
+    """A heuristic of :data:`HEURISTICS` for a problem."""
+    if name == NONE:
+        return Built(zero(), 0.0, 0.0)
+    if name == STRAIGHT:
+        return Built(straight_line(problem), 0.0, 0.0)
+    began = time.perf_counter()
+    oracles = robot_distance_fns(problem, inflated=name != POINT_PLR)
+    middle = time.perf_counter()
+    if name == EXACT:
+        return Built(sum_of_distances(oracles), middle - began, 0.0)
+    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=PLR_BYTES) for oracle in oracles]
+    return Built(sum_of_distances(plrs), middle - began, time.perf_counter() - middle)
+
+
+def lower_bound(problem: Problem) -> float:
+    """Sum of the robots' exact distances from their starts, each alone; turns of rectangles are left out."""
+    return float(sum_of_distances(robot_distance_fns(problem))(problem.starts[None])[0])
+
+
+def plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions) -> tuple[Solution, float]:
+    """A solution of BL, and its seconds from call to return."""
+    began = time.perf_counter()
+    solution = bl_plan(problem, heuristic, options)
+    return solution, time.perf_counter() - began
+
+
+def is_valid(problem: Problem, solution: Solution) -> bool | None:
+    """Whether a solution's path is valid; None if it has none."""
+    return None if solution.path is None else validate(problem, solution.path).valid
+
+
+def solve(problem: Problem, heuristic: str) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
+    """BL's first path under a heuristic, to nine decimals, and how it was found.
+
+    A path that is missing, or not valid when rounded, is an error, and ends the experiment.
+    """
+    solution, _ = plan(problem, build(problem, heuristic).heuristic, BLOptions())
+    if solution.path is None:
+        raise RuntimeError(f"The scene was not solved: {solution.status}.")
+    path = np.round(solution.path, 9)
+    report = validate(problem, path)
+    if not report.valid:
+        raise RuntimeError(f"The path is not valid: {report.message}")
+    return solution, path
+
+
+def solved_scene(name: str) -> dict[str, Any]:
+    """A scene as published, solved under PLRs, for JSON."""
+    solution, path = solve(SCENES[name](), PLR)
+    return {"cost": solution.cost, "makespan": solution.makespan, "path": path.tolist()}

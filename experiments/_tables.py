@@ -1,0 +1,33 @@
+"""Tables of runs as text: medians with their worst cases, and columns that line up."""
+
+from typing import Any
+
+import numpy as np
+
+
+def spread(values: list[float | None], form: str) -> str:
+    """The median of the values there are, and in brackets the largest."""
+    known = [value for value in values if value is not None]
+    return f"{np.median(known):{form}} ({max(known):{form}})" if known else "-"
+
+
+def num_solved(row: dict[str, Any]) -> int:
+    """How many runs of a row of Table II found a path."""
+    return sum(cost is not None for cost in row["cost"])
+
+
+def nodes_of(row: dict[str, Any]) -> str:
+    """Median nodes of the runs of a row; ``>`` where most of them ended without a path."""
+    more = "> " if 2 * num_solved(row) < len(row["seed"]) else ""
+    return f"{more}{np.median(row['nodes']):,.0f}"
+
+
+def aligned(rows: list[list[str]], numbers: int) -> str:
+    """A table as text, with a line under its head; its last columns hold numbers."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    words = len(widths) - numbers
+    lines = [
+        "  ".join(cell.ljust(width) if at < words else cell.rjust(width) for at, (cell, width) in enumerate(pairs))
+        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
+    ]
+    return "\n".join(line.rstrip() for line in [lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
