@@ -101,9 +101,9 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
     Args:
         problem: What to plan.
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
-            :func:`straight_line`, :func:`sum_of_distances` or a function of your own, at least 0 and not NaN. An
-            infinite estimate prunes nothing. Terms (``per_robot``) are used where it offers them, which is much
-            faster than a plain function.
+            :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
+            estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
+            them, which is much faster than a plain function.
         options: How to search, and when to stop.
 
     Returns:
@@ -112,7 +112,7 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
         bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
 
     Raises:
-        ValueError: If the heuristic returns NaN, a negative number, or another shape than ``(n,)``.
+        ValueError: If the heuristic returns NaN or another shape than ``(n,)``.
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
@@ -237,13 +237,15 @@ class _Run:
         if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
             path = np.concatenate([self.problem.starts[None], path])
         self._record(path)
-        for finer in (path, None):
-            path = shorten(self.problem, subdivided(path) if finer is None else path, tests, deadline)
+        for improved in (
+            lambda path: shorten(self.problem, path, tests, deadline),
+            lambda path: bend(self.problem, path, tests, step / 2, deadline),
+            lambda path: shorten(self.problem, subdivided(path), tests, deadline),
+        ):
+            if np.isfinite(self.options.cost_factor) and self._is_good_enough():
+                return
+            path = improved(path)
             self._end_phase("shorten")
-            self._record(path)
-        if not self._is_good_enough():
-            path = bend(self.problem, path, tests, step / 2, deadline)
-            self._end_phase("bend")
             self._record(path)
 
     def _is_good_enough(self) -> bool:

@@ -62,14 +62,14 @@ def estimate_of(team: Team, heuristic: HeuristicFn, weight: float) -> Estimate:
     Args:
         team: The robots.
         heuristic: Function of joint configurations; its ``per_robot`` is used where it has one. An infinite
-            estimate never prunes: it counts as farther than all finite ones.
+            estimate never prunes: it counts as farther than all finite ones. A negative one counts as 0.
         weight: Factor of the heuristic.
 
     Returns:
         The estimate.
 
     Raises:
-        ValueError: If the heuristic returns NaN, a negative number or another shape.
+        ValueError: If the heuristic returns NaN or another shape.
     """
     separable = hasattr(heuristic, "per_robot")
     per_robot = heuristic.per_robot if separable else straight_line(team.problem).per_robot
@@ -106,6 +106,6 @@ def _require_estimates(values: object, shape: tuple[int, ...]) -> np.ndarray:
         raise ValueError(f"A heuristic must return numbers, got {values!r}.") from None
     if estimates.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {estimates.shape}.")
-    if not (estimates >= 0).all():
-        raise ValueError("A heuristic must return estimates of at least 0 and never NaN.")
-    return estimates
+    if np.isnan(estimates).any():
+        raise ValueError("A heuristic must never return NaN; where it knows nothing, inf or 0 will do.")
+    return np.maximum(estimates, 0.0)  # planes that fit a distance near the goal may dip below 0

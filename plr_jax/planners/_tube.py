@@ -1,14 +1,16 @@
-"""Bend a path robot by robot: the cheapest motions within a narrow tube about one robot's, the others keeping theirs.
+"""Bend a path, one robot or two at a time: the cheapest motions within narrow tubes about theirs.
 
 At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
-sequence that collides with nothing is found by dynamic programming over the rows. Where the tubes stop gaining, they
-are made narrower.
+sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
+motions. Two robots that touch have to move together: neither gains by making way alone. Where the tubes stop
+gaining, they are made narrower.
 """
 
 import time
+from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from plr_jax._collision import motions_apart
 from plr_jax._obstacles import MotionTest
@@ -16,19 +18,18 @@ from plr_jax._problem import Problem, path_cost
 from plr_jax._robot import RectangleRobot
 from plr_jax.planners._shorten import robot_costs
 
-_GAIN = 1e-3  # share of the cost below which the tubes are narrowed
-_NARROWINGS = 4
-_EIGHT = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)], dtype=np.float64)
+Path = Float[np.ndarray, "steps robots dof"]
+Tube = Float[np.ndarray, "steps size dof"]
+
+_GAIN = 3e-3  # share of the cost below which the tubes are narrowed
+_NARROWINGS = 3
+_REACH = 4  # widths of a tube within which two robots count as touching
+_MARGIN = 3  # rows before and after those in which they do
+_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
-def bend(
-    problem: Problem,
-    path: Float[np.ndarray, "steps robots dof"],
-    tests: list[MotionTest],
-    width: float,
-    deadline: float,
-) -> Float[np.ndarray, "steps robots dof"]:
-    """The path with each robot's motions bent in turn, in narrower and narrower tubes.
+def bend(problem: Problem, path: Path, tests: list[MotionTest], width: float, deadline: float) -> Path:
+    """The path with the robots' motions bent, alone and in pairs, in narrower and narrower tubes.
 
     Args:
         problem: The problem.
@@ -41,72 +42,111 @@ def bend(
         A path of as many rows that solves the problem, never costlier.
     """
     path, cost = path.copy(), path_cost(problem, path)
-    narrowest = width / 2**_NARROWINGS
+    narrowest, diagonal = width / 2**_NARROWINGS, False
     while width > narrowest:
-        for i, test in enumerate(tests):
+        for robots, rows in _groups(problem, path, width):
             if time.perf_counter() > deadline:
                 return path
-            path[:, i] = _bent(problem, path, i, test, width)
+            path[rows] = _bent(problem, path[rows], robots, tests, _pattern(width, diagonal), width)
+        diagonal = not diagonal
         before, cost = cost, path_cost(problem, path)
         if before - cost <= _GAIN * before:
             width /= 2
     return path
 
 
+def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
+    """What is bent together: every robot alone, and each two in the rows in which they touch."""
+    for i, robot in enumerate(problem.robots):
+        yield (i,), slice(0, len(path))
+        for j in range(i):
+            reach = robot.circumscribed_radius + problem.robots[j].circumscribed_radius + _REACH * width
+            offset = path[:, i, :2] - path[:, j, :2]
+            rows = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < reach)
+            if len(rows):
+                yield (i, j), slice(max(rows[0] - _MARGIN, 0), rows[-1] + _MARGIN + 1)
+
+
+def _pattern(width: float, diagonal: bool) -> Float[np.ndarray, "5 2"]:
+    """The place itself, and four around it."""
+    turn = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    return width * _FIVE @ turn
+
+
 def _bent(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: MotionTest, width: float
-) -> Float[np.ndarray, "steps dof"]:
-    """One robot's cheapest motions within its tube, by dynamic programming from the first row to the last."""
-    tube = _tube(problem, path[:, i], i, width)
-    steps, size = tube.shape[:2]
-    begin, end = tube[:-1, :, None], tube[1:, None, :]
-    cost = robot_costs(problem, i, begin, end)
-    free = _free(problem, path, i, begin, end, test)
-    cost[~free] = np.inf
-    cheapest, previous = (
-        cost[0, 0],
-        np.zeros((steps, size), dtype=np.intp),
-    )  # both ends stay: begin at the pattern's 0
-    for row in range(1, steps - 1):
-        through = cheapest[:, None] + cost[row]
-        previous[row + 1] = through.argmin(axis=0)
-        cheapest = through.min(axis=0)
-    bent, at = path[:, i].copy(), 0
-    for row in range(steps - 1, 0, -1):
-        bent[row] = tube[row, at]
-        at = previous[row, at]
+    problem: Problem,
+    path: Path,
+    robots: tuple[int, ...],
+    tests: list[MotionTest],
+    pattern: Float[np.ndarray, "5 2"],
+    width: float,
+) -> Path:
+    """The robots' cheapest motions within their tubes, both ends as they are."""
+    tubes = [_tube(problem, path[:, i], i, pattern, width) for i in robots]
+    costs = [_costs(problem, path, robots, i, tube, tests[i]) for i, tube in zip(robots, tubes, strict=True)]
+    cost = costs[0]
+    if len(robots) == 2:
+        cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
+        cost[~_apart(problem, robots, tubes)] = np.inf
+        cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
+    places = np.unravel_index(_cheapest(cost), [tube.shape[1] for tube in tubes])
+    bent, rows = path.copy(), np.arange(len(path))
+    for i, tube, place in zip(robots, tubes, places, strict=True):
+        bent[:, i] = tube[rows, place]
     return bent
 
 
 def _tube(
-    problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float
-) -> Float[np.ndarray, "steps size dof"]:
+    problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, pattern: Float[np.ndarray, "5 2"], width: float
+) -> Tube:
     """Configurations about each row, the row itself first; at both ends nothing else."""
-    pattern = np.zeros((len(_EIGHT), q.shape[1]))
-    pattern[:, :2] = width * _EIGHT
+    offsets = np.zeros((len(pattern), q.shape[1]))
+    offsets[:, :2] = pattern
     if isinstance(problem.robots[i], RectangleRobot):
         turns = np.zeros((2, 3))
         turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
-        pattern = np.concatenate([pattern, turns])
-    tube = q[:, None] + pattern
+        offsets = np.concatenate([offsets, turns])
+    tube = q[:, None] + offsets
     tube[[0, -1]] = q[[0, -1], None]
     return tube
 
 
-def _free(
-    problem: Problem,
-    path: Float[np.ndarray, "steps robots dof"],
-    i: int,
-    begin: Float[np.ndarray, "motions size 1 dof"],
-    end: Float[np.ndarray, "motions 1 size dof"],
-    test: MotionTest,
-) -> Bool[np.ndarray, "motions size size"]:
-    """Which motions of one robot keep clear of the others' and of obstacles."""
-    free = np.ones((len(begin), begin.shape[1], begin.shape[1]), dtype=bool)
-    for j, other in enumerate(problem.robots):
-        if j != i:
-            theirs = path[:-1, j, None, None], path[1:, j, None, None]
-            free &= motions_apart(problem.robots[i], begin, end, other, *theirs, problem.workspace.tolerance)
+def _costs(
+    problem: Problem, path: Path, robots: tuple[int, ...], i: int, tube: Tube, test: MotionTest
+) -> Float[np.ndarray, "motions size size"]:
+    """Cost of every motion within a robot's tube; ``inf`` if it hits a wall or a robot that is not bent too."""
+    begin, end = tube[:-1, :, None], tube[1:, None, :]
+    cost = robot_costs(problem, i, begin, end)
+    free = np.ones(cost.shape, dtype=bool)
+    for j in set(range(len(problem.robots))) - set(robots):
+        theirs = path[:-1, j, None, None], path[1:, j, None, None]
+        tolerance = problem.workspace.tolerance
+        free &= motions_apart(problem.robots[i], begin, end, problem.robots[j], *theirs, tolerance)
     row, first, last = np.nonzero(free)
-    free[row, first, last] = test(begin[row, first, 0], end[row, 0, last])
-    return free
+    free[row, first, last] = test(tube[row, first], tube[row + 1, last])
+    cost[~free] = np.inf
+    return cost
+
+
+def _apart(problem: Problem, robots: tuple[int, ...], tubes: list[Tube]) -> np.ndarray:
+    """Whether two robots keep clear of one another: from each two of their places to each two."""
+    (i, j), (a, b) = robots, tubes
+    mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
+    theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
+    return motions_apart(problem.robots[i], *mine, problem.robots[j], *theirs, problem.workspace.tolerance)
+
+
+def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:
+    """Places of the cheapest sequence of motions, from place 0 to place 0."""
+    size, rows = cost.shape[1], np.arange(cost.shape[1])
+    so_far = np.full(size, np.inf)
+    so_far[0] = 0.0
+    previous = np.empty((len(cost), size), dtype=np.intp)
+    for motion, through in enumerate(cost):
+        total = so_far[:, None] + through
+        previous[motion] = total.argmin(axis=0)
+        so_far = total[previous[motion], rows]
+    places = np.zeros(len(cost) + 1, dtype=np.intp)
+    for motion in range(len(cost) - 1, -1, -1):
+        places[motion] = previous[motion, places[motion + 1]]
+    return places

@@ -194,14 +194,13 @@ def test_infinity_prunes_nothing(heuristic):
     ("wrong", "message"),
     [
         (lambda x: np.full_like(x, np.nan), "NaN"),
-        (lambda x: x - 1e-3, "at least 0"),
         (lambda x: x[:-1], "shape"),
         (lambda x: x[..., None], "shape"),
         (lambda x: 0.0, "shape"),
         (lambda x: "far", "numbers"),
         (lambda x: None, "NaN|numbers|shape"),
     ],
-    ids=["nan", "negative", "short", "column", "scalar", "text", "none"],
+    ids=["nan", "short", "column", "scalar", "text", "none"],
 )
 def test_a_wrong_heuristic_is_refused(separable, wrong, message):
     heuristic = Separable(lambda q: wrong(zero().per_robot(q))) if separable else lambda q: wrong(np.zeros(len(q)))
@@ -215,3 +214,17 @@ def test_one_nan_among_many_is_refused():
 
     with pytest.raises(ValueError, match="NaN"):
         bl_plan(DOOR, heuristic, BLOptions(step=0.4))
+
+
+@pytest.mark.parametrize("separable", [True, False])
+def test_a_negative_estimate_counts_as_0(separable):
+    def dipped(q, least):
+        return np.maximum(zero().per_robot(q) + np.abs(q[..., 0] - 8) - 1, least)
+
+    below, at = (Separable(lambda q, least=least: dipped(q, least)) for least in (-np.inf, 0.0))
+    if not separable:
+        below, at = (lambda q, terms=terms: terms.per_robot(q).sum(axis=1) for terms in (below, at))
+    options = BLOptions(step=0.5)
+    one, other = bl_plan(DOOR, below, options), bl_plan(DOOR, at, options)
+    np.testing.assert_array_equal(one.path, other.path)
+    assert one.stats.num_nodes == other.stats.num_nodes
