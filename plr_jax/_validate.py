@@ -31,8 +31,8 @@ class ValidationReport:
         valid: Whether the path solves its problem.
         cost: Its cost, recomputed, in workspace units; NaN if it has none.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot along the whole
-            path, to 1e-7 of the workspace's extent. If the path collides, about minus the depth of the
-            overlap in the first motion that does; NaN if the path is no path.
+            path, to 1e-7 of the workspace's extent or twice its ``tolerance``. If the path collides, about minus
+            the depth of the overlap in the first motion that does; NaN if the path is no path.
         message: The first violation in words; if there is none, who comes closest to what.
         who: Indices of the robots that the message is about.
         when: The time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -205,10 +205,12 @@ _ENDS = (slice(None, -1), slice(1, None))
 
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
     """Every robot with what is blocked, and with every other robot; points never meet points."""
-    tolerance = _TOLERANCE * float(problem.workspace.bounds.width.max())
+    workspace = problem.workspace
+    # Far from the origin, what the workspace calls touching is the coarser of the two.
+    tolerance = max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
-    blocked = _blocked(problem.workspace, path)
+    blocked = _blocked(workspace, path)
     encounters = []
     for j, robot in enumerate(problem.robots):
         encounters.append(_Encounter((j,), robot, path[:, j], blocked, None, tolerance))

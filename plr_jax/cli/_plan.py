@@ -74,7 +74,7 @@ def plan(
     ] = _INF,
     time_limit: Annotated[float, typer.Option(help="Seconds of planning.")] = 60.0,
     max_expansions: Annotated[float, typer.Option(help="Most expansions.")] = _INF,
-    max_memory: Annotated[float, typer.Option(help="Most bytes of a search's nodes.", show_default="4e9")] = 4e9,
+    max_memory: Annotated[float, typer.Option(help="Most bytes of lattices and nodes.", show_default="4e9")] = 4e9,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help='Write the path as JSON: "path" is (steps, robots, dof).'),

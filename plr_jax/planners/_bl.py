@@ -13,7 +13,14 @@ from plr_jax._problem import Problem, path_cost
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._children import Team
 from plr_jax.planners._estimate import estimate_of
-from plr_jax.planners._lattice import PRIMITIVES, Lattice, Primitive, build_lattices
+from plr_jax.planners._lattice import (
+    PRIMITIVES,
+    Lattice,
+    Primitive,
+    build_lattices,
+    num_bytes,
+    num_configurations,
+)
 from plr_jax.planners._search import Effort, Search
 from plr_jax.planners._shorten import shorten, subdivided
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
@@ -21,11 +28,13 @@ from plr_jax.planners._tube import bend
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
+_LARGEST_FIRST = 1 << 16  # configurations of a robot on the first lattice
 _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _FIRST_TURN, _LONGER = 256, 1.5  # expansions of a new search, and their growth
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
+_LARGEST_WEIGHT = 1e6
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
 
 
@@ -42,7 +51,7 @@ class BLOptions:
             take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
             cells make a search smaller and less complete: they want primitives long enough to leave a cell, as a
             joint configuration in a claimed cell is dropped.
-        heuristic_weight: Factor of the heuristic, at least 0. The larger, the greedier. None: 2, from six robots
+        heuristic_weight: Factor of the heuristic, from 0 to 1e6. The larger, the greedier. None: 2, from six robots
             on 3/8 a robot, as they have more ways to stand in each other's.
         batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
         branching: Children that a node adds at a time.
@@ -52,7 +61,7 @@ class BLOptions:
         lower_bound: A cost below which there is no path, in workspace units. None: that of straight lines.
         time_limit: Seconds.
         max_expansions: Most expansions; deterministic, unlike the time limit.
-        max_memory: Most bytes of a search's nodes.
+        max_memory: Most bytes of the lattices and of the search's nodes.
     """
 
     primitives: Sequence[Primitive] = PRIMITIVES
@@ -78,8 +87,8 @@ class BLOptions:
             if not (_is_number(value) and value > 0):
                 raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
         weight = self.heuristic_weight
-        if weight is not None and not (_is_number(weight) and 0 <= weight < float("inf")):
-            raise ValueError(f"heuristic_weight must be None or a finite number of at least 0, got {weight!r}.")
+        if weight is not None and not (_is_number(weight) and 0 <= weight <= _LARGEST_WEIGHT):
+            raise ValueError(f"heuristic_weight must be None or a number from 0 to 1e6, got {weight!r}.")
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
@@ -112,12 +121,16 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
         bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
 
     Raises:
-        ValueError: If the heuristic returns NaN or another shape than ``(n,)``.
+        ValueError: If the heuristic is no function, or returns NaN or another shape than ``(n,)``.
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
         of the paper.
     """
+    if not callable(heuristic):
+        raise ValueError(f"heuristic must be a function of joint configurations, got {heuristic!r}.")
+    if not isinstance(options, BLOptions | None):
+        raise ValueError(f"options must be BLOptions(...) or None, got {options!r}.")
     options = options or BLOptions()
     began = time.perf_counter()
     with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
@@ -188,11 +201,14 @@ class _Run:
             limit = self.effort.exceeded()
             if limit:
                 return limit, step
-            if step >= finest and (search := self._search(step, weight)):
+            needed = num_bytes(self.problem, step, self.options.primitives)
+            fits = self.effort.memory + needed < self.options.max_memory
+            if not searches and not (step >= finest and fits):
+                return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
+            if step >= finest and fits and (search := self._search(step, weight)):
+                search.hold(int(needed))
                 searches[step], budget[step] = search, _FIRST_TURN
                 weight *= _GREEDIER
-            elif step < finest and not searches:
-                return Status.EXHAUSTED, step
             for size, search in reversed(list(searches.items())):
                 status = self._run(search, size, budget[size])
                 if status is Status.SOLVED:
@@ -215,10 +231,14 @@ class _Run:
             self._end_phase("search")
 
     def _search(self, step: float, weight: float) -> Search | None:
-        """A search about to begin; None if a robot's own goal is out of its reach on this lattice."""
+        """A search about to begin; None if a robot's own goal is out of its reach on this lattice, or time is up."""
         options = self.options
-        lattices = build_lattices(self.problem, step, options.primitives)
-        self._end_phase("lattice")
+        try:
+            lattices = build_lattices(self.problem, step, options.primitives, self.effort.deadline)
+        except TimeoutError:
+            return None
+        finally:
+            self._end_phase("lattice")
         if not all(lattice.reaches_goal() for lattice in lattices):
             return None
         team = Team(self.problem, tuple(lattices))
@@ -286,17 +306,25 @@ def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> I
 
 
 def _first_step(problem: Problem) -> float:
-    """A lattice about as fine as the smallest robot is large."""
+    """A lattice about as fine as the smallest robot is large, but not one that takes long to build."""
     extent = float(problem.workspace.bounds.width.max())
     sizes = [
         min(robot.circumscribed_radius, 2 * robot.inscribed_radius) or _POINT_STEP * extent
         for robot in problem.robots
     ]
-    return float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
+    step = float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
+    while max(num_configurations(problem.workspace, robot, step) for robot in problem.robots) > _LARGEST_FIRST:
+        step *= _REFINEMENT
+    return step
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
+    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
+        return False
+    try:
+        return not np.isnan(float(value))
+    except OverflowError:
+        return False
 
 
 def _require_primitives(primitives: Sequence[Primitive]) -> None:

@@ -10,6 +10,8 @@ from plr_jax.planners._children import Children, State, Team
 from plr_jax.planners._heuristics import straight_line
 from plr_jax.planners._lattice import Lattice
 
+_INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
+
 Table = Float[np.ndarray, "nodes"]  # an estimate of each configuration of a robot's lattice
 
 
@@ -37,8 +39,10 @@ class Estimate(NamedTuple):
         """Weighted estimates of joint configurations, always finite."""
         if self.joint is None:
             return self.weight * np.sum([table[s] for table, s in zip(self.tables, state.T, strict=True)], axis=0)
-        values = _checked(self.joint, team.configurations(state))
-        known = np.isfinite(values)
+        # As many as a power of two, so that a compiled function is compiled for few shapes.
+        padded = np.resize(state, (1 << (len(state) - 1).bit_length(), state.shape[1]))
+        values = _checked(self.joint, team.configurations(padded))[: len(state)]
+        known = values < _INFINITE
         return self.weight * np.where(known, values, max(self.farthest, 2 * values[known].max(initial=0.0)))
 
     def rescored(
@@ -90,7 +94,7 @@ def _terms(lattice: Lattice, table: Table, weight: float) -> Float[np.ndarray, "
 
 def _finite(values: Table) -> Table:
     """A table whose infinite estimates exceed all others."""
-    known = np.isfinite(values)
+    known = values < _INFINITE
     largest = values[known].max(initial=0.0)
     return np.where(known, values, 2 * largest)
 

@@ -5,8 +5,10 @@ sample that lies farthest from obstacles, so that a passage narrower than a cell
 the goal represent their own cells, which makes the ends of every path exact. Headings are periodic.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -32,6 +34,8 @@ PRIMITIVES: tuple[Primitive, ...] = (
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
+_CHUNK = 1 << 12  # cells at a time, between two looks at the clock
+_BYTES = 80  # what a motion takes, in its lattice and while that is built
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +147,35 @@ class Motions(NamedTuple):
         self.child[cells], self.cost[cells] = child, cost
 
 
-def build_lattices(problem: Problem, step: float, primitives: Sequence[Primitive]) -> list[Lattice]:
+@dataclass(frozen=True)
+class _Plan:
+    """What motions are built from, the key under which they are kept; when to give up makes no difference to them."""
+
+    workspace: Workspace
+    robot: Robot
+    rotation_weight: float
+    step: float
+    primitives: tuple[Primitive, ...]
+    deadline: float = field(compare=False)
+
+
+def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
+    """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
+    turns = max(2 * math.pi / _WIDEST_TURN, 2 * math.pi * robot.circumscribed_radius / step)
+    return math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist()) * (
+        turns if isinstance(robot, RectangleRobot) else 1
+    )
+
+
+def num_bytes(problem: Problem, step: float, primitives: Sequence[Primitive]) -> float:
+    """About what the lattices of all robots take if all is free, so that those too large are not begun."""
+    num_nodes = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
+    return _BYTES * num_nodes * (1 + len(primitives))
+
+
+def build_lattices(
+    problem: Problem, step: float, primitives: Sequence[Primitive], deadline: float = math.inf
+) -> list[Lattice]:
     """The lattice of every robot.
 
     Robots of one kind share their motions, which are kept for the next problem in the same workspace.
@@ -152,29 +184,30 @@ def build_lattices(problem: Problem, step: float, primitives: Sequence[Primitive
         problem: The problem.
         step: Largest side of a cell, in workspace units; turning by one cell takes a rectangle's corners as far.
         primitives: Motions besides staying; turns are for rectangles alone.
+        deadline: When to give up, on the clock of ``time.perf_counter``.
 
     Returns:
         One lattice a robot, of its free configurations.
+
+    Raises:
+        TimeoutError: If the deadline passes first.
     """
-    lattices, primitives = [], tuple(primitives)
+    lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
     for i, robot in enumerate(problem.robots):
         ends = np.stack([problem.starts[i], problem.goals[i]])[:, : 3 if isinstance(robot, RectangleRobot) else 2]
-        weight, grid = float(problem.rotation_weights[i]), _grid(problem.workspace, robot, step)
+        plan = _Plan(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
+        grid = _grid(problem.workspace, robot, step)
         if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
-            grid = _split_between(grid, ends)
-            motions = _motions(motion_test(problem.workspace, robot), weight, grid, primitives)
+            motions = _motions(plan, _split_between(grid, ends))
         else:
-            motions = _shared_motions(problem.workspace, robot, weight, step, primitives)
+            motions = _shared_motions(plan)
         lattices.append(motions.with_ends(ends))
     return lattices
 
 
 @lru_cache(maxsize=8)
-def _shared_motions(
-    workspace: Workspace, robot: Robot, rotation_weight: float, step: float, primitives: tuple[Primitive, ...]
-) -> Motions:
-    test = motion_test(workspace, robot)
-    return _motions(test, rotation_weight, _grid(workspace, robot, step), primitives)
+def _shared_motions(plan: _Plan) -> Motions:
+    return _motions(plan, _grid(plan.workspace, plan.robot, plan.step))
 
 
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
@@ -202,21 +235,36 @@ def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:
     return Grid(lo, tuple(shape), grid.side)
 
 
-def _motions(test: MotionTest, rotation_weight: float, grid: Grid, primitives: Sequence[Primitive]) -> Motions:
-    dof = len(grid.shape)
-    offsets = np.array([(0, 0, 0), *(p for p in primitives if dof == 3 or p[2] == 0)])[:, :dof]
-    q, free = _representatives(test, grid)
+def _motions(plan: _Plan, grid: Grid) -> Motions:
+    dof, test = len(grid.shape), motion_test(plan.workspace, plan.robot)
+    offsets = np.array([(0, 0, 0), *(p for p in plan.primitives if dof == 3 or p[2] == 0)])[:, :dof]
+    q = grid.centers()
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
-    motions = Motions(grid, offsets, test, rotation_weight, q, free, child, np.empty(child.shape))
-    motions.connect(np.arange(len(q)))
+    motions = Motions(
+        grid, offsets, test, plan.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
+    )
+    for cells in _chunks(grid, plan.deadline):
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+    for cells in _chunks(grid, plan.deadline):
+        motions.connect(np.arange(cells.start, cells.stop))
     return motions
 
 
+def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
+    """All cells, some at a time, whole positions together, until the deadline."""
+    num_cells, per_position = math.prod(grid.shape), math.prod(grid.shape[2:])
+    size = max(1, _CHUNK // per_position) * per_position
+    for begin in range(0, num_cells, size):
+        if time.perf_counter() > deadline:
+            raise TimeoutError("The deadline passed before the lattice was built.")
+        yield slice(begin, min(begin + size, num_cells))
+
+
 def _representatives(
-    test: MotionTest, grid: Grid
+    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"]
 ) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
     """A configuration of every cell, and whether it is free."""
-    q = grid.centers()
+    q = centers.copy()
     free = test(q, q)
     per_position = int(np.prod(grid.shape[2:]))
     clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)

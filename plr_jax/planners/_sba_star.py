@@ -63,8 +63,11 @@ def sba_star_plan(
         anytime and annealing schedules, with a smooth count of near samples as its density. Section V of the paper.
     """
     for name, limit in (("time_limit", time_limit), ("max_nodes", max_nodes)):
-        if not limit > 0:
+        if not isinstance(limit, int | float | np.number) or not limit > 0:
             raise ValueError(f"{name} must be positive, got {limit!r}.")
+    for name, number in (("seed", seed), ("max_nodes", max_nodes)):
+        if not isinstance(number, int | np.integer) or number < 0:
+            raise ValueError(f"{name} must be an integer of at least 0, got {number!r}.")
     search = _Search(problem, heuristic, seed, max_nodes)
     path, status = None, Status.INTERRUPTED
     with suppress(KeyboardInterrupt):

@@ -199,7 +199,7 @@ class Search:
             children = best_children(self.team, self.estimate.terms, state, width)
             score, primitive = self.estimate.rescored(self.team, state, children)
             num_valid = np.isfinite(score).sum(axis=1)
-            num_kept = np.minimum(num_valid, max(width // _KEPT, self.branching))
+            num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.branching)))
             whole = children.whole & (num_kept == num_valid)
             self._keep(alike, score, primitive, num_kept, whole, width)
             self.num_expansions += len(alike)
@@ -228,7 +228,7 @@ class Search:
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
             self.kept[node] = Kept(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
-            self._hold(self.kept[node].num_bytes)
+            self.hold(self.kept[node].num_bytes)
 
     def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
         """Joint cells, each as bytes."""
@@ -247,7 +247,7 @@ class Search:
             self._return(kept.score[child], node)
             return
         del self.kept[node]
-        self._hold(-kept.num_bytes)
+        self.hold(-kept.num_bytes)
         if not kept.whole and kept.width < _WIDEST:
             self.wider[node] = kept.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
@@ -269,14 +269,14 @@ class Search:
             self.found = node
         self.nearest = min(self.nearest, score - cost)
         self.effort.num_nodes += 1
-        self._hold(_NODE_BYTES + 8 * len(state))
+        self.hold(_NODE_BYTES + 8 * len(state))
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""
         self.pushed += 1
         heapq.heappush(self.frontier, (float(score), -self.pushed, node))
 
-    def _hold(self, num_bytes: int) -> None:
+    def hold(self, num_bytes: int) -> None:
         """Count memory that is taken, or given back."""
         self.memory += num_bytes
         self.effort.memory += num_bytes

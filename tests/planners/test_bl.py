@@ -188,6 +188,10 @@ def test_infeasible_problems_are_refused_before_planning():
     [
         ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
         ({"max_memory": 4000}, Status.MEMORY_LIMIT),
+        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
+        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
+        ({"step": 1e-200}, Status.MEMORY_LIMIT),
+        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
         ({"time_limit": 1e-6}, Status.TIME_LIMIT),
     ],
 )
@@ -195,6 +199,27 @@ def test_limits(options, status):
     problem = scenes.four_rooms(2)
     solution = bl_plan(problem, zero(), BLOptions(**options))
     assert solution.status is status and not solution.solved and solution.cost == np.inf
+
+
+def test_lattices_count_as_memory():
+    problem = scenes.single_door()
+    for max_memory, begun in ((4000, False), (1_500_000, True)):
+        solution = bl_plan(problem, zero(), BLOptions(max_memory=max_memory, cell_size=1e-3, step=0.5))
+        assert (solution.stats.num_nodes > 0) is begun
+
+
+@pytest.mark.parametrize("robot", [DiscRobot(1e-3), RectangleRobot(2, 1)], ids=["disc", "rectangle"])
+def test_a_small_robot_in_a_large_map(robot):
+    workspace = Workspace(((0, 0), (1000, 1000)))
+    dof = 3 if isinstance(robot, RectangleRobot) else 2
+    problem = Problem(workspace, [robot], [(1, 2, 0)[:dof]], [(990, 20, 1)[:dof]])
+    planned(problem, straight_line(problem), max_expansions=2000)
+
+
+def test_walls_far_from_the_origin_are_touched_alike():
+    workspace = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
+    problem = Problem(workspace, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)])
+    planned(problem, straight_line(problem))
 
 
 def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
@@ -369,8 +394,11 @@ def test_statistics():
         ({"step": float("inf")}, "step must be None or a positive"),
         ({"cell_size": -1.0}, "cell_size must be None or a positive"),
         ({"lower_bound": float("nan")}, "lower_bound must be None or a positive"),
-        ({"heuristic_weight": -0.1}, "heuristic_weight must be .* at least 0, got -0.1"),
+        ({"heuristic_weight": -0.1}, "heuristic_weight must be .* from 0 to 1e6, got -0.1"),
         ({"heuristic_weight": float("inf")}, "heuristic_weight must be"),
+        ({"heuristic_weight": 1e300}, "heuristic_weight must be"),
+        ({"time_limit": 10**400}, "time_limit must be"),
+        ({"step": 10**400}, "step must be"),
         ({"batch": 0}, "batch must be an integer of at least 1, got 0"),
         ({"branching": -3}, "branching must be an integer of at least 1, got -3"),
         ({"width": True}, "width must be an integer"),

@@ -99,6 +99,30 @@ def test_a_plain_function_is_called_for_joint_configurations():
     np.testing.assert_allclose(estimate(team, state), 2 * bent(team.configurations(state)), rtol=1e-12)
 
 
+def test_a_plain_function_sees_few_batch_sizes():
+    sizes = set()
+
+    def counting(q):
+        sizes.add(len(q))
+        return bent(q)
+
+    team = team_of(MIXED, 1.0)
+    estimate = estimate_of(team, counting, 1.0)
+    for n in range(1, 40):
+        assert estimate(team, random_states(team, n)).shape == (n,)
+    assert sizes == {1, 2, 4, 8, 16, 32, 64}
+
+
+@pytest.mark.parametrize("separable", [True, False], ids=["separable", "plain"])
+@pytest.mark.filterwarnings("error")
+def test_estimates_too_large_for_float32_prune_nothing(separable):
+    def huge(q):
+        return np.where(q[..., 0] > 4, 1e300, 1e39)
+
+    heuristic = Separable(huge) if separable else lambda q: huge(q).max(axis=1)
+    assert bl_plan(DOOR, heuristic, BLOptions(step=0.5)).solved
+
+
 def test_children_are_rescored_by_a_plain_function():
     team = team_of(MIXED, 1.0)
     estimate = estimate_of(team, bent, 2.0)
