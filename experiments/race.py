@@ -24,8 +24,8 @@ from plr_jax import BLOptions, HeuristicFn, Problem, Solution, ompl_plan, scenes
 
 PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar")
 NUM_STARTS, NUM_RUNS = 3, 5
-LIMIT_FACTOR, LEAST_LIMIT, LARGEST_LIMIT = 100.0, 8.0, 20.0
-IMPROVE_SECONDS = 5.0
+LIMIT_FACTOR, LEAST_LIMIT, LARGEST_LIMIT = 100.0, 4.0, 8.0
+IMPROVE_SECONDS = 2.0
 
 OURS = "BL with PLRs"
 _STYLES = {

@@ -37,8 +37,8 @@ NUM_STARTS = 20
 TIME_LIMIT = 60.0
 # Without a heuristic teams are out of reach: a few starts and seconds show it.
 NUM_STARTS_NONE, TIME_LIMIT_NONE = 3, 20.0
-TIME_LIMIT_WITHIN = 10.0
-COST_FACTORS = (1.10, 1.05)
+TIME_LIMIT_WITHIN = 3.0
+COST_FACTORS = (1.05,)
 RATE_EXPANSIONS, RATE_RUNS, JOINT_CHILDREN = 2_000, 5, 9**4
 
 PAPER: dict[str, dict[str, Any]] = {
