@@ -193,7 +193,7 @@ class _Run:
         self._record(path)
         for improved in (
             lambda path: shorten(self.problem, path, tests, deadline),
-            lambda path: bend(self.problem, path, tests, step / 2, deadline),
+            lambda path: bend(self.problem, path, tests, step / 2, deadline) if self._bending_pays() else path,
             lambda path: shorten(self.problem, subdivided(path), tests, deadline),
         ):
             if np.isfinite(self.options.cost_factor) and self._is_good_enough():
@@ -201,6 +201,10 @@ class _Run:
             path = improved(path)
             self._end_phase("shorten")
             self._record(path)
+
+    def _bending_pays(self) -> bool:
+        # Shortcuts leave a lone robot little to gain.
+        return len(self.problem.robots) > 1 or self.options.cost_factor < float("inf")
 
     def _is_good_enough(self) -> bool:
         # A path of no cost is, whatever the factor: infinitely many times zero is no number.
