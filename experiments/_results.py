@@ -18,9 +18,10 @@ _PACKAGES = ("plr-jax", "jax", "numpy", "scipy", "shapely", "lightgbm", "matplot
 
 Compute = Callable[[int, bool], dict[str, Any]]
 Draw = Callable[[dict[str, Any], Path], list[Path]]
+Renew = Callable[[dict[str, Any], str], dict[str, Any]]
 
 
-def run(name: str, purpose: str, compute: Compute, draw: Draw) -> None:
+def run(name: str, purpose: str, compute: Compute, draw: Draw, renew: Renew | None = None) -> None:
     """Run one experiment from the command line: compute, write ``<name>.json``, draw from that file alone.
 
     Args:
@@ -28,11 +29,14 @@ def run(name: str, purpose: str, compute: Compute, draw: Draw) -> None:
         purpose: What ``--help`` says.
         compute: Takes the seed and whether this is the smallest setting; gives results fit for JSON.
         draw: Takes the results as read back and the output folder; gives the files it wrote.
+        renew: Takes results and the name of a part; gives results with that part measured again.
     """
     parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     parser.add_argument("--draw", action="store_true", help="compute nothing; draw from the results file")
+    if renew is not None:
+        parser.add_argument("--only", metavar="PART", help="measure one part again, and keep the others as they are")
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
     )
@@ -40,7 +44,10 @@ def run(name: str, purpose: str, compute: Compute, draw: Draw) -> None:
     # The smallest setting must never replace results that are committed.
     output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
     if not arguments.draw:
-        results = compute(arguments.seed, arguments.smoke)
+        if renew is not None and arguments.only is not None:
+            results = renew(read(output, name)["results"], arguments.only)
+        else:
+            results = compute(arguments.seed, arguments.smoke)
         record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **environment()}
         print(f"wrote {write(output, name, {**record, 'results': results})}")
     for path in draw(read(output, name)["results"], output):

@@ -1,8 +1,6 @@
 """The Barraquand-Latombe planner for several robots at once (Section V of the paper)."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,14 +11,8 @@ from plr_jax._problem import Problem, path_cost
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._children import Team
 from plr_jax.planners._estimate import estimate_of
-from plr_jax.planners._lattice import (
-    PRIMITIVES,
-    Lattice,
-    Primitive,
-    build_lattices,
-    num_bytes,
-    num_configurations,
-)
+from plr_jax.planners._lattice import Lattice, build_lattices, num_bytes, num_configurations
+from plr_jax.planners._options import BLOptions
 from plr_jax.planners._search import Effort, Search
 from plr_jax.planners._shorten import shorten, subdivided
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
@@ -34,66 +26,7 @@ _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _FIRST_TURN, _LONGER = 256, 1.5  # expansions of a new search, and their growth
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
-_LARGEST_WEIGHT = 1e6
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
-
-
-@dataclass(frozen=True)
-class BLOptions:
-    """Options of :func:`bl_plan`.
-
-    Args:
-        primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
-            lattice. Round robots leave out those that turn.
-        step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
-            problem is solved.
-        cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
-            take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
-            cells make a search smaller and less complete: they want primitives long enough to leave a cell, as a
-            joint configuration in a claimed cell is dropped.
-        heuristic_weight: Factor of the heuristic, from 0 to 1e6. The larger, the greedier. None: 2, from six robots
-            on 3/8 a robot, as they have more ways to stand in each other's.
-        batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
-        branching: Children that a node adds at a time.
-        width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
-        cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
-            costs more, the search goes on with smaller weights and steps, until a limit.
-        lower_bound: A cost below which there is no path, in workspace units. None: that of straight lines.
-        time_limit: Seconds.
-        max_expansions: Most expansions; deterministic, unlike the time limit.
-        max_memory: Most bytes of the lattices and of the search's nodes.
-    """
-
-    primitives: Sequence[Primitive] = PRIMITIVES
-    step: float | int | None = None
-    cell_size: float | int | None = None
-    heuristic_weight: float | int | None = None
-    batch: int = 16
-    branching: int = 1
-    width: int = 1024
-    cost_factor: float | int = float("inf")
-    lower_bound: float | int | None = None
-    time_limit: float | int = 60.0
-    max_expansions: float | int = float("inf")
-    max_memory: float | int = 4e9
-
-    def __post_init__(self) -> None:
-        for name in ("step", "cell_size", "lower_bound"):
-            value = getattr(self, name)
-            if value is not None and not (_is_number(value) and 0 < value < float("inf")):
-                raise ValueError(f"{name} must be None or a positive finite number, got {value!r}.")
-        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
-            value = getattr(self, name)
-            if not (_is_number(value) and value > 0):
-                raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
-        weight = self.heuristic_weight
-        if weight is not None and not (_is_number(weight) and 0 <= weight <= _LARGEST_WEIGHT):
-            raise ValueError(f"heuristic_weight must be None or a number from 0 to 1e6, got {weight!r}.")
-        for name in ("batch", "branching", "width"):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
-                raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
-        _require_primitives(self.primitives)
 
 
 def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None = None) -> Solution:
@@ -102,8 +35,9 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
     Every robot moves on a lattice of its own, whose start and goal are exact. A node of the search is a joint
     configuration; its children are the products of the robots' primitives that keep clear of obstacles and of one
     another along the whole motion. Each cell of the joint space is claimed once, by the first node in it. The best
-    node by cost-to-come and weighted heuristic is expanded next, as in A*. The first path found is shortened robot
-    by robot.
+    node by cost-to-come and weighted heuristic is expanded next, as in A*. Searches on finer lattices, each greedier
+    than the last, take turns with those that have not found a path. The first path found is shortened by straight
+    shortcuts of one robot, and by bending the motions of one robot or of two that touch.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -259,7 +193,7 @@ class _Run:
         self._record(path)
         for improved in (
             lambda path: shorten(self.problem, path, tests, deadline),
-            lambda path: bend(self.problem, path, tests, step / 2, deadline),
+            lambda path: bend(self.problem, path, tests, step / 2, deadline) if self._bending_pays() else path,
             lambda path: shorten(self.problem, subdivided(path), tests, deadline),
         ):
             if np.isfinite(self.options.cost_factor) and self._is_good_enough():
@@ -267,6 +201,10 @@ class _Run:
             path = improved(path)
             self._end_phase("shorten")
             self._record(path)
+
+    def _bending_pays(self) -> bool:
+        # Shortcuts leave a lone robot little to gain.
+        return len(self.problem.robots) > 1 or self.options.cost_factor < float("inf")
 
     def _is_good_enough(self) -> bool:
         # A path of no cost is, whatever the factor: infinitely many times zero is no number.
@@ -316,24 +254,3 @@ def _first_step(problem: Problem) -> float:
     while max(num_configurations(problem.workspace, robot, step) for robot in problem.robots) > _LARGEST_FIRST:
         step *= _REFINEMENT
     return step
-
-
-def _is_number(value: object) -> bool:
-    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
-        return False
-    try:
-        return not np.isnan(float(value))
-    except OverflowError:
-        return False
-
-
-def _require_primitives(primitives: Sequence[Primitive]) -> None:
-    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 255"
-    try:
-        offsets = np.array(primitives)
-    except (TypeError, ValueError):
-        raise ValueError(f"{message}, got {primitives!r}.") from None
-    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 255:
-        raise ValueError(f"{message}, got {primitives!r}.")
-    if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
-        raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")

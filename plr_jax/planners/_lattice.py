@@ -148,7 +148,7 @@ class Motions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _Recipe:
     """What motions are built from, the key under which they are kept; when to give up makes no difference to them."""
 
     workspace: Workspace
@@ -195,19 +195,19 @@ def build_lattices(
     lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
     for i, robot in enumerate(problem.robots):
         ends = np.stack([problem.starts[i], problem.goals[i]])[:, : 3 if isinstance(robot, RectangleRobot) else 2]
-        plan = _Plan(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
+        recipe = _Recipe(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
         grid = _grid(problem.workspace, robot, step)
         if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
-            motions = _motions(plan, _split_between(grid, ends))
+            motions = _motions(recipe, _split_between(grid, ends))
         else:
-            motions = _shared_motions(plan)
+            motions = _shared_motions(recipe)
         lattices.append(motions.with_ends(ends))
     return lattices
 
 
 @lru_cache(maxsize=8)
-def _shared_motions(plan: _Plan) -> Motions:
-    return _motions(plan, _grid(plan.workspace, plan.robot, plan.step))
+def _shared_motions(recipe: _Recipe) -> Motions:
+    return _motions(recipe, _grid(recipe.workspace, recipe.robot, recipe.step))
 
 
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
@@ -235,17 +235,17 @@ def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:
     return Grid(lo, tuple(shape), grid.side)
 
 
-def _motions(plan: _Plan, grid: Grid) -> Motions:
-    dof, test = len(grid.shape), motion_test(plan.workspace, plan.robot)
-    offsets = np.array([(0, 0, 0), *(p for p in plan.primitives if dof == 3 or p[2] == 0)])[:, :dof]
+def _motions(recipe: _Recipe, grid: Grid) -> Motions:
+    dof, test = len(grid.shape), motion_test(recipe.workspace, recipe.robot)
+    offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
     q = grid.centers()
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
     motions = Motions(
-        grid, offsets, test, plan.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
+        grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
     )
-    for cells in _chunks(grid, plan.deadline):
+    for cells in _chunks(grid, recipe.deadline):
         q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
-    for cells in _chunks(grid, plan.deadline):
+    for cells in _chunks(grid, recipe.deadline):
         motions.connect(np.arange(cells.start, cells.stop))
     return motions
 

@@ -27,7 +27,7 @@ class Stats:
     Args:
         num_nodes: Joint configurations kept: claimed cells of BL, samples of a sampling-based planner.
         num_expansions: How often a node's children were asked for.
-        num_children_scored: Joint children given a cost and a heuristic.
+        num_children_scored: Children given a cost and a heuristic: joint ones, and BL's of the first robots alone.
         num_children_valid: Those found free of collision.
         seconds: Wall-clock seconds by phase.
         history: Each new best path: seconds since the start and its cost.
@@ -59,7 +59,8 @@ class Solution:
         lower_bound: A cost below which there is no path.
         status: Why the planner ended. A path may be there whatever it says.
         stats: What the planner did.
-        samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making.
+        samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of BL,
+            those of its last search.
     """
 
     path: Float[np.ndarray, "steps robots dof"] | None
