@@ -126,7 +126,7 @@ class Motions(NamedTuple):
         motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
         cells = self.grid.cells_of(ends)
         motions.q[cells], motions.free[cells] = ends, True
-        # Every offset has its opposite or not: look a whole reach around for motions that end in these cells.
+        # The opposite of an offset may be no primitive: test all motions that begin or end in these cells.
         around, exists = self.grid.neighbors(cells, np.concatenate([self.offsets, -self.offsets]))
         motions.connect(np.unique(around[exists]))
         index = np.cumsum(motions.free) - 1

@@ -3,7 +3,7 @@
 import heapq
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
@@ -26,7 +26,7 @@ class Effort:
     Args:
         deadline: When to stop, on the clock of ``time.perf_counter``.
         max_expansions: Most expansions.
-        max_memory: Most bytes of nodes and children.
+        max_memory: Most bytes of lattices, nodes and children.
     """
 
     deadline: float
@@ -37,7 +37,6 @@ class Effort:
     num_children_scored: int = 0
     num_children_valid: int = 0
     memory: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
 
     def exceeded(self) -> Status | None:
         """The limit that is reached, if one is."""
