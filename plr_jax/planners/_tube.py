@@ -128,7 +128,7 @@ def _costs(
     return cost
 
 
-def _apart(problem: Problem, robots: tuple[int, ...], tubes: list[Tube]) -> np.ndarray:
+def _apart(problem: Problem, robots: tuple[int, ...], tubes: list[Float[np.ndarray, "steps _ dof"]]) -> np.ndarray:
     """Whether two robots keep clear of one another: from each two of their places to each two."""
     (i, j), (a, b) = robots, tubes
     mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]

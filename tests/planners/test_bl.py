@@ -232,8 +232,8 @@ def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
 def test_an_improving_planner_goes_on_until_its_limit():
     problem = scenes.cross(2)
     first = planned(problem)
-    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 60)
-    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
+    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 250)
+    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 500)
     assert better.status is best.status is Status.EXPANSION_LIMIT
     assert best.cost <= better.cost <= first.cost and best.cost < first.cost
     assert best.stats.num_expansions > better.stats.num_expansions > first.stats.num_expansions
