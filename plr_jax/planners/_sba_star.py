@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from plr_jax._collision import motions_apart
-from plr_jax._obstacles import MotionTest
+from plr_jax._obstacles import motion_test
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
@@ -260,8 +260,7 @@ class _JointMotionTest:
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        tests = {robot: MotionTest(problem.workspace, robot) for robot in set(problem.robots)}
-        self.tests = [tests[robot] for robot in problem.robots]
+        self.tests = [motion_test(problem.workspace, robot) for robot in problem.robots]
 
     def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
