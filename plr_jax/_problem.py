@@ -103,9 +103,25 @@ def motion_costs(
     Returns:
         One cost a motion and robot, in workspace units.
     """
+    return straight_costs(q0, q1, problem.rotation_weights)
+
+
+def straight_costs(
+    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
+) -> Float[np.ndarray, "*batch"]:
+    """Cost of straight motions of one robot, or of several along the last batch axis.
+
+    Args:
+        q0: Configurations at the start of the motions, of 2 coordinates or 3.
+        q1: Configurations at the end.
+        rotation_weight: Cost of a turn by one radian, in workspace units: one, or one a robot.
+
+    Returns:
+        The length of each motion and the weight of its shorter turn, in workspace units.
+    """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
-    if problem.dof == 3:
-        cost = cost + problem.rotation_weights * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
+    if q0.shape[-1] == 3:
+        cost = cost + rotation_weight * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
     return cost
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._obstacles import MotionTest, motion_test
-from plr_jax._problem import Problem
+from plr_jax._problem import Problem, straight_costs
 from plr_jax._robot import RectangleRobot, Robot, shorter_turn
 from plr_jax._workspace import Workspace
 
@@ -140,8 +140,7 @@ class Motions(NamedTuple):
         exists &= self.free[cells, None] & self.free[child]
         row, primitive = np.nonzero(exists)
         begin, end = self.q[cells[row]], self.q[child[exists]]
-        length = np.hypot(end[:, 0] - begin[:, 0], end[:, 1] - begin[:, 1])
-        length += self.rotation_weight * np.abs(shorter_turn(begin[:, 2:], end[:, 2:])).sum(axis=1)
+        length = straight_costs(begin, end, self.rotation_weight)
         cost = np.full(child.shape, np.inf)
         cost[row, primitive] = np.where((primitive == 0) | self.test(begin, end), length, np.inf)
         self.child[cells], self.cost[cells] = child, cost

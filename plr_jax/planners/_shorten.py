@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._collision import motions_apart
 from plr_jax._obstacles import MotionTest
-from plr_jax._problem import Problem, path_cost
-from plr_jax._robot import RectangleRobot, shorter_turn
+from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax._robot import shorter_turn
 
 _LONGEST = 32  # steps that one shortcut spans at most
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
@@ -52,12 +52,12 @@ def _shortened(
     problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: MotionTest
 ) -> Float[np.ndarray, "steps dof"]:
     """One robot's motions along the shortest way from its first row to its last in the graph of shortcuts."""
-    q, steps = path[:, i], len(path)
-    so_far = np.concatenate([[0.0], np.cumsum(robot_costs(problem, i, q[:-1], q[1:]))])
+    q, steps, weight = path[:, i], len(path), problem.rotation_weights[i]
+    so_far = np.concatenate([[0.0], np.cumsum(straight_costs(q[:-1], q[1:], weight))])
     begin, end = np.triu_indices(steps, 2)
     near = end - begin <= _LONGEST
     begin, end = begin[near], end[near]
-    cost = robot_costs(problem, i, q[begin], q[end])
+    cost = straight_costs(q[begin], q[end], weight)
     shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
     begin, end, cost = begin[shorter], end[shorter], cost[shorter]
     free = test(q[begin], q[end])
@@ -132,13 +132,3 @@ def _apart(
         )
         apart[rows[owner[~clear]]] = False
     return apart
-
-
-def robot_costs(
-    problem: Problem, i: int, q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"]
-) -> Float[np.ndarray, "*batch"]:
-    """Cost of one robot's motions."""
-    cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
-    if isinstance(problem.robots[i], RectangleRobot):
-        cost = cost + problem.rotation_weights[i] * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
-    return cost

@@ -14,9 +14,8 @@ from jaxtyping import Float, Int
 
 from plr_jax._collision import motions_apart
 from plr_jax._obstacles import MotionTest
-from plr_jax._problem import Problem, path_cost
+from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._robot import RectangleRobot
-from plr_jax.planners._shorten import robot_costs
 
 Path = Float[np.ndarray, "steps robots dof"]
 Tube = Float[np.ndarray, "steps size dof"]
@@ -116,7 +115,7 @@ def _costs(
 ) -> Float[np.ndarray, "motions size size"]:
     """Cost of every motion within a robot's tube; ``inf`` if it hits a wall or a robot that is not bent too."""
     begin, end = tube[:-1, :, None], tube[1:, None, :]
-    cost = robot_costs(problem, i, begin, end)
+    cost = straight_costs(begin, end, problem.rotation_weights[i])
     free = np.ones(cost.shape, dtype=bool)
     for j in set(range(len(problem.robots))) - set(robots):
         theirs = path[:-1, j, None, None], path[1:, j, None, None]
