@@ -5,10 +5,20 @@ from itertools import combinations
 
 import networkx as nx
 import numpy as np
+import pytest
 import shapely
 from robots import along, rounding, shapes
 
-from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, robot_distance_fns
+from plr_jax import (
+    BLOptions,
+    DiscRobot,
+    Problem,
+    RectangleRobot,
+    Workspace,
+    bl_plan,
+    robot_distance_fns,
+    validate,
+)
 from plr_jax._collision import motions_apart
 from plr_jax.planners import sum_of_distances
 from plr_jax.planners._children import Team
@@ -27,6 +37,25 @@ def hallway(length):
 
 def exact(problem):
     return sum_of_distances(robot_distance_fns(problem))
+
+
+def planned(problem, heuristic=None, **options):
+    """A solution that an independent check finds valid, with exact ends."""
+    solution = bl_plan(problem, heuristic or exact(problem), BLOptions(**options))
+    assert solution.solved, solution
+    report = validate(problem, solution.path)
+    assert report.valid, report.message
+    np.testing.assert_array_equal(solution.path[[0, -1]], [problem.starts, problem.goals])
+    assert solution.cost == pytest.approx(report.cost, rel=1e-12)
+    assert solution.lower_bound <= solution.cost * (1 + 1e-12) and solution.makespan <= solution.cost
+    assert_history(solution)
+    return solution
+
+
+def assert_history(solution):
+    seconds, costs = np.array(solution.stats.history).T
+    assert (np.diff(seconds) >= 0).all() and (np.diff(costs) < 0).all()
+    assert costs[-1] == solution.cost and solution.stats.first_solution == seconds[0]
 
 
 def team_of(problem, step, primitives=PRIMITIVES):

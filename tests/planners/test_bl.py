@@ -1,10 +1,9 @@
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, team_of
+from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, planned, team_of
 
 from plr_jax import (
     BLOptions,
@@ -15,32 +14,12 @@ from plr_jax import (
     Workspace,
     bl_plan,
     scenes,
-    validate,
 )
 from plr_jax.planners import Status, straight_line, sum_of_distances, zero
 from plr_jax.planners._bl import claimed_cells
 from plr_jax.planners._lattice import PRIMITIVES
 
 TRANSLATIONS = PRIMITIVES[:8]
-
-
-def planned(problem, heuristic=None, **options):
-    """A solution that an independent check finds valid, with exact ends."""
-    solution = bl_plan(problem, heuristic or exact(problem), BLOptions(**options))
-    assert solution.solved, solution
-    report = validate(problem, solution.path)
-    assert report.valid, report.message
-    np.testing.assert_array_equal(solution.path[[0, -1]], [problem.starts, problem.goals])
-    assert solution.cost == pytest.approx(report.cost, rel=1e-12)
-    assert solution.lower_bound <= solution.cost * (1 + 1e-12) and solution.makespan <= solution.cost
-    assert_history(solution)
-    return solution
-
-
-def assert_history(solution):
-    seconds, costs = np.array(solution.stats.history).T
-    assert (np.diff(seconds) >= 0).all() and (np.diff(costs) < 0).all()
-    assert costs[-1] == solution.cost and solution.stats.first_solution == seconds[0]
 
 
 def same(first, second):
@@ -382,73 +361,3 @@ def test_statistics():
     assert {"lattice", "heuristic", "search", "shorten"} <= set(stats.seconds)
     assert all(seconds >= 0 for seconds in stats.seconds.values())
     assert sum(stats.seconds.values()) >= stats.first_solution * 0.5
-
-
-# Refusals
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"step": 0.0}, "step must be None or a positive finite number, got 0.0"),
-        ({"step": float("inf")}, "step must be None or a positive"),
-        ({"cell_size": -1.0}, "cell_size must be None or a positive"),
-        ({"lower_bound": float("nan")}, "lower_bound must be None or a positive"),
-        ({"heuristic_weight": -0.1}, "heuristic_weight must be .* from 0 to 1e6, got -0.1"),
-        ({"heuristic_weight": float("inf")}, "heuristic_weight must be"),
-        ({"heuristic_weight": 1e300}, "heuristic_weight must be"),
-        ({"time_limit": 10**400}, "time_limit must be"),
-        ({"step": 10**400}, "step must be"),
-        ({"batch": 0}, "batch must be an integer of at least 1, got 0"),
-        ({"branching": -3}, "branching must be an integer of at least 1, got -3"),
-        ({"width": True}, "width must be an integer"),
-        ({"cost_factor": 0.0}, "cost_factor must be a positive number or inf"),
-        ({"time_limit": -5.0}, "time_limit must be a positive number or inf, got -5.0"),
-        ({"time_limit": float("nan")}, "time_limit must be a positive"),
-        ({"max_expansions": 0.0}, "max_expansions must be a positive"),
-        ({"max_memory": 0.0}, "max_memory must be a positive"),
-        ({"primitives": ()}, "primitives must be distinct offsets"),
-        ({"primitives": ((1, 0, 0), (1, 0, 0))}, "primitives must be distinct"),
-        ({"primitives": ((0, 0, 0), (1, 0, 0))}, r"none of them \(0, 0, 0\)"),
-        ({"primitives": tuple((k, 0, 0) for k in range(1, 300))}, "at most 255"),
-    ],
-    ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
-)
-def test_options_that_make_no_sense(options, message):
-    with pytest.raises(ValueError, match=message):
-        BLOptions(**options)
-
-
-# The problems of db-CBS
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "alcove_unicycle",
-        "alcove_unicycle_sphere",
-        "at_goal_unicycle",
-        "at_goal_unicycle_sphere",
-        "classic",
-        "gen_p10_n2_0_unicycle_sphere",
-        "gen_p10_n4_1_unicycle_sphere",
-        "swap2_unicycle",
-        "swap2_unicycle_sphere",
-        "gen_p10_n4_0_unicycle_sphere",
-        "gen_p10_n8_0_unicycle_sphere",
-        "gen_p10_n16_0_unicycle_sphere",
-        "swap3_unicycle_sphere",
-        "swap4_unicycle_sphere",
-        "wall",
-        "window2_unicycle",
-        "window4_unicycle_sphere",
-    ],
-)
-def test_problems_of_dbcbs(data_dir, name):
-    solution = planned(scenes.read_dbcbs(Path(data_dir, "dbcbs", f"{name}.yaml")))
-    assert solution.status is Status.SOLVED
-
-
-def test_an_infeasible_problem_of_dbcbs_is_refused(data_dir):
-    with pytest.raises(ValueError, match="Robots 0 and 1 overlap at their goals"):
-        scenes.read_dbcbs(Path(data_dir, "dbcbs", "infeasible_0.yaml"))
