@@ -19,7 +19,7 @@ from plr_jax.plr._file import HEADER_SIZE, decode, file_size
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import LARGEST, StoredPlanes
 from plr_jax.plr._stack import TableStack
-from plr_jax.plr._tables import Tables, build_tables, evaluate_tables, table_corners
+from plr_jax.plr._tables import Frame, Tables, build_tables, evaluate_tables, table_corners
 
 
 @jax.tree_util.register_dataclass
@@ -86,7 +86,7 @@ class PLR:
     @property
     def dim(self) -> int:
         """Number of axes."""
-        return len(self.tables.slope)
+        return self.tables.dim
 
     @property
     def num_leaves(self) -> int:
@@ -116,14 +116,13 @@ class PLR:
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
         """Slope of every leaf's plane, the gradient of the PLR in that leaf."""
-        columns = [np.asarray(column)[: self.num_leaves] for column in self.tables.slope]
-        return np.stack(columns, axis=1).astype(np.float64)
+        return np.asarray(self.tables.coefficients[1:], np.float64)[:, : self.num_leaves].T
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
         """Intercept of every leaf: its plane is ``slope . x + intercept``; ``inf`` in an unreachable leaf."""
-        at_corner = np.asarray(self.tables.intercept)[: self.num_leaves].astype(np.float64)
-        return at_corner - self.slope @ np.asarray(self.tables.lo, np.float64)
+        at_corner = np.asarray(self.tables.coefficients[0], np.float64)[: self.num_leaves]
+        return at_corner - self.slope @ np.asarray(self.tables.frame[Frame.LO], np.float64)
 
     def __repr__(self) -> str:
         return f"PLR(dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, {self.domain})"
@@ -177,11 +176,21 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     """
     if not isinstance(x, jax.Array):
         x = _as_array(x)
-    if x.ndim == 0 or x.shape[-1] != plr.dim:
-        raise ValueError(f"Points must have shape (..., {plr.dim}), got {x.shape}.")
+    return _evaluate(plr.tables, x)
+
+
+@jax.jit
+def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
+    """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
+    if x.ndim == 0 or x.shape[-1] != tables.dim:
+        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
+    _require_real(x)
+    return evaluate_tables(tables, x)
+
+
+def _require_real(x: Array | np.ndarray) -> None:
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-    return _evaluate(plr.tables, x)
 
 
 def _as_array(x: ArrayLike) -> np.ndarray:
@@ -190,11 +199,12 @@ def _as_array(x: ArrayLike) -> np.ndarray:
         x = np.asarray(x)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
-    is_wide = x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize)
-    return x.astype(np.float64) if is_wide else x
-
-
-_evaluate = jax.jit(evaluate_tables)
+    if x.dtype in (np.float32, np.float64):
+        return x
+    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
+        return x.astype(np.float64)
+    _require_real(x)  # which JAX cannot even be shown
+    return x
 
 
 def save(plr: PLR, path: str | os.PathLike) -> None:

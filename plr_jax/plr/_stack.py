@@ -52,8 +52,8 @@ class TableStack:
         if len(shape) != 3 or shape[1] != len(self.tables):
             raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
         for i, table in enumerate(self.tables):
-            if len(table.slope) > shape[2]:
-                raise ValueError(f"The PLR of robot {i} has {len(table.slope)} dimensions, got {shape[2]}.")
+            if table.dim > shape[2]:
+                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
 
 
 def _padded(q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
@@ -66,5 +66,5 @@ def _padded(q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size rob
 
 @jax.jit
 def _evaluate(tables: tuple[Tables, ...], q: Float[Array, "n robots dof"]) -> Float[Array, "n robots"]:
-    columns = [evaluate_tables(table, q[:, i, : len(table.slope)]) for i, table in enumerate(tables)]
+    columns = [evaluate_tables(table, q[:, i, : table.dim]) for i, table in enumerate(tables)]
     return jnp.stack(columns, axis=1)

@@ -8,11 +8,13 @@ of its own, just as fine along each axis as its own leaves need.
 """
 
 from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer, Num
+from jaxtyping import Array, Float, Int, Integer, Num, UInt16, UInt32
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
@@ -23,6 +25,7 @@ _MAX_BLOCK_BITS = 16
 _FRACTION_BITS = 23  # of a 32-bit float
 _WORD_BITS = 32
 _MAX_SLOTS = 2**28
+_MAX_COLUMN_BYTES = 2**18  # half of a core's second-level cache, the other half is for slots
 
 
 @jax.tree_util.register_dataclass
@@ -36,11 +39,13 @@ class Blocks:
 
     Attributes:
         words: For every word its value in each block.
+        shift: Bits of a point's place below its block, along each axis.
         axes: For every word the number of axes it describes.
         width: Bits of an axis in a word.
     """
 
-    words: tuple[Int[Array, "blocks"], ...]
+    words: tuple[UInt32[Array, "blocks"], ...]
+    shift: UInt32[Array, "dim"]
     axes: tuple[int, ...] = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
 
@@ -50,65 +55,82 @@ class Blocks:
 class Tables:
     """All that a query reads. Arrays are padded to powers of two, so PLRs of like size share compiled code.
 
+    They are few, because every array adds to the cost of a call. All indices are unsigned: JAX counts a signed one
+    from the end if it is negative, which takes as long as a table lookup.
+
     Attributes:
-        lo: Lower corner of the domain, rounded down to a 32-bit float.
-        hi: Upper corner of the domain, rounded up.
-        lo_rest: What the rounding took from the lower corner.
-        hi_rest: What the rounding added to the upper corner.
-        lo_fraction: ``lo_rest`` over the width of the domain, so that cells far from the origin stay in place.
-        scale: One over the width of the domain.
-        shift: Bits of a point's place below its slot (flat table) or its block (two levels), along each axis.
-        stride: Stride of the index of the slot, or of the block, along each axis.
+        frame: One row a quantity, see :class:`Frame`; one column an axis.
+        bits: Which bits of a point's place along each axis are its slot (flat table) or its block (two levels), as a
+            mask, and how far right they belong in the index.
         blocks: Coarse level, or None for a flat table.
         leaf_of_slot: Leaf of each slot.
-        slope: Slope of each leaf, one array an axis.
-        intercept: Value of each leaf's plane at ``lo``.
+        planes: Value of each leaf's plane at the domain's rounded lower corner, and its slopes. Small tables have one
+            row a coefficient, which takes the least arithmetic. Large ones are one array in which a leaf's
+            coefficients stand side by side, so that a query waits for one cache line and not for ``dim + 1``.
     """
 
-    lo: Float[Array, "dim"]
-    hi: Float[Array, "dim"]
-    lo_rest: Float[Array, "dim"]
-    hi_rest: Float[Array, "dim"]
-    lo_fraction: Float[Array, "dim"]
-    scale: Float[Array, "dim"]
-    shift: Int[Array, "dim"]
-    stride: Int[Array, "dim"]
+    frame: Float[Array, "6 dim"]
+    bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
-    leaf_of_slot: Integer[Array, "slots"]
-    slope: tuple[Float[Array, "leaves"], ...]
-    intercept: Float[Array, "leaves"]
+    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
+    planes: Float[Array, "terms padded"] | Float[Array, "coefficients"]
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.frame.shape[1]
+
+    @property
+    def coefficients(self) -> Float[Array, "terms padded"]:
+        """The planes, padding included: values at the rounded lower corner, then slopes along the axes."""
+        return self.planes if self.planes.ndim == 2 else self.planes.reshape(-1, self.dim + 1).T
 
 
-def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> Int[Array, "*batch"]:
+class Frame(IntEnum):
+    """Rows of ``Tables.frame``: the domain in 32-bit floats.
+
+    ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
+    over its width. ``LO_FRACTION`` is ``LO_REST`` over the width, so that cells far from the origin stay in place.
+    """
+
+    LO = 0
+    HI = 1
+    LO_REST = 2
+    HI_REST = 3
+    LO_FRACTION = 4
+    SCALE = 5
+
+
+def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
     """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
 
     Points outside the domain, and NaN, get some leaf.
     """
-    place = [_place(tables, x, axis) for axis in range(x.shape[-1])]
-    index = (place[0] >> tables.shift[0]) * tables.stride[0]
-    for axis in range(1, len(place)):
-        index += (place[axis] >> tables.shift[axis]) * tables.stride[axis]
+    place = [_place(tables, x, axis) for axis in range(tables.dim)]
+    mask, right = tables.bits
+    index = reduce(jnp.bitwise_or, [_shift_right(p & mask[axis], right[axis]) for axis, p in enumerate(place)])
     if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, tables.shift, place, index)
-    return _gather(tables.leaf_of_slot, index).astype(jnp.int32)
+        index = _index_in_block(tables.blocks, place, index)
+    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's plane at each point; ``inf`` outside the closed domain, NaN for NaN."""
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     leaf = lookup(tables, jax.lax.stop_gradient(x))
-    lo, hi = tables.lo.astype(x.dtype), tables.hi.astype(x.dtype)
-    value = _gather(tables.intercept, leaf).astype(x.dtype)
-    inside, beyond = jnp.ones(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
-    for axis, slope in enumerate(tables.slope):
-        above, below = x[..., axis] - lo[axis], hi[axis] - x[..., axis]
-        value += _gather(slope, leaf).astype(x.dtype) * above
-        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
-            inside &= (above >= tables.lo_rest[axis]) & (below >= tables.hi_rest[axis])
-        else:
-            inside &= (above >= 0) & (below >= 0)
+    frame = tables.frame.astype(x.dtype)
+    value, outside = _coefficient(tables, leaf, 0).astype(x.dtype), jnp.zeros(x.shape[:-1], bool)
+    beyond = jnp.full(x.shape[:-1], jnp.inf, x.dtype)
+    for axis in range(tables.dim):
+        above = x[..., axis] - frame[Frame.LO, axis]
+        value += _coefficient(tables, leaf, 1 + axis).astype(x.dtype) * above
         beyond += jnp.abs(above)  # NaN if any coordinate is
-    return jnp.where(inside, value, jax.lax.stop_gradient(beyond))
+        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+            below = frame[Frame.HI, axis] - x[..., axis]
+            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
+        else:
+            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
+    return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
@@ -141,64 +163,83 @@ def build_tables(
     block_bits = 0 * bits if flat else _choose_block_bits(cells, bits)
     shape = _block_shapes(cells, block_bits)
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
-    leaf_of_slot = np.zeros(_power_of_two(int(offset[-1])), np.uint16 if len(cells) <= 2**16 else np.int32)
+    leaf_of_slot = np.zeros(_power_of_two(int(offset[-1])), np.uint16 if len(cells) <= 2**16 else np.uint32)
     _fill_slots(leaf_of_slot, cells, block_bits, shape, offset)
     top = bits if flat else block_bits
-    lo, hi = table_corners(domain)
-    rest = np.stack([domain.lo - lo, hi - domain.hi])
-    # Rounded toward zero, so that the corners themselves stay inside.
-    rest = np.maximum(np.nextafter(rest.astype(np.float32), np.float32(-1)), 0)
-    padded = _power_of_two(len(cells))
+    below = _FRACTION_BITS - top
+    bits = np.stack([((1 << top) - 1) << below, _FRACTION_BITS - np.cumsum(top[::-1])[::-1]])
     return Tables(
-        lo=jnp.asarray(lo),
-        hi=jnp.asarray(hi),
-        lo_rest=jnp.asarray(rest[0]),
-        hi_rest=jnp.asarray(rest[1]),
-        lo_fraction=jnp.asarray(((domain.lo - lo) / domain.width).astype(np.float32)),
-        scale=jnp.asarray((1 / domain.width).astype(np.float32)),
-        shift=jnp.asarray((_FRACTION_BITS - top).astype(np.int32)),
-        stride=jnp.asarray((1 << (np.cumsum(top[::-1])[::-1] - top)).astype(np.int32)),
-        blocks=None if flat else _pack_blocks(shape, offset),
+        frame=jnp.asarray(_frame(domain)),
+        bits=jnp.asarray(bits.astype(np.uint32)),
+        blocks=None if flat else _pack_blocks(shape, offset, below),
         leaf_of_slot=jnp.asarray(leaf_of_slot),
-        slope=tuple(jnp.asarray(_pad(column.astype(np.float32), padded)) for column in slope.T),
-        intercept=jnp.asarray(_pad(intercept.astype(np.float32), padded)),
+        planes=jnp.asarray(_lay_out(slope, intercept)),
     )
 
 
-def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Int[Array, "*batch"]:
-    """A point's place along an axis, in units of ``2**-23`` of the domain's width.
+def _frame(domain: Box) -> Float[np.ndarray, "6 dim"]:
+    lo, hi = table_corners(domain)
+    # Rounded toward zero, so that the corners themselves stay inside.
+    rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
+    frame = np.empty((len(Frame), domain.dim), np.float32)
+    frame[Frame.LO], frame[Frame.HI] = lo, hi
+    frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
+    frame[Frame.LO_FRACTION], frame[Frame.SCALE] = (domain.lo - lo) / domain.width, 1 / domain.width
+    return frame
+
+
+def _lay_out(
+    slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
+) -> Float[np.ndarray, "terms padded"] | Float[np.ndarray, "coefficients"]:
+    """The planes as ``Tables.planes`` describes, padded with zeros."""
+    planes = np.zeros((_power_of_two(len(slope)), 1 + slope.shape[1]), np.float32)
+    planes[: len(slope), 0], planes[: len(slope), 1:] = intercept, slope
+    return planes.ravel() if planes.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(planes.T)
+
+
+def _coefficient(tables: Tables, leaf: UInt32[Array, "*batch"], term: int) -> Float[Array, "*batch"]:
+    """A coefficient of each leaf's plane: its value at the corner (term 0) or its slope along axis ``term - 1``."""
+    if tables.planes.ndim == 2:
+        return _gather(tables.planes[term], leaf)
+    return _gather(tables.planes, leaf * np.uint32(tables.dim + 1) + np.uint32(term))
+
+
+def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
+    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
 
     Those are the fraction bits of the float between 1 and 2. The largest place is for the upper edge, which belongs
-    to the last cell; masking keeps every index in its table, whatever the point.
+    to the last cell.
     """
-    above = x[..., axis] - tables.lo[axis].astype(x.dtype)
-    fraction = (above * tables.scale[axis].astype(x.dtype) - tables.lo_fraction[axis].astype(x.dtype)).astype(
-        jnp.float32
+    lo, fraction_of_lo, scale = (
+        tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.LO_FRACTION, Frame.SCALE)
     )
+    fraction = ((x[..., axis] - lo) * scale - fraction_of_lo).astype(jnp.float32)
     last = np.float32(1 - 2.0**-_FRACTION_BITS)
     fraction = jnp.where(fraction < last, fraction, last)
-    return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.int32) & (2**_FRACTION_BITS - 1)
+    return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.uint32)
 
 
 def _index_in_block(
-    blocks: Blocks, shift: Int[Array, "dim"], place: list[Int[Array, "*batch"]], block: Int[Array, "*batch"]
-) -> Int[Array, "*batch"]:
+    blocks: Blocks, place: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+) -> UInt32[Array, "*batch"]:
     """Index into ``leaf_of_slot`` of points in given blocks."""
-    index = jnp.zeros_like(block)
-    start, axis = index, 0
+    index = start = jnp.zeros_like(block)
+    axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
         word = _gather(table, block)
         for slot in range(axes):
-            bits = (word >> (slot * blocks.width)) & (2**blocks.width - 1)
-            within = place[axis] & ((1 << shift[axis]) - 1)
-            index = (index << bits) | (within >> (shift[axis] - bits))
+            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
+            within = place[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(_WORD_BITS - 1))) - np.uint32(1))
+            index = (index << bits) | _shift_right(within, blocks.shift[axis] - bits)
             axis += 1
         if number == 0:
-            start = jax.lax.shift_right_logical(word, axes * blocks.width)
+            start = word >> np.uint32(axes * blocks.width)
     return start + index
 
 
-def _pack_blocks(shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"]) -> Blocks:
+def _pack_blocks(
+    shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
+) -> Blocks:
     """The words of all blocks; the first has the offset above the axes for which there is room."""
     width = max(1, int(shape.max()).bit_length())
     room = (_WORD_BITS - int(offset[-1]).bit_length()) // width
@@ -208,14 +249,19 @@ def _pack_blocks(shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "
         word = np.zeros(len(shape), np.int64) if words else first
         for column in here.T[::-1]:
             word = (word << width) | column
-        words.append(jnp.asarray(word.astype(np.uint32).view(np.int32)))
+        words.append(jnp.asarray(word.astype(np.uint32)))
         axes.append(here.shape[1])
         room = _WORD_BITS // width
-    return Blocks(tuple(words), tuple(axes), width)
+    return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: Int[Array, "*batch"]):
+def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
     return table.at[index].get(mode="promise_in_bounds")
+
+
+def _shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
+    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
+    return x >> (by & np.uint32(_WORD_BITS - 1))
 
 
 def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
@@ -299,7 +345,3 @@ def _row_major(
 
 def _power_of_two(n: int) -> int:
     return 1 << (n - 1).bit_length()
-
-
-def _pad(values: Float[np.ndarray, "n"], size: int) -> Float[np.ndarray, "size"]:
-    return np.concatenate([values, np.zeros(size - len(values), values.dtype)])
