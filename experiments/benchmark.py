@@ -1,0 +1,61 @@
+"""The benchmark: every cost of the library beside that of its rivals, section by section.
+
+Every section is written as soon as it is measured, so an interrupted run keeps what it has; ``--only SECTION``
+measures sections again and keeps the others as they are. What a section compares, and how, is told in its file in
+``experiments/benchmarks/``.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from experiments._results import RESULTS, environment, read, write
+from experiments.benchmarks import _query
+
+NAME = "benchmark"
+SECTIONS = {"query": _query}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m experiments.benchmark", description=__doc__)
+    parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="sections to measure")
+    parser.add_argument("--draw", action="store_true", help="compute nothing; draw from the results file")
+    parser.add_argument(
+        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
+    )
+    arguments = parser.parse_args()
+    # The smallest setting must never replace results that are committed.
+    output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
+    if not arguments.draw:
+        for section in arguments.only:
+            print(f"== {section}", flush=True)
+            _keep(output, section, arguments.seed, arguments.smoke)
+    _draw(output)
+
+
+def _keep(output: Path, section: str, seed: int, smoke: bool) -> None:
+    """Measure a section and write it beside those that are in the file already."""
+    measured = SECTIONS[section].measure(seed, smoke)
+    old = read(output, NAME)["results"] if (output / f"{NAME}.json").exists() else {}
+    results = {
+        name: measured if name == section else old[name] for name in SECTIONS if name == section or name in old
+    }
+    record = {"experiment": NAME, "smoke": smoke, "seed": seed, **environment(), "results": results}
+    print(f"wrote {write(output, NAME, record)}")
+
+
+def _draw(output: Path) -> None:
+    """All tables as one text, and the figures."""
+    results = read(output, NAME)["results"]
+    text = "\n".join(f"{name}\n\n{SECTIONS[name].table(part)}" for name, part in results.items())
+    path = output / f"{NAME}.txt"
+    path.write_text(text, encoding="utf-8")
+    print(text)
+    for path in [path, *(figure for name, part in results.items() for figure in SECTIONS[name].draw(part, output))]:
+        print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""The maps of the benchmark, by name: scenes of the package, and published maps where ``PLR_JAX_DATA`` has them."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax import Workspace, scenes
+
+Map = tuple[Workspace, Float[np.ndarray, "2"]]
+"""A workspace and a goal in it."""
+
+_PUBLISHED = {
+    "arena": ("polyanya_arena/arena_polygons.json", (1.0, 11.0)),
+    "den312d": ("movingai/dao/den312d_polygons.json", None),
+    "den520d": ("movingai/dao/den520d_polygons.json", None),
+}
+
+
+def load_map(name: str) -> Map | None:
+    """A map by name; None, with a message, if it is a published one whose data are absent."""
+    if name not in _PUBLISHED:
+        problem = {"maze": scenes.maze, "thin_maze": scenes.thin_maze}[name]()
+        return problem.workspace, problem.goals[0]
+    file, goal = _PUBLISHED[name]
+    path = Path(os.environ.get("PLR_JAX_DATA", "")) / file
+    if "PLR_JAX_DATA" not in os.environ or not path.exists():
+        print(f"{name}: skipped, PLR_JAX_DATA names no folder with {file}")
+        return None
+    workspace = scenes.read_polygons(path)
+    return workspace, workspace.sample_free(1, seed=0)[0] if goal is None else np.array(goal)

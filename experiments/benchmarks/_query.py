@@ -1,0 +1,1 @@
+"""Time of a query (stub to be filled)."""
