@@ -12,8 +12,12 @@ class BitWriter:
 
     def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
         """Append each value in as many bits as its width says."""
-        field, within = _fields(np.broadcast_to(widths, values.shape))
-        self._bits.append(((values[field] >> within) & 1).astype(np.uint8))
+        if isinstance(widths, int):
+            bits = (values[:, None] >> np.arange(widths)) & 1
+        else:
+            field, within = _fields(widths)
+            bits = (values[field] >> within) & 1
+        self._bits.append(bits.astype(np.uint8).ravel())
         return self
 
     def to_bytes(self) -> bytes:
@@ -29,15 +33,23 @@ class BitReader:
         self._at = 0
 
     def read(self, widths: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The next values; raises ``ValueError`` past the end."""
+        """The next values, each of as many bits as its width says; raises ``ValueError`` past the end."""
+        bits = self._take(int(widths.sum()))
         field, within = _fields(widths)
-        bits = self._bits[self._at : self._at + len(field)]
-        if len(bits) < len(field):
-            raise ValueError("the data end too early")
-        self._at += len(field)
         values = np.zeros(len(widths), np.int64)
-        np.add.at(values, field, bits.astype(np.int64) << within)
+        np.add.at(values, field, bits << within)
         return values
+
+    def read_alike(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
+        """The next values, all of one width; raises ``ValueError`` past the end."""
+        return self._take(num_values * width).reshape(num_values, width) @ (1 << np.arange(width))
+
+    def _take(self, num_bits: int) -> Int[np.ndarray, "bits"]:
+        bits = self._bits[self._at : self._at + num_bits]
+        if len(bits) < num_bits:
+            raise ValueError("the data end too early")
+        self._at += num_bits
+        return bits.astype(np.int64)
 
     def at_end(self) -> bool:
         """Whether nothing but the padding of the last byte is left."""

@@ -39,9 +39,12 @@ class Cells:
     def __getitem__(self, index) -> "Cells":
         return Cells(self.depth[index], self.position[index])
 
-    def append(self, other: "Cells") -> "Cells":
+    def append(self, *others: "Cells") -> "Cells":
         """These cells followed by the others."""
-        return Cells(np.concatenate([self.depth, other.depth]), np.concatenate([self.position, other.position]))
+        parts = (self, *others)
+        return Cells(
+            np.concatenate([part.depth for part in parts]), np.concatenate([part.position for part in parts])
+        )
 
     def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
         """Lower and upper corners of the cells in the units of the domain."""
@@ -53,8 +56,12 @@ class Cells:
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
         """Points of the domain at the local coordinates ``u`` (``[-1, 1]`` spans a cell) of every cell."""
-        fraction = (self.position[:, None] + 0.5 + 0.5 * u) * np.ldexp(1.0, -self.depth)[:, None]
-        return domain.lo + domain.width * fraction
+        x = np.empty((len(self), *u.shape))
+        for axis in range(self.dim):  # NumPy is slow where the last axis is short
+            fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
+            fraction *= np.ldexp(1.0, -self.depth[:, axis])[:, None]
+            x[:, :, axis] = domain.lo[axis] + domain.width[axis] * fraction
+        return x
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
         """Halve each cell along its axis: ``2 * cells`` children, a cell's two side by side, lower first."""

@@ -105,14 +105,13 @@ def construct(
     at_once = max(1, _SAMPLES_AT_ONCE // len(pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-        nodes = Nodes.none(domain.dim)
+        parts = []
         for start in range(0, len(cells), at_once):
             part = slice(start, start + at_once)
             fit = fit_cells(cells[part], domain, distance_fn, weight_fn, pattern)
-            nodes = nodes.append(
-                nodes_of_fit(fit, bound[part], np.asarray(should_split(fit), float), np.asarray(split(fit)), limits)
-            )
-        return nodes
+            priority, axis = np.asarray(should_split(fit), float), np.asarray(split(fit))
+            parts.append(nodes_of_fit(fit, bound[part], priority, axis, limits))
+        return Nodes.concatenate(parts)
 
     nodes = _grow(fit_nodes, domain.dim, limits)
     leaf, planes = choose_leaves(nodes, limits)
@@ -132,7 +131,7 @@ def _grow(fit_nodes: FitNodes, dim: int, limits: Limits) -> Nodes:
         try:
             while len(batch := _next_batch(nodes, limits)):
                 children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
-                grown = nodes.append(children)
+                grown = Nodes.concatenate([nodes, children])
                 grown.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
                 nodes = grown  # in one step: an interrupt before it loses this round, never the tree
                 check_memory(float(len(nodes.key)))

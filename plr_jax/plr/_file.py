@@ -115,8 +115,8 @@ def _read_tree(body: BitReader, dim: int) -> list[Level]:
     while num_nodes:
         if len(levels) > MAX_DEPTH:
             raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
-        inner = body.read(np.full(num_nodes, 1)) == 1
-        axis = body.read(np.full(np.count_nonzero(inner), _axis_bits(dim)))
+        inner = body.read_alike(num_nodes, 1) == 1
+        axis = body.read_alike(int(np.count_nonzero(inner)), _axis_bits(dim))
         if (axis >= dim).any():
             raise ValueError(f"it splits axis {axis.max()} of {dim}")
         levels.append(Level(inner, axis))
@@ -137,10 +137,10 @@ def _write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes:
 def _read_planes(
     body: BitReader, depth: Int[np.ndarray, "leaves dim"], bits: int, offset: float, step: float
 ) -> StoredPlanes:
-    widths = [body.read(np.full(deepest + 1, _WIDTH_BITS)) for deepest in depth.max(axis=0)]
+    widths = [body.read_alike(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
     if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
         raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-    center = body.read(np.full(len(depth), bits))
+    center = body.read_alike(len(depth), bits)
     half = np.zeros(depth.shape, np.int64)
     stored = center != unreachable_code(bits)
     for axis, axis_widths in enumerate(widths):

@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._box import Box
 from plr_jax._types import DistanceFn, Points
@@ -22,6 +22,7 @@ WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 # Ridge on the slope, relative to the number of samples: small enough to leave a determined fit as it is (relative
 # change below 1e-8), large enough that a direction in which no sample varies gets slope zero.
 _RIDGE = 1e-9
+_RANK_TOLERANCE = 1e-9
 _FACE_WEIGHT = 0.01
 
 
@@ -52,10 +53,24 @@ class Pattern:
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
-    def halves(self) -> list[list[tuple[Bool[np.ndarray, "k"], "Pattern"]]]:
-        """For each axis the lower and the upper half: which samples, and the pattern they make."""
-        sides = [(self.u[:, axis] <= 0, self.u[:, axis] > 0) for axis in range(self.u.shape[1])]
-        return [[(side, Pattern(self.u[side], self.weight[side])) for side in pair] for pair in sides]
+    def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
+        """For each axis the designs of a plane in the lower and one in the upper half, side by side; 0 elsewhere."""
+        uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
+        return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
+
+    @cached_property
+    def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
+        """For each axis what maps the values at all samples to coordinates of the best fit by two planes.
+
+        The coordinates belong to orthonormal functions, so the sum of their squares is the part of the values' sum
+        of (weighted) squares that the planes explain.
+        """
+        root = np.sqrt(self.weight)[:, None]
+        bases = []
+        for design in self.halves:
+            functions, size, _ = np.linalg.svd(design * root, full_matrices=False)
+            bases.append(root * functions * (size > _RANK_TOLERANCE * size[0]))
+        return bases
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +94,11 @@ class CellFit:
     center: Float[np.ndarray, "cells"]
     half: Float[np.ndarray, "cells dim"]
     residual: Float[np.ndarray, "cells k"]
+
+    @cached_property
+    def masked(self) -> Int[np.ndarray, "masked"]:
+        """Cells in which not every sample has weight 1."""
+        return _masked(self.weight)
 
 
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
@@ -131,10 +151,11 @@ def fit_cells(
         weight *= _call_weights(weight_fn, x).reshape(weight.shape)
     value = np.where(reachable, distance, 0.0)
     # A cell to which no weight is given still gets the plane of its samples.
-    fit_weight = np.where(np.any(weight > 0, axis=1, keepdims=True), weight, reachable)
+    fit_weight = weight if weight_fn is None else np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
     center, half = compute_coefficients(pattern, value, fit_weight)
-    residual = np.where(reachable, value - (center[:, None] + half @ pattern.u.T), 0.0)
-    center = np.where(np.any(reachable, axis=1), center, np.inf)
+    residual = value - (center[:, None] + half @ pattern.u.T)
+    residual *= reachable
+    center = np.where(reachable.any(axis=1), center, np.inf)
     return CellFit(cells, pattern, reachable, weight, center, half, residual)
 
 
@@ -149,41 +170,67 @@ def compute_coefficients(
     Returns:
         The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
     """
-    full = np.all(weight == 1, axis=1)
-    plane = np.empty((len(value), pattern.design.shape[1]))
-    plane[full] = value[full] @ pattern.pseudo_inverse.T
-    plane[~full] = _solve_normal_equations(pattern.design, value[~full], weight[~full] * pattern.weight)
+    plane = value @ pattern.pseudo_inverse.T
+    masked = _masked(weight)
+    if len(masked):
+        design, weight = pattern.design, weight[masked] * pattern.weight
+        plane[masked] = _solve(_normal_matrices(design, weight), (weight * value[masked]) @ design)
     return plane[:, 0], plane[:, 1:]
-
-
-def _solve_normal_equations(
-    design: Float[np.ndarray, "k terms"],
-    value: Float[np.ndarray, "cells k"],
-    weight: Float[np.ndarray, "cells k"],
-) -> Float[np.ndarray, "cells terms"]:
-    k, terms = design.shape
-    products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
-    normal = (weight @ products).reshape(-1, terms, terms)
-    total = normal[:, 0, 0]
-    ridge = np.where(total > 0, _RIDGE * total, 1.0)
-    normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
-    normal[:, 0, 0] += total == 0
-    return np.linalg.solve(normal, ((weight * value) @ design)[..., None])[..., 0]
 
 
 def sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     """Sum of squared errors of a cell's samples if its halves along each axis were fitted apart.
 
-    A least-squares problem over the residuals of the cell's own plane, which lies in the span of both halves.
+    A least-squares problem over the residuals of the cell's own plane, which lies in the span of both halves. What
+    the planes of the halves explain of the residuals' sum of squares is taken from it.
     """
-    squares = np.zeros(fit.half.shape)
-    for axis, halves in enumerate(fit.pattern.halves):
-        for side, pattern in halves:
-            residual, weight = fit.residual[:, side], fit.weight[:, side]
-            center, half = compute_coefficients(pattern, residual, weight)
-            rest = residual - (center[:, None] + half @ pattern.u.T)
-            squares[:, axis] += (weight * rest * rest) @ pattern.weight
+    residual, masked = fit.residual, fit.masked
+    weight = fit.weight[masked] * fit.pattern.weight
+    total = np.square(residual) @ fit.pattern.weight
+    total[masked] = (weight * np.square(residual[masked])).sum(axis=1)
+    squares = np.empty(fit.half.shape)
+    for axis, basis in enumerate(fit.pattern.halves_bases):
+        squares[:, axis] = total - np.square(residual @ basis).sum(axis=1)
+        if len(masked):
+            squares[masked, axis] = total[masked] - _explained(fit.pattern.halves[axis], residual[masked], weight)
     return squares
+
+
+def _explained(
+    halves: Float[np.ndarray, "k terms_of_both"],
+    residual: Float[np.ndarray, "cells k"],
+    weight: Float[np.ndarray, "cells k"],
+) -> Float[np.ndarray, "cells"]:
+    """Part of the residuals' weighted sum of squares that least-squares planes in both halves explain."""
+    explained = np.zeros(len(residual))
+    for design in np.split(halves, 2, axis=1):
+        projection = (weight * residual) @ design
+        explained += (projection * _solve(_normal_matrices(design, weight), projection)).sum(axis=1)
+    return explained
+
+
+def _masked(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
+    return np.flatnonzero((weight != 1).any(axis=1))
+
+
+def _normal_matrices(
+    design: Float[np.ndarray, "k terms"], weight: Float[np.ndarray, "cells k"]
+) -> Float[np.ndarray, "cells terms terms"]:
+    """The matrices of the normal equations of every cell."""
+    k, terms = design.shape
+    products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
+    return (weight @ products).reshape(-1, terms, terms)
+
+
+def _solve(
+    normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
+) -> Float[np.ndarray, "cells terms"]:
+    """Planes that solve the normal equations; of slope zero in directions in which no sample varies."""
+    terms, total = normal.shape[-1], normal[:, 0, 0].copy()
+    ridge = np.where(total > 0, _RIDGE * total, 1.0)
+    normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
+    normal[:, 0, 0] += total == 0
+    return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
 def _call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:

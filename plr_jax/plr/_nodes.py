@@ -1,5 +1,6 @@
 """The nodes of a growing tree, and the order in which a priority queue would split them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -38,18 +39,14 @@ class Nodes:
     child: Int[np.ndarray, "nodes"]
 
     @staticmethod
-    def none(dim: int) -> "Nodes":
-        """No node at all."""
-        numbers, indices = np.zeros(0), np.zeros(0, np.int64)
-        return Nodes(Cells.root(dim)[:0], numbers, np.zeros((0, dim)), numbers, numbers, indices, numbers, indices)
-
-    def append(self, other: "Nodes") -> "Nodes":
-        """These nodes followed by the others."""
-        columns = {}
-        for column in fields(self):
-            mine, theirs = getattr(self, column.name), getattr(other, column.name)
-            columns[column.name] = mine.append(theirs) if column.name == "cells" else np.concatenate([mine, theirs])
-        return Nodes(**columns)
+    def concatenate(parts: Sequence["Nodes"]) -> "Nodes":
+        """Nodes one after another, at least one part."""
+        first, *others = parts
+        if not others:
+            return first
+        cells = first.cells.append(*(part.cells for part in others))
+        columns = [column.name for column in fields(Nodes) if column.name != "cells"]
+        return Nodes(cells, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:

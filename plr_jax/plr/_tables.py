@@ -163,8 +163,7 @@ def build_tables(
     block_bits = 0 * bits if flat else _choose_block_bits(cells, bits)
     shape = _block_shapes(cells, block_bits)
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
-    leaf_of_slot = np.zeros(_power_of_two(int(offset[-1])), np.uint16 if len(cells) <= 2**16 else np.uint32)
-    _fill_slots(leaf_of_slot, cells, block_bits, shape, offset)
+    leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     top = bits if flat else block_bits
     below = _FRACTION_BITS - top
     bits = np.stack([((1 << top) - 1) << below, _FRACTION_BITS - np.cumsum(top[::-1])[::-1]])
@@ -172,7 +171,7 @@ def build_tables(
         frame=jnp.asarray(_frame(domain)),
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
-        leaf_of_slot=jnp.asarray(leaf_of_slot),
+        leaf_of_slot=jnp.asarray(_padded(leaf_of_slot)),
         planes=jnp.asarray(_lay_out(slope, intercept)),
     )
 
@@ -316,21 +315,31 @@ def _enumerate_boxes(
     return box, points
 
 
-def _fill_slots(
-    leaf_of_slot: Integer[np.ndarray, "slots"],
+def _leaves_of_slots(
     cells: Cells,
     block_bits: Int[np.ndarray, "dim"],
     shape: Int[np.ndarray, "blocks dim"],
     offset: Int[np.ndarray, "blocks_plus_one"],
-) -> None:
-    """Write every leaf into the slots it covers in the tables of the blocks that it meets."""
+) -> UInt16[np.ndarray, "slots"] | UInt32[np.ndarray, "slots"]:
+    """The leaf of every slot of the tables of all blocks.
+
+    Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
+    there to the start of the next, whichever leaf's that is.
+    """
     leaf, block = _leaves_in_blocks(cells, block_bits)
     index = _row_major(block, block_bits)
     bits = shape[index]
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
     first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (bits - below)
-    pair, slot = _enumerate_boxes(first, np.int64(1) << (bits - below))
-    leaf_of_slot[offset[index[pair]] + _row_major(slot, bits[pair])] = leaf[pair]
+    count = np.int64(1) << (bits - below)
+    count[:, -1] = 1
+    pair, slot = _enumerate_boxes(first, count)
+    start = offset[index[pair]] + _row_major(slot, bits[pair])
+    leaf_of_start = np.zeros(offset[-1], np.uint16 if len(cells) <= 2**16 else np.uint32)
+    is_start = np.zeros(offset[-1], bool)
+    leaf_of_start[start], is_start[start] = leaf[pair], True
+    starts = np.flatnonzero(is_start)
+    return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
 
 
 def _row_major(
@@ -341,6 +350,12 @@ def _row_major(
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
     return index
+
+
+def _padded(values: Integer[np.ndarray, "n"]) -> Integer[np.ndarray, "padded"]:
+    padded = np.zeros(_power_of_two(len(values)), values.dtype)
+    padded[: len(values)] = values
+    return padded
 
 
 def _power_of_two(n: int) -> int:

@@ -36,7 +36,9 @@ def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
     levels = []
     while len(active):
         narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
-        np.minimum.at(narrower, node[active], cells.depth[active] - node_depth[node[active]])
+        for each_axis in range(cells.dim):  # NumPy is fast here for single indices alone
+            below = cells.depth[active, each_axis] - node_depth[node[active], each_axis]
+            np.minimum.at(narrower[:, each_axis], node[active], below)
         inner = np.any(narrower, axis=1)
         axis = np.argmax(narrower > 0, axis=1)
         levels.append(Level(inner, axis[inner]))
