@@ -50,10 +50,10 @@ def _draw(output: Path) -> None:
     """All tables as one text, and the figures."""
     results = read(output, NAME)["results"]
     text = "\n".join(f"{name}\n\n{SECTIONS[name].table(part)}" for name, part in results.items())
-    path = output / f"{NAME}.txt"
-    path.write_text(text, encoding="utf-8")
     print(text)
-    for path in [path, *(figure for name, part in results.items() for figure in SECTIONS[name].draw(part, output))]:
+    tables = output / f"{NAME}.txt"
+    tables.write_text(text, encoding="utf-8")
+    for path in [tables, *(figure for name, part in results.items() for figure in SECTIONS[name].draw(part, output))]:
         print(f"wrote {path}")
 
 

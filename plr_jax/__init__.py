@@ -51,8 +51,10 @@ if TYPE_CHECKING:
     from plr_jax.plr import evaluate as evaluate
     from plr_jax.plr import from_bytes as from_bytes
     from plr_jax.plr import largest_error as largest_error
+    from plr_jax.plr import least_squares as least_squares
     from plr_jax.plr import load as load
     from plr_jax.plr import maximum_depth as maximum_depth
+    from plr_jax.plr import midrange as midrange
     from plr_jax.plr import save as save
 
 _MODULES = ("metrics", "plot", "scenes")
@@ -93,8 +95,10 @@ _HOME = {
     "evaluate": "plr",
     "from_bytes": "plr",
     "largest_error": "plr",
+    "least_squares": "plr",
     "load": "plr",
     "maximum_depth": "plr",
+    "midrange": "plr",
     "save": "plr",
 }
 

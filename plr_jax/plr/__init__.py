@@ -3,6 +3,8 @@
 from plr_jax.plr._construct import ConstructionInterrupted as ConstructionInterrupted
 from plr_jax.plr._construct import construct as construct
 from plr_jax.plr._fit import CellFit as CellFit
+from plr_jax.plr._fit import least_squares as least_squares
+from plr_jax.plr._fit import midrange as midrange
 from plr_jax.plr._plr import PLR as PLR
 from plr_jax.plr._plr import evaluate as evaluate
 from plr_jax.plr._plr import from_bytes as from_bytes

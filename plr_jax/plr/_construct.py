@@ -17,9 +17,10 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._budget import choose_leaves, splits_allowed
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import encode
-from plr_jax.plr._fit import WeightFn, fit_cells, sample_pattern
+from plr_jax.plr._fit import FitRule, WeightFn, fit_cells, least_squares
 from plr_jax.plr._limits import Limits, check_limits, check_memory
 from plr_jax.plr._nodes import NEVER, Nodes, nodes_of_fit, split_order
+from plr_jax.plr._pattern import sample_pattern
 from plr_jax.plr._plr import PLR, from_bytes
 from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_error
 
@@ -42,6 +43,7 @@ def construct(
     max_leaves: int | None = None,
     max_bytes: int | None = None,
     tolerance: int | float | None = None,
+    compute_coefficients: FitRule = least_squares,
     should_split: ShouldSplitRule = largest_error,
     split: SplitRule = best_axis,
     num_samples: int = 192,
@@ -67,6 +69,8 @@ def construct(
         max_bytes: Largest size of the file that :func:`save` writes.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
             most this are not split, in units of distance.
+        compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
+            function of their kind.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
             of a ``CellFit``, from which the cell of the largest positive number is split next (True and False do).
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.
@@ -100,7 +104,7 @@ def construct(
         raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
-    pattern = sample_pattern(domain.dim, int(num_samples), margin, seed)
+    pattern = sample_pattern(domain.dim, int(num_samples), float(margin), int(seed))
 
     at_once = max(1, _SAMPLES_AT_ONCE // len(pattern))
 
@@ -108,7 +112,7 @@ def construct(
         parts = []
         for start in range(0, len(cells), at_once):
             part = slice(start, start + at_once)
-            fit = fit_cells(cells[part], domain, distance_fn, weight_fn, pattern)
+            fit = fit_cells(cells[part], domain, distance_fn, weight_fn, pattern, compute_coefficients)
             priority, axis = np.asarray(should_split(fit), float), np.asarray(split(fit))
             parts.append(nodes_of_fit(fit, bound[part], priority, axis, limits))
         return Nodes.concatenate(parts)

@@ -8,7 +8,7 @@ without unreachable samples is the same for all cells, so its pseudo-inverse is 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,61 +16,20 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._box import Box
 from plr_jax._types import DistanceFn, Points
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._pattern import Pattern
 
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 # Ridge on the slope, relative to the number of samples: small enough to leave a determined fit as it is (relative
 # change below 1e-8), large enough that a direction in which no sample varies gets slope zero.
 _RIDGE = 1e-9
-_RANK_TOLERANCE = 1e-9
-_FACE_WEIGHT = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Where a cell is sampled, the same in every cell.
-
-    Attributes:
-        u: Local coordinates of the samples; ``[-1, 1]`` spans the cell.
-        weight: Weight of each sample in the fit.
-    """
-
-    u: Float[np.ndarray, "k dim"]
-    weight: Float[np.ndarray, "k"]
-
-    def __len__(self) -> int:
-        return len(self.u)
-
-    @cached_property
-    def design(self) -> Float[np.ndarray, "k terms"]:
-        """Rows ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
-        return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
-
-    @cached_property
-    def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Maps the values at all samples to the least-squares plane."""
-        root = np.sqrt(self.weight)
-        return np.linalg.pinv(self.design * root[:, None]) * root
-
-    @cached_property
-    def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis the designs of a plane in the lower and one in the upper half, side by side; 0 elsewhere."""
-        uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
-        return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
-
-    @cached_property
-    def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis what maps the values at all samples to coordinates of the best fit by two planes.
-
-        The coordinates belong to orthonormal functions, so the sum of their squares is the part of the values' sum
-        of (weighted) squares that the planes explain.
-        """
-        root = np.sqrt(self.weight)[:, None]
-        bases = []
-        for design in self.halves:
-            functions, size, _ = np.linalg.svd(design * root, full_matrices=False)
-            bases.append(root * functions * (size > _RANK_TOLERANCE * size[0]))
-        return bases
+FitRule: TypeAlias = Callable[
+    [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
+    tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
+]
+"""COMPUTECOEFFICIENTS: from the pattern, the values and their weights to centers and half-differences."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,38 +60,56 @@ class CellFit:
         return _masked(self.weight)
 
 
-def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
-    """The center, a scrambled Sobol sequence inside the cell, its corners if they are few, and its faces.
+def least_squares(
+    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
+    """The plane of the smallest (weighted) sum of squared errors: the paper's fit, best for the mean error.
 
-    A third of the samples lie on the faces. They find the free slivers behind a wall and the corners at which a
-    distance bends most against its plane; they check the fit more than they shape it, so their weight is small.
+    A sample's weight is the pattern's times ``weight``. Where the samples of positive weight do not determine the
+    plane, the slope of least norm is taken: one sample gives its value with slope zero, none gives zero.
 
     Args:
-        dim: Number of axes.
-        num_samples: Number of samples; at least ``dim + 1``.
-        margin: How far samples reach beyond the cell, as a fraction of its width.
-        seed: Seed of the scrambling.
+        pattern: Where the cells are sampled.
+        value: Distance at each sample of each cell, finite.
+        weight: Weight of each, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        A pattern with coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
+        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
+
+    References:
+        Section III-A of the paper.
     """
-    rng = np.random.default_rng(seed)
-    center = np.zeros((1, dim))
-    corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
-    faces = _sobol(dim, num_samples // 3, rng)
-    face = np.arange(len(faces)) % (2 * dim)
-    faces[np.arange(len(faces)), face // 2] = 2.0 * (face % 2) - 1
-    inside = _sobol(dim, num_samples - 1 - len(corners) - len(faces), rng)
-    u = np.concatenate([center, inside, corners, faces]) * (1 + 2 * margin)
-    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + len(inside), len(corners) + len(faces)])
-    return Pattern(u, weight)
+    plane = value @ pattern.pseudo_inverse.T
+    masked = _masked(weight)
+    if len(masked):
+        design, weight = pattern.design, weight[masked] * pattern.weight
+        plane[masked] = _solve(_normal_matrices(design, weight), (weight * value[masked]) @ design)
+    return plane[:, 0], plane[:, 1:]
 
 
-def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    from scipy.stats import qmc  # half a second of import that a query does not need
+def midrange(
+    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
+    """The slope of :func:`least_squares`, at the height that makes the largest error smallest.
 
-    exponent = max(num_points - 1, 0).bit_length()
-    return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
+    Above and below the plane the samples of positive weight then err equally far. Meant for a ``tolerance``: fewer
+    leaves for the same largest error, at about twice the mean error for the same leaves.
+
+    Args:
+        pattern: Where the cells are sampled.
+        value: Distance at each sample of each cell, finite.
+        weight: Weight of each, >= 0; 0 where the goal cannot be reached.
+
+    Returns:
+        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
+    """
+    center, half = least_squares(pattern, value, weight)
+    residual = value - (center[:, None] + half @ pattern.u.T)
+    counts = weight > 0
+    counts |= ~counts.any(axis=1, keepdims=True)
+    highest = residual.max(axis=1, where=counts, initial=-np.inf)
+    lowest = residual.min(axis=1, where=counts, initial=np.inf)
+    return center + 0.5 * (highest + lowest), half
 
 
 def fit_cells(
@@ -141,6 +118,7 @@ def fit_cells(
     distance_fn: DistanceFn,
     weight_fn: WeightFn | None,
     pattern: Pattern,
+    compute_coefficients: FitRule = least_squares,
 ) -> CellFit:
     """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
     x = cells.points(pattern.u, domain).reshape(-1, cells.dim)
@@ -153,29 +131,21 @@ def fit_cells(
     # A cell to which no weight is given still gets the plane of its samples.
     fit_weight = weight if weight_fn is None else np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
     center, half = compute_coefficients(pattern, value, fit_weight)
+    _check_planes(center, half, cells)
     residual = value - (center[:, None] + half @ pattern.u.T)
     residual *= reachable
     center = np.where(reachable.any(axis=1), center, np.inf)
     return CellFit(cells, pattern, reachable, weight, center, half, residual)
 
 
-def compute_coefficients(
-    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
-) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
-    """Weighted least-squares plane of every cell; a sample's weight is the pattern's times ``weight``.
-
-    Where the samples of positive weight do not determine the plane, the slope of least norm is taken: one
-    sample gives its value with slope zero, none gives zero.
-
-    Returns:
-        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
-    """
-    plane = value @ pattern.pseudo_inverse.T
-    masked = _masked(weight)
-    if len(masked):
-        design, weight = pattern.design, weight[masked] * pattern.weight
-        plane[masked] = _solve(_normal_matrices(design, weight), (weight * value[masked]) @ design)
-    return plane[:, 0], plane[:, 1:]
+def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "..."], cells: Cells) -> None:
+    if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
+        raise ValueError(
+            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
+            f"value and half-differences a cell, got {np.shape(center)} and {np.shape(half)}."
+        )
+    if not (np.isfinite(center).all() and np.isfinite(half).all()):
+        raise ValueError("compute_coefficients must return finite planes, got NaN or infinity.")
 
 
 def sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:

@@ -14,9 +14,11 @@ from plr_jax.plr import (
     cyclic_axis,
     largest_error,
     maximum_depth,
+    midrange,
 )
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._fit import fit_cells, sample_pattern
+from plr_jax.plr._fit import fit_cells
+from plr_jax.plr._pattern import sample_pattern
 
 SQUARE = Box((0, 0), (1, 1))
 
@@ -48,6 +50,26 @@ def test_rounds_build_the_tree_of_a_priority_queue(distance_fn, max_leaves):
     cells = construct(distance_fn, SQUARE, max_leaves=max_leaves).cells
     found = {(*depth, *position) for depth, position in zip(cells.depth, cells.position, strict=True)}
     assert found == best_first_twin(distance_fn, max_leaves)
+
+
+def test_midrange_planes_need_fewer_leaves_for_a_tolerance():
+    balanced = construct(cone, SQUARE, tolerance=0.002, compute_coefficients=midrange)
+    plain = construct(cone, SQUARE, tolerance=0.002)
+    x = np.random.default_rng(0).random((20_000, 2))
+    assert np.abs(balanced(x) - cone(x)).max() < 1.2 * 0.002
+    assert balanced.num_leaves < 0.8 * plain.num_leaves
+
+
+def test_a_fit_of_the_callers_own():
+    flat = lambda pattern, value, weight: (value.max(axis=1), 0 * value[:, :2])  # noqa: E731
+    plr = construct(lambda x: x[:, 0], SQUARE, max_leaves=4, compute_coefficients=flat)
+    np.testing.assert_allclose(plr.slope, 0)
+    assert (plr(np.random.default_rng(0).random((100, 2))) >= 0.2).all()
+
+
+def test_a_fit_of_the_wrong_shape_is_refused():
+    with pytest.raises(ValueError, match="compute_coefficients must return"):
+        construct(cone, SQUARE, compute_coefficients=lambda pattern, value, weight: (value[:, 0], value[:, 1]))
 
 
 def test_a_plane_needs_one_leaf():

@@ -3,7 +3,8 @@ import numpy as np
 from plr_jax._box import Box
 from plr_jax.plr import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._fit import fit_cells, sample_pattern
+from plr_jax.plr._fit import fit_cells
+from plr_jax.plr._pattern import sample_pattern
 from plr_jax.plr._split import MAX_ASPECT_BITS
 
 SQUARE = Box((0, 0), (1, 1))
