@@ -10,8 +10,9 @@ from jaxtyping import Array, Float, Int
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator, RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 
-from experiments.benchmarks._rivals import Rival
-from plr_jax import Box, VisibilityGraph, Workspace
+from experiments.benchmarks._rivals import Rival, compiled
+from plr_jax import Box, Workspace
+from plr_jax._types import DistanceFn
 
 _BYTES_A_FLOAT = 4
 _BYTES_A_VERTEX = 12
@@ -33,13 +34,13 @@ class Grid(NamedTuple):
         return np.array([axis[1] - axis[0] for axis in self.axes])
 
 
-def filled_grid(workspace: Workspace, exact: VisibilityGraph, num_bytes: int) -> Grid:
+def filled_grid(workspace: Workspace, exact: DistanceFn, num_bytes: int) -> Grid:
     """Float32 nodes that fill so many bytes; those in obstacles take the value of the nearest free node."""
     axes = _axes(workspace.bounds, num_bytes // _BYTES_A_FLOAT)
     return _filled(axes, _on_nodes(exact, axes))
 
 
-def sixteen_bit_grid(workspace: Workspace, exact: VisibilityGraph, num_bytes: int) -> Grid:
+def sixteen_bit_grid(workspace: Workspace, exact: DistanceFn, num_bytes: int) -> Grid:
     """The same with 16-bit integers between the smallest and the largest value, so with twice as many nodes."""
     axes, values, _ = filled_grid(workspace, exact, 2 * num_bytes)
     lo, step = values.min(), np.ptp(values) / (2**16 - 1)
@@ -64,8 +65,8 @@ def travel_time_grid(workspace: Workspace, goal: Float[np.ndarray, "2"], num_byt
 
 
 def scipy_grid(grid: Grid) -> Rival:
-    """SciPy's linear interpolation of a grid."""
-    return Rival(grid.num_bytes, RegularGridInterpolator(grid.axes, grid.values))
+    """SciPy's linear interpolation of a grid; what rounding moves out of the grid is answered too."""
+    return Rival(grid.num_bytes, RegularGridInterpolator(grid.axes, grid.values, bounds_error=False, fill_value=None))
 
 
 def map_coordinates(grid: Grid) -> Rival:
@@ -90,7 +91,7 @@ def interpax_grid(grid: Grid, method: str) -> Rival:
     def function(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
         return interpax.interp2d(x[..., 0], x[..., 1], *axes, values, method=method, extrap=True)
 
-    return Rival(grid.num_bytes, jax.jit(lambda x: jax.lax.map(function, x, batch_size=_CHUNK)), True, function)
+    return Rival(grid.num_bytes, compiled(function, _CHUNK), True, function, _CHUNK)
 
 
 def triangles(

@@ -47,7 +47,7 @@ _RATIOS = {
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     points, turns = ([1, 1_000], 3) if smoke else ([1, 1_000, 1_000_000], 15)
     return {
-        "plane": _plane(points, turns, seed, *((2_000, 200) if smoke else (100_000, 4_000))),
+        "plane": _plane(points, turns, seed, *((2_000, 20) if smoke else (100_000, 4_000))),
         "joint": _joint(points[-1], turns, 500 if smoke else 50_000, seed),
         **_query_sizes.measure(points, turns, seed, smoke),
     }
