@@ -1,17 +1,20 @@
 """A hand-written Numba loop over the very tables that a PLR's query reads: what compiled code can do with them."""
 
 from collections.abc import Callable
+from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax import PLR
+from plr_jax.plr._tables import Frame, Tables
 
 _FRACTION_BITS = 23  # of a 32-bit float
 _POINTS_A_TASK = 2**14
 
 Loop = Callable[[Float[np.ndarray, "n dim"]], Float[np.ndarray, "n"]]
+Kernel = Callable[..., None]
+"""A compiled loop of the points, their values to be written, the blocks' words, the leaves of slots, the planes."""
 
 
 def numba_loop(plr: PLR, parallel: bool) -> Loop:
@@ -23,10 +26,14 @@ def numba_loop(plr: PLR, parallel: bool) -> Loop:
     """
     import numba
 
-    tables = jax.tree_util.tree_map(np.asarray, plr.tables)
+    tables = plr.tables
     kernel = _flat_kernel(tables) if tables.blocks is None else _two_level_kernel(tables)
-    words = np.empty((0, 0), np.uint32) if tables.blocks is None else np.stack(tables.blocks.words)
-    leaf_of_slot, planes = tables.leaf_of_slot, tables.planes.reshape(-1)
+    words = (
+        np.empty((0, 0), np.uint32)
+        if tables.blocks is None
+        else np.stack([np.asarray(word) for word in tables.blocks.words])
+    )
+    leaf_of_slot, planes = np.asarray(tables.leaf_of_slot), np.asarray(tables.planes).reshape(-1)
 
     @numba.njit
     def serial(x, words, leaf_of_slot, planes):
@@ -47,7 +54,7 @@ def numba_loop(plr: PLR, parallel: bool) -> Loop:
     return lambda x: loop(x, words, leaf_of_slot, planes)
 
 
-def _flat_kernel(tables):
+def _flat_kernel(tables: Tables) -> Kernel:
     """The loop over a flat table.
 
     Sizes, shifts and masks are constants to the compiler, so that loops over the axes are unrolled. Masked indices
@@ -69,17 +76,18 @@ def _flat_kernel(tables):
     return kernel
 
 
-def _two_level_kernel(tables):
+def _two_level_kernel(tables: Tables) -> Kernel:
     """The loop over a table of blocks and the blocks' own tables."""
     import numba
 
     dim, place, value_of = tables.dim, _place(tables), _value_of(tables)
     mask, right = _block_bits(tables)
     blocks = tables.blocks
+    assert blocks is not None
     word_of = tuple(np.repeat(np.arange(len(blocks.axes)), blocks.axes).tolist())
     at_bit = tuple(blocks.width * slot for axes in blocks.axes for slot in range(axes))
     start_bit, width_mask = blocks.axes[0] * blocks.width, 2**blocks.width - 1
-    below = tuple(int(shift) for shift in blocks.shift)
+    below = tuple(np.asarray(blocks.shift).tolist())
 
     @numba.njit(error_model="numpy", fastmath={"contract"})
     def kernel(x, values, words, leaf_of_slot, planes):
@@ -98,11 +106,11 @@ def _two_level_kernel(tables):
     return kernel
 
 
-def _place(tables):
+def _place(tables: Tables) -> Callable[[Any, int], Any]:
     """A point's place along an axis, in units of ``2**-23`` of the domain's width."""
     import numba
 
-    lo, _, _, _, fraction_of_lo, scale = (tuple(row) for row in tables.frame)
+    lo, fraction_of_lo, scale = (_row(tables, row) for row in (Frame.LO, Frame.LO_FRACTION, Frame.SCALE))
     largest, unit = np.float32(1 - 2.0**-_FRACTION_BITS), np.float32(2**_FRACTION_BITS)
 
     @numba.njit(inline="always")
@@ -113,17 +121,21 @@ def _place(tables):
     return place
 
 
-def _block_bits(tables) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    mask, right = tables.bits.astype(np.int32)
+def _block_bits(tables: Tables) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    mask, right = np.asarray(tables.bits).astype(np.int32)
     return tuple(mask), tuple(right)
 
 
-def _value_of(tables):
+def _row(tables: Tables, row: Frame) -> tuple[np.float32, ...]:
+    return tuple(np.asarray(tables.frame)[row])
+
+
+def _value_of(tables: Tables) -> Callable[[Any, int, Any, Any], Any]:
     """Value of a leaf's plane at a point; ``inf`` outside the domain, and for NaN, which the PLR would pass on."""
     import numba
 
     dim, infinite = tables.dim, np.float32(np.inf)
-    lo, hi = tuple(tables.frame[0]), tuple(tables.frame[1])
+    lo, hi = _row(tables, Frame.LO), _row(tables, Frame.HI)
     a_leaf, a_term = (1, tables.planes.shape[1]) if tables.planes.ndim == 2 else (dim + 1, 1)
 
     @numba.njit(inline="always")

@@ -3,7 +3,7 @@
 In the plane, all answer the same random points of the maze:
 
 - Nodes of grids and weights of the network are float32 numbers that fill the bytes of the PLR's file.
-- Libraries that take NumPy arrays are timed with float32 and with float64 points; ratios are to the faster.
+- SciPy's grid and LightGBM are timed with float32 and with float64 points; ratios are to the faster.
 - LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_trees.py``).
 - The Numba loops read the PLR's own tables, on one core and on all.
 - The floors: JAX reading the points and writing one float for each, and NumPy copying as many bytes.
@@ -104,7 +104,7 @@ def _calls(contenders: dict[str, Rival], x: Float[np.ndarray, "n dim"]) -> dict[
     on_device = jnp.asarray(x)
     calls = {name: call(rival.answer, on_device if rival.on_device else x) for name, rival in contenders.items()}
     for name in contenders:
-        if name.startswith(("SciPy", "LightGBM")):
+        if name in ("SciPy RegularGridInterpolator", "LightGBM linear tree"):
             calls[name + _DOUBLE] = call(contenders[name].answer, x.astype(np.float64))
     # Reading half of these bytes and writing the other half moves as many as reading points and writing answers.
     moved = np.zeros((x.size + len(x)) // 2, np.float32)

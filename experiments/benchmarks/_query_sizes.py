@@ -114,7 +114,7 @@ def _other_goals(number: int, seed: int) -> list[dict[str, Any]]:
     rows, seen = [], {_shapes(first)}
     for goal in workspace.sample_free(number, POINT_SEED + seed):
         plr = _maze_plr(goal, seed)
-        with _compilations() as compiled:
+        with compilations() as compiled:
             plr(x).block_until_ready()
         rows.append(
             {"leaves": plr.num_leaves, "tables_of_known_size": _shapes(plr) in seen, "compilations": len(compiled)}
@@ -128,7 +128,7 @@ def _shapes(plr: PLR) -> tuple:
 
 
 @contextmanager
-def _compilations() -> Iterator[list[float]]:
+def compilations() -> Iterator[list[float]]:
     """Seconds of everything that XLA compiles meanwhile."""
     compiled: list[float] = []
 
@@ -160,12 +160,12 @@ def claims(results: dict[str, Any]) -> list[str]:
     """What the section states of a single point and of a second PLR."""
     one_point = results["one_point"]["plr(x), JAX array"][0]
     alike = [row for row in results["other_goals"] if row["tables_of_known_size"]]
-    compilations = sum(row["compilations"] for row in alike)
-    others = sum(row["compilations"] for row in results["other_goals"]) - compilations
+    known = sum(row["compilations"] for row in alike)
+    others = sum(row["compilations"] for row in results["other_goals"]) - known
     return [
         f"one point through plr(x): {one_point:.1f} us (at most 15)",
         f"PLRs of {len(results['other_goals'])} other goals with as many leaves: {len(alike)} have tables of a known "
-        f"size, and cause {compilations} compilations (none); the others cause {others}",
+        f"size, and cause {known} compilations (none); the others cause {others}",
     ]
 
 

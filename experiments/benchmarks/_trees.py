@@ -11,6 +11,7 @@ _PACKED_BYTES_A_LEAF = 17  # axis, float32 threshold, three float32 coefficients
 _PACKED_BYTES_OF_STUMP = 13
 _NUM_TREES = (1, 2, 4)
 _NUM_THREADS = 2
+_WORTH_A_THREAD = 10_000  # points; waking another thread costs more than it saves for fewer
 
 
 def linear_trees(
@@ -40,7 +41,7 @@ def linear_trees(
     trees = lightgbm.train({**parameters, "num_leaves": leaves}, data, num_boost_round=num_trees, init_model=stump)
 
     def answer(x: Float[np.ndarray, "n 2"]) -> Any:
-        return trees.predict(x, num_threads=_NUM_THREADS)
+        return trees.predict(x, num_threads=_NUM_THREADS if len(x) >= _WORTH_A_THREAD else 1)
 
     return Rival(_PACKED_BYTES_OF_STUMP + _PACKED_BYTES_A_LEAF * leaves * num_trees, answer)
 
