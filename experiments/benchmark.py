@@ -10,10 +10,14 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _query
+from experiments.benchmarks import _accuracy, _gradient, _query
 
 NAME = "benchmark"
-SECTIONS = {"query": _query}
+SECTIONS = {
+    "query": _query,
+    "gradient": _gradient,
+    "accuracy": _accuracy,
+}
 
 
 def main() -> None:

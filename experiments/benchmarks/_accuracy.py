@@ -1,0 +1,218 @@
+"""Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
+
+All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
+map's smaller side. What each is given:
+
+- The PLR: a budget of bytes. It asks the oracle as often as it likes, which is counted.
+- Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
+  many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
+- Triangles, linear trees, network: as many samples, at random free points, as the PLR asked for, up to half a million
+  (``samples`` in the results). Triangles are refined where the error is; of the trees, one, two or four are kept,
+  whichever are nearest to their samples; the network is kept in 16-bit floats, which costs it no accuracy.
+- scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
+  so points beside them get no answer.
+
+Seconds of building are without the oracle's.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from tqdm import tqdm
+
+from experiments._tables import aligned
+from experiments.benchmarks import _accuracy_figure
+from experiments.benchmarks._grids import (
+    filled_grid,
+    interpax_grid,
+    scipy_grid,
+    sixteen_bit_grid,
+    travel_time_grid,
+    triangles,
+)
+from experiments.benchmarks._maps import load_map
+from experiments.benchmarks._network import train_network
+from experiments.benchmarks._rivals import Rival, make_all
+from experiments.benchmarks._trees import best_linear_trees
+from plr_jax import VisibilityGraph, Workspace, construct
+
+POINT_SEED, TRAINING_SEED = 1_000, 2_000
+_MAPS = ("maze", "thin_maze", "arena", "den312d")
+_BUDGETS = (2_048, 6_144, 30_720)
+_MOST_SAMPLES = 500_000
+_NEAR = 0.01  # of the smaller side of a map
+_TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
+
+draw = _accuracy_figure.draw
+
+
+class Oracle:
+    """A distance function that counts its points and its seconds."""
+
+    def __init__(self, exact: VisibilityGraph):
+        self.exact = exact
+        self.points, self.seconds = 0, 0.0
+
+    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+        begun = time.perf_counter()
+        distance = self.exact(x)
+        self.seconds += time.perf_counter() - begun
+        self.points += len(x)
+        return distance
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    maps, budgets = (_MAPS[:1], (1_024,)) if smoke else (_MAPS, _BUDGETS)
+    num_points, most_samples, num_steps = (2_000, 2_000, 20) if smoke else (200_000, _MOST_SAMPLES, 4_000)
+    results: dict[str, Any] = {"points": num_points, "maps": {}, "skipped": {}}
+    for name in maps:
+        loaded = load_map(name)
+        if loaded is None:
+            results["skipped"][name] = "PLR_JAX_DATA names no folder with this map"
+            continue
+        rows, skipped = _measure_map(*loaded, name, budgets, num_points, most_samples, num_steps, seed)
+        results["maps"][name] = rows
+        results["skipped"].update(skipped)
+    return results
+
+
+def _measure_map(
+    workspace: Workspace,
+    goal: Float[np.ndarray, "2"],
+    name: str,
+    budgets: tuple[int, ...],
+    num_points: int,
+    most_samples: int,
+    num_steps: int,
+    seed: int,
+) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """Rows of all contenders at every budget, and those that were skipped."""
+    exact = VisibilityGraph(workspace, goal)
+    x, distance = reachable_points(workspace, exact, num_points, POINT_SEED + seed)
+    near = workspace.clearance(x) < _NEAR * workspace.bounds.width.min()
+    samples = reachable_points(workspace, exact, most_samples, TRAINING_SEED + seed)
+    rows, skipped = [], {}
+    for budget in tqdm(budgets, desc=name, disable=None):
+        oracle, begun = Oracle(exact), time.perf_counter()
+        plr = construct(oracle, workspace.bounds, max_bytes=budget, seed=seed)
+        seconds = time.perf_counter() - begun - oracle.seconds
+        asked = oracle.points
+        made = {"PLR": (Rival(plr.num_bytes, plr, True), asked, seconds)}
+        x_train, at_train = (part[:asked] for part in samples)
+        makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
+        given = {rival: len(x_train) if rival in _TRAINED else 0 for rival in makers}
+        rivals, reasons = make_all({rival: _timed(make, oracle, given[rival]) for rival, make in makers.items()})
+        skipped.update(reasons)
+        for contender, (rival, num_samples, seconds) in {**made, **rivals}.items():
+            about = {"contender": contender, "budget": budget, "bytes": rival.num_bytes}
+            error = np.abs(rival.on_host(x) - distance)
+            both = {"free": summary(error), "near_walls": summary(error[near])}
+            rows.append({**about, "samples": num_samples, "build_seconds": seconds, **both})
+    return rows, skipped
+
+
+def reachable_points(
+    workspace: Workspace, exact: VisibilityGraph, n: int, seed: int
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"]]:
+    """Random free points from which the goal can be reached, and their distances."""
+    x = workspace.sample_free(n, seed)
+    distance = exact(x)
+    reachable = np.isfinite(distance)
+    return x[reachable], distance[reachable]
+
+
+def _makers(
+    workspace: Workspace,
+    goal: Float[np.ndarray, "2"],
+    oracle: Oracle,
+    budget: int,
+    x: Float[np.ndarray, "n 2"],
+    distance: Float[np.ndarray, "n"],
+    num_steps: int,
+    seed: int,
+) -> dict[str, Callable[[], Rival]]:
+    return {
+        "bilinear grid": lambda: scipy_grid(filled_grid(workspace, oracle, budget)),
+        "bilinear grid, 16-bit": lambda: scipy_grid(sixteen_bit_grid(workspace, oracle, budget)),
+        "interpax, linear": lambda: interpax_grid(filled_grid(workspace, oracle, budget), "linear"),
+        "interpax, cubic": lambda: interpax_grid(filled_grid(workspace, oracle, budget), "cubic"),
+        "interpax, cubic, 16-bit": lambda: interpax_grid(sixteen_bit_grid(workspace, oracle, budget), "cubic"),
+        "LinearNDInterpolator": lambda: triangles(workspace, budget, x, distance),
+        "LightGBM linear trees": lambda: best_linear_trees(x, distance, budget, seed),
+        "network, 16-bit": lambda: train_network(x, distance, budget, num_steps, seed, jnp.float16),
+        "scikit-fmm": lambda: scipy_grid(travel_time_grid(workspace, goal, budget)),
+    }
+
+
+def _timed(make: Callable[[], Rival], oracle: Oracle, given: int) -> Callable[[], tuple[Rival, int, float]]:
+    """A maker that also tells how many values of the oracle went in, and its seconds without the oracle's."""
+
+    def timed() -> tuple[Rival, int, float]:
+        oracle.points, oracle.seconds, begun = 0, 0.0, time.perf_counter()
+        rival = make()
+        return rival, given + oracle.points, time.perf_counter() - begun - oracle.seconds
+
+    return timed
+
+
+def summary(error: Float[np.ndarray, "n"]) -> dict[str, float | int | None]:
+    """Errors over the points that are answered, and how many are not (an answer that is NaN or infinite)."""
+    answered = error[np.isfinite(error)]
+    counts = {"points": len(error), "unanswered": len(error) - len(answered)}
+    if len(answered) == 0:
+        return {"mean": None, "median": None, "quantile_99": None, "max": None, **counts}
+    return {
+        "mean": float(answered.mean()),
+        "median": float(np.median(answered)),
+        "quantile_99": float(np.quantile(answered, 0.99)),
+        "max": float(answered.max()),
+        **counts,
+    }
+
+
+def table(results: dict[str, Any]) -> str:
+    maps = results["maps"]
+    return "\n".join(
+        [
+            *(
+                f"{name}, {results['points']:,} free points\n{aligned(_table_rows(rows), 12)}"
+                for name, rows in maps.items()
+            ),
+            *(f"skipped: {name}: {reason}" for name, reason in results["skipped"].items()),
+            *(line for name, rows in maps.items() for line in _claims(name, rows)),
+            "",
+        ]
+    )
+
+
+def _table_rows(rows: list[dict[str, Any]]) -> list[list[str]]:
+    head = ["", "bytes", "mean", "median", "99 %", "max", "unanswered"]
+    head += ["near walls: mean", "99 %", "max", "unanswered", "samples", "build s"]
+    return [head, *([row["contender"], *_cells(row)] for row in rows)]
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    free = [_error(row["free"][key]) for key in ("mean", "median", "quantile_99", "max")]
+    near = [_error(row["near_walls"][key]) for key in ("mean", "quantile_99", "max")]
+    unanswered = [f"{row[where]['unanswered']:,}" for where in ("free", "near_walls")]
+    made = [f"{row['samples']:,}", f"{row['build_seconds']:.2f}"]
+    return [f"{row['bytes']:,}", *free, unanswered[0], *near, unanswered[1], *made]
+
+
+def _error(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _claims(name: str, rows: list[dict[str, Any]]) -> list[str]:
+    """PLR over the best rival that answers every free point, for each budget."""
+    lines = []
+    for plr in (row for row in rows if row["contender"] == "PLR"):
+        rivals = [row for row in rows if row["budget"] == plr["budget"] and row is not plr]
+        best = min((row for row in rivals if not row["free"]["unanswered"]), key=lambda row: row["free"]["mean"])
+        ratio = plr["free"]["mean"] / best["free"]["mean"]
+        lines.append(f"{name}, {plr['budget']:,} bytes: mean error, PLR / {best['contender']} {ratio:.2f} (below 1)")
+    return lines

@@ -1,0 +1,71 @@
+"""Mean error against bytes, one panel a map."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# interpax's linear answers are those of the bilinear grid.
+_STYLES = {
+    "PLR": ("#0072B2", "-", "o"),
+    "bilinear grid, 16-bit": ("#444444", "-", "D"),
+    "bilinear grid": ("#444444", "--", "D"),
+    "interpax, cubic, 16-bit": ("#009E73", "-", "^"),
+    "interpax, cubic": ("#009E73", "--", "^"),
+    "LinearNDInterpolator": ("#CC79A7", "-", "v"),
+    "LightGBM linear trees": ("#D55E00", "-", "s"),
+    "network, 16-bit": ("#E69F00", "-", "P"),
+    "scikit-fmm": ("#56B4E9", ":", "X"),
+}
+_LABEL_HEIGHT = 0.06
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """A panel a map, the lines labeled at the right of the last."""
+    maps = results["maps"]
+    figure = Figure(figsize=(2.7 * len(maps) + 2.0, 4.2), layout="constrained", facecolor="white")
+    panels = figure.subplots(1, len(maps), squeeze=False)[0]
+    for ax, (name, rows) in zip(panels, maps.items(), strict=True):
+        _draw_map(ax, rows)
+        ax.set_title(name.replace("_", " "), fontsize=11)
+        ax.set_xlabel("bytes")
+    panels[0].set_ylabel("mean error (workspace units)")
+    _label_ends(panels[-1], list(maps.values())[-1])
+    path = output / "benchmark_accuracy.png"
+    figure.savefig(path, dpi=150)
+    return [path]
+
+
+def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
+    for name, (color, line, marker) in _STYLES.items():
+        points = [(row["bytes"], row["free"]["mean"]) for row in rows if row["contender"] == name]
+        if points:
+            ax.loglog(*zip(*points, strict=True), line, color=color, marker=marker, ms=4, lw=1.5)
+    budgets = sorted({row["budget"] for row in rows})
+    ax.set_xticks(budgets, [f"{budget:,}" for budget in budgets])
+    ax.minorticks_off()
+    ax.grid(True, which="major", color="#dddddd", lw=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _label_ends(ax: Axes, rows: list[dict[str, Any]]) -> None:
+    """Name every line where it ends, with labels moved apart that would overlap."""
+    most = max(row["budget"] for row in rows)
+    last = [row for row in rows if row["budget"] == most and row["contender"] in _STYLES and row["free"]["mean"]]
+    lo, hi = np.log(ax.get_ylim())
+    height = -np.inf
+    for row in sorted(last, key=lambda row: row["free"]["mean"]):
+        height = max((np.log(row["free"]["mean"]) - lo) / (hi - lo), height + _LABEL_HEIGHT)
+        color = _STYLES[row["contender"]][0]
+        ax.annotate(
+            row["contender"],
+            (row["bytes"], row["free"]["mean"]),
+            (1.06, height),
+            textcoords="axes fraction",
+            color=color,
+            va="center",
+            fontsize=9,
+            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
+        )

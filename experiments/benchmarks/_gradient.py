@@ -1,0 +1,131 @@
+"""Value and gradient together against value alone, for a PLR of the maze and the rivals of its bytes.
+
+Those that JAX can differentiate are mapped over the points and compiled (``jax.vmap(jax.value_and_grad(...))``).
+SciPy's grid stands for those that have no gradient: central differences, four further queries a point in the plane.
+Errors of gradients are lengths of differences from the exact one, a unit vector.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from experiments._tables import aligned
+from experiments.benchmarks._query import POINT_SEED, makers, maze_plr
+from experiments.benchmarks._rivals import Rival, compiled, make_all
+from experiments.benchmarks._timing import interleaved
+from plr_jax import scenes
+
+_RIVALS = ("map_coordinates", "interpax, linear", "network", "SciPy RegularGridInterpolator")
+_STEP_OF_GRID, _STEP_OF_ORACLE = 1e-3, 1e-6
+
+ValueAndGradient = Callable[[Any], tuple[Any, Any]]
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    num_points, turns, num_samples, num_steps = (1_000, 3, 2_000, 20) if smoke else (1_000_000, 15, 100_000, 4_000)
+    plr, exact = maze_plr(seed)
+    chosen = {
+        name: make for name, make in makers(plr, exact, num_samples, num_steps, seed).items() if name in _RIVALS
+    }
+    rivals, skipped = make_all(chosen)
+    contenders = {"PLR": Rival(plr.num_bytes, plr, True, plr), **rivals}
+    values = {name: rival.answer for name, rival in contenders.items()}
+    both = {name: value_and_gradient(rival) for name, rival in contenders.items()}
+    x = np.random.default_rng(POINT_SEED + seed).random((num_points, 2)).astype(np.float32)
+    calls = {"value": _calls(contenders, values, x), "both": _calls(contenders, both, x)}
+    flat = {f"{name}, {what}": call for what, named in calls.items() for name, call in named.items()}
+    seconds = interleaved(flat, turns)
+    x_free = scenes.maze().workspace.sample_free(20_000, POINT_SEED + seed)
+    distance, gradient = central_differences(exact, x_free, _STEP_OF_ORACLE)
+    smooth = np.isfinite(gradient).all(axis=1)
+    rows = {
+        name: {
+            "bytes": rival.num_bytes,
+            **_errors(rival, both[name], x_free[smooth], distance[smooth], gradient[smooth]),
+            **{what: [1e9 / num_points * s for s in seconds[f"{name}, {what}"]] for what in calls},
+        }
+        for name, rival in contenders.items()
+    }
+    return {"points": num_points, "rows": rows, "skipped": skipped}
+
+
+def value_and_gradient(rival: Rival) -> ValueAndGradient:
+    """The fastest call there is for values and gradients at a batch of points."""
+    if rival.function is None:
+        return partial(central_differences, rival.answer, step=_STEP_OF_GRID)
+    return compiled(jax.value_and_grad(rival.function), rival.chunk)
+
+
+def central_differences(
+    function: Callable[[Any], Any], x: Float[np.ndarray, "n 2"], step: float
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
+    """Values, and differences over twice the step along each axis."""
+    steps = step * np.eye(2, dtype=x.dtype)
+    with np.errstate(invalid="ignore"):  # both neighbors may be in an obstacle
+        slopes = [(function(x + along) - function(x - along)) / (2 * step) for along in steps]
+    return function(x), np.stack(slopes, axis=1)
+
+
+def _calls(
+    contenders: dict[str, Rival], answers: dict[str, Callable[[Any], Any]], x: Float[np.ndarray, "n 2"]
+) -> dict[str, Callable[[], Any]]:
+    on_device = jnp.asarray(x)
+    return {name: partial(answers[name], on_device if rival.on_device else x) for name, rival in contenders.items()}
+
+
+def _errors(
+    rival: Rival,
+    both: ValueAndGradient,
+    x: Float[np.ndarray, "n 2"],
+    distance: Float[np.ndarray, "n"],
+    gradient: Float[np.ndarray, "n 2"],
+) -> dict[str, float]:
+    value, slope = both(jnp.asarray(x, jnp.float32) if rival.on_device else x)
+    away = np.linalg.norm(np.asarray(slope) - gradient, axis=1)
+    return {
+        "mean": float(np.abs(np.asarray(value) - distance).mean()),
+        "gradient_mean": float(away.mean()),
+        "gradient_99": float(np.quantile(away, 0.99)),
+    }
+
+
+def table(results: dict[str, Any]) -> str:
+    head = [
+        "",
+        "bytes",
+        "value, ns a point",
+        "with gradient",
+        "ratio",
+        "mean error",
+        "of gradient",
+        "99 % of gradient",
+    ]
+    rows, lines = [head], []
+    plr = results["rows"]["PLR"]["both"][0]
+    for name, row in results["rows"].items():
+        value, both = row["value"][0], row["both"][0]
+        errors = [f"{row['mean']:.5f}", f"{row['gradient_mean']:.3f}", f"{row['gradient_99']:.3f}"]
+        rows.append([name, f"{row['bytes']:,}", f"{value:.2f}", f"{both:.2f}", f"{both / value:.2f}", *errors])
+        lines += [f"value and gradient: PLR / {name} {plr / both:.3f}"] if name != "PLR" else []
+    ratio = plr / results["rows"]["PLR"]["value"][0]
+    return "\n".join(
+        [
+            f"{results['points']:,} points of the maze",
+            aligned(rows, len(head) - 1),
+            *(f"skipped: {name}: {reason}" for name, reason in results["skipped"].items()),
+            *lines,
+            f"PLR: value and gradient / value {ratio:.2f} (at most 1.5)",
+            "",
+        ]
+    )
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """The table says it all."""
+    return []
