@@ -10,10 +10,13 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _query
+from experiments.benchmarks import _oracle, _query
 
 NAME = "benchmark"
-SECTIONS = {"query": _query}
+SECTIONS = {
+    "query": _query,
+    "oracle": _oracle,
+}
 
 
 def main() -> None:
