@@ -10,12 +10,13 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _oracle, _query
+from experiments.benchmarks import _construct, _oracle, _query
 
 NAME = "benchmark"
 SECTIONS = {
     "query": _query,
     "oracle": _oracle,
+    "construct": _construct,
 }
 
 

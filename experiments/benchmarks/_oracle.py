@@ -228,14 +228,14 @@ def _ratios(maps: dict[str, Any], largest: str) -> list[str]:
             lines.append(f"{name}: {micro:.2f} us a point in a batch of {int(largest):,} (at most {point})")
         if prepare is not None:
             lines.append(f"{name}: {row['seconds_prepare']:.2f} s of preprocessing (at most {prepare})")
+        micro = row["microseconds_a_point"]
         for rival, outcome in row["rivals"].items():
             if "skipped" not in outcome:
-                ours = row["seconds_workspace"] + row["seconds_prepare"]
-                faster = outcome["query"] * 1e6 / row["microseconds_a_point"][largest]
+                query = outcome["query"] * 1e6
+                prepare = outcome["prepare"] / (row["seconds_workspace"] + row["seconds_prepare"])
                 lines.append(
-                    f"{name}: {rival} / VisibilityGraph {outcome['prepare'] / ours:,.2f} in preprocessing, "
-                    f"{faster:,.0f} a point, batched; {outcome['query'] * 1e6 / row['microseconds_a_point']['1']:.1f} "
-                    "one by one"
+                    f"{name}: {rival} / VisibilityGraph {prepare:,.2f} in preprocessing, "
+                    f"{query / micro[largest]:,.0f} a point in a batch, {query / micro['1']:.1f} one by one"
                 )
     return lines
 
