@@ -10,13 +10,14 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _construct, _oracle, _query
+from experiments.benchmarks import _construct, _heuristic, _oracle, _query
 
 NAME = "benchmark"
 SECTIONS = {
     "query": _query,
     "oracle": _oracle,
     "construct": _construct,
+    "heuristic": _heuristic,
 }
 
 

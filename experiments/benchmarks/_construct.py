@@ -60,6 +60,7 @@ def _rows(
 ) -> Iterator[dict[str, Any]]:
     """One row a number of leaves; none that would take too long, going by the row before."""
     distance = distance_fn(x)
+    construct(distance_fn, _UNIT_SQUARE, max_leaves=leaves[0], seed=seed)  # imports and compiles
     expected = 0.0
     for number in tqdm(leaves, desc=name, disable=None):
         if expected * number > LIMIT:
