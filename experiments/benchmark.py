@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _cold_start, _construct, _heuristic, _oracle, _planner, _query
+from experiments.benchmarks import _cold_start, _construct, _growth, _heuristic, _oracle, _planner, _query
 
 NAME = "benchmark"
 SECTIONS = {
@@ -20,6 +20,7 @@ SECTIONS = {
     "heuristic": _heuristic,
     "planner": _planner,
     "cold_start": _cold_start,
+    "growth": _growth,
 }
 
 

@@ -41,15 +41,18 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         for name, parts in missing.items()
         if parts
     }
-    rows, plrs, problem, errors = [], [], None, {}
-    for robots in tqdm(teams, desc="teams", disable=None):
-        if problem is None or robots > 4:
-            problem = scenes.four_rooms(min(max(robots, 4), 8))
-            if len(plrs) < len(problem.robots):
-                plrs, errors = team_plrs(problem, 512 if smoke else PLR_BYTES, seed)
-        team = [from_bytes(plrs[i % len(plrs)].to_bytes()) for i in range(robots)]
-        rows.append(_row(problem, team, batches, seed, smoke, skipped) | errors)
+    rows = []
+    for size in sorted({_scene_size(robots) for robots in teams}):
+        problem = scenes.four_rooms(size)
+        plrs, errors = team_plrs(problem, 512 if smoke else PLR_BYTES, seed)
+        for robots in tqdm([robots for robots in teams if _scene_size(robots) == size], desc="teams", disable=None):
+            rows.append(_row(problem, team_of(plrs, robots), batches, seed, smoke, skipped) | errors)
     return {"skipped": skipped, "rows": rows}
+
+
+def _scene_size(robots: int) -> int:
+    """Robots of the scene that a team's PLRs are of."""
+    return 4 if robots <= 4 else 8
 
 
 def team_plrs(problem: Problem, num_bytes: int, seed: int) -> tuple[list[PLR], dict[str, float]]:
@@ -60,6 +63,11 @@ def team_plrs(problem: Problem, num_bytes: int, seed: int) -> tuple[list[PLR], d
     error = np.concatenate([np.abs(plr(x) - fn(x)) for plr, fn in zip(plrs, exact, strict=True)])
     error = error[np.isfinite(error)]  # a disc's center cannot be next to a wall
     return plrs, {"max": float(error.max()), "mean": float(error.mean())}
+
+
+def team_of(plrs: list[PLR], robots: int) -> list[PLR]:
+    """The first PLRs, or all of them several times, each with arrays of its own."""
+    return [from_bytes(plrs[i % len(plrs)].to_bytes()) for i in range(robots)]
 
 
 def team_configurations(problem: Problem, robots: int, n: int, seed: int) -> Float[np.ndarray, "n robots 2"]:
