@@ -12,7 +12,6 @@ within a largest error, by way of workspace and visibility graph, with the fewes
 
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FrameType
@@ -43,10 +42,14 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     oracle = VisibilityGraph(problem.workspace, problem.goals[0])
     square = np.random.default_rng(_POINT_SEED + seed).random((num_points, 2))
     free = problem.workspace.sample_free(num_points, _POINT_SEED + seed)
-    cases = {"cone": (cone, square), "maze, visibility graph": (oracle, free)}
-    rows = [row for name, case in cases.items() for row in _rows(name, *case, leaves, seed)]
+    cases: dict[str, tuple[DistanceFn, Float[np.ndarray, "n 2"]]] = {
+        "cone": (cone, square),
+        "maze, visibility graph": (oracle, free),
+    }
+    rows = [row for name, (fn, x) in cases.items() for row in _rows(name, fn, x, leaves, seed)]
     few = leaves[0] if smoke else CONE_LEAVES
-    tasks = _tasks(problem, square, free, few, 3 if smoke else NUM_TURNS, seed)
+    allowed, turns = (10 * MAZE_ERROR, 3) if smoke else (MAZE_ERROR, NUM_TURNS)
+    tasks = _tasks(problem, square, free, few, allowed, turns, seed)
     return {"points": num_points, "rows": rows, "tasks": tasks}
 
 
@@ -106,7 +109,7 @@ def shares(build: Callable[[], Any], oracle: CodeType) -> dict[str, float]:
         build: The run.
         oracle: The code of the distance function that it calls.
     """
-    seconds: Counter[str] = Counter(oracle=0.0, fit=0.0, bookkeeping=0.0)
+    seconds = {"oracle": 0.0, "fit": 0.0, "bookkeeping": 0.0}
     doing = ["bookkeeping"]
     since = time.perf_counter()
 
@@ -124,7 +127,7 @@ def shares(build: Callable[[], Any], oracle: CodeType) -> dict[str, float]:
         build()
     finally:
         sys.setprofile(None)
-    return {part: value / seconds.total() for part, value in seconds.items()}
+    return {part: value / sum(seconds.values()) for part, value in seconds.items()}
 
 
 def _part_of(code: CodeType, oracle: CodeType) -> str | None:
@@ -144,6 +147,7 @@ def _tasks(
     square: Float[np.ndarray, "n 2"],
     free: Float[np.ndarray, "m 2"],
     cone_leaves: int,
+    allowed: float,
     num_turns: int,
     seed: int,
 ) -> dict[str, Any]:
@@ -159,11 +163,11 @@ def _tasks(
     def cone_plr() -> PLR:
         return construct(cone, _UNIT_SQUARE, max_leaves=cone_leaves, seed=seed)
 
-    leaves = fewest_leaves(lambda leaves: _error(maze_plr(leaves), free, distance)["max"], MAZE_ERROR)
+    leaves = fewest_leaves(lambda leaves: _error(maze_plr(leaves), free, distance)["max"], allowed)
     seconds = interleaved({"cone": cone_plr, "maze": lambda: maze_plr(leaves)}, num_turns)
     measured = {
         "cone": {"leaves": cone_leaves, "allowed": CONE_ERROR, **_error(cone_plr(), square, cone(square))},
-        "maze": {"leaves": leaves, "allowed": MAZE_ERROR, **_error(maze_plr(leaves), free, distance)},
+        "maze": {"leaves": leaves, "allowed": allowed, **_error(maze_plr(leaves), free, distance)},
     }
     return {name: {**task, **seconds[name]._asdict()} for name, task in measured.items()}
 

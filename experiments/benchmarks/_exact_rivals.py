@@ -38,7 +38,7 @@ def main():
 
 
 def extremitypathfinder(task):
-    from extremitypathfinder import PolygonEnvironment
+    from extremitypathfinder import PolygonEnvironment  # pyright: ignore[reportMissingImports]
 
     environment = PolygonEnvironment()
     environment.store(task["outer"], task["holes"])
@@ -49,7 +49,7 @@ def extremitypathfinder(task):
 def pyvisgraph(task):
     from math import dist, inf
 
-    from pyvisgraph import Point, VisGraph
+    from pyvisgraph import Point, VisGraph  # pyright: ignore[reportMissingImports]
 
     graph, goal = VisGraph(), Point(*task["goal"])
     graph.build([[Point(*vertex) for vertex in ring] for ring in task["obstacles"]], status=False)

@@ -9,7 +9,8 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float
-from numba import carray, njit
+from numba import njit
+from numba.np.numpy_support import carray
 
 from plr_jax import PLR
 from plr_jax.planners._ompl_motions import _pointer, _word
@@ -46,7 +47,7 @@ def _tables(plr: PLR) -> tuple[np.ndarray, np.ndarray, list[float]]:
     first, last = (np.rint((side - plr.domain.lo) / finest).astype(int) for side in (lo, hi))
     for leaf, ((x0, y0), (x1, y1)) in enumerate(zip(first, last, strict=True)):
         leaf_of_slot[x0:x1, y0:y1] = leaf
-    planes = np.column_stack([plr.intercept, plr.slope])
+    planes = np.ascontiguousarray(np.column_stack([plr.intercept, plr.slope]))
     return leaf_of_slot, planes, [*plr.domain.lo, *(1 / finest)]
 
 
@@ -126,6 +127,7 @@ class Callback:
             space.copyFromReals(state, configuration.ravel().tolist())
             self._path.append(state)
         self._objective = (_Floor if tables is None else _Looked)(information)
+        self._tables = tables  # whose address the objective has
         self.num_calls = len(q) - 1
 
     def __call__(self) -> float:
