@@ -8,6 +8,7 @@ measured range: below it, costs that do not grow at all often hide those that do
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,13 +23,13 @@ from experiments import _planning
 from experiments._tables import aligned
 from experiments.benchmarks._construct import cone
 from experiments.benchmarks._heuristic import team_configurations, team_of, team_plrs
-from experiments.benchmarks._oracle import median_seconds, polygon_field
+from experiments.benchmarks._oracle import median_seconds, polygon_field, prepared
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, BLOptions, Problem, VisibilityGraph, construct, scenes, sum_of_distances
 
 NUM_TURNS, NUM_RUNS = 9, 3
 _POINT_SEED = 1_000
-_BATCH, _PLR_BYTES = 32_768, 2_048
+_BATCH, _PLR_BYTES, _MANY_VERTICES = 32_768, 2_048, 1_000
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
@@ -106,13 +107,7 @@ def _construct_by_leaves(seed: int, smoke: bool) -> Curve:
 
 def _prepare_by_vertices(seed: int, smoke: bool) -> Curve:
     sizes = _num_vertices(smoke)
-    return sizes, [_prepare_seconds(n, seed) for n in sizes]
-
-
-def _prepare_seconds(num_vertices: int, seed: int) -> float:
-    runs = 1 if num_vertices > 1_000 else NUM_RUNS
-    workspaces = iter([polygon_field(num_vertices, seed) for _ in range(1 + runs)])  # a workspace keeps what it finds
-    return median_seconds(lambda: VisibilityGraph(*next(workspaces)), runs)
+    return sizes, [_prepared(n, seed)[0] for n in sizes]
 
 
 def _oracle_by_vertices(seed: int, smoke: bool) -> Curve:
@@ -120,10 +115,17 @@ def _oracle_by_vertices(seed: int, smoke: bool) -> Curve:
     return sizes, [_oracle_seconds(n, 200 if smoke else 10_000, seed) for n in sizes]
 
 
-def _oracle_seconds(num_vertices: int, num_points: int, seed: int) -> float:
+@cache
+def _prepared(num_vertices: int, seed: int) -> tuple[float, VisibilityGraph]:
+    """Median seconds from a workspace to its oracle, of one run where that takes long; and the oracle."""
     workspace, goal = polygon_field(num_vertices, seed)
-    oracle, x = VisibilityGraph(workspace, goal), workspace.sample_free(num_points, _POINT_SEED + seed)
-    return median_seconds(_call(oracle, x), NUM_RUNS)
+    runs = [prepared(workspace, goal) for _ in range(1 if num_vertices > _MANY_VERTICES else NUM_RUNS)]
+    return float(np.median([to_oracle for _, to_oracle, _ in runs])), runs[0][2]
+
+
+def _oracle_seconds(num_vertices: int, num_points: int, seed: int) -> float:
+    _, oracle = _prepared(num_vertices, seed)
+    return median_seconds(_call(oracle, oracle.workspace.sample_free(num_points, _POINT_SEED + seed)), NUM_RUNS)
 
 
 def _num_vertices(smoke: bool) -> list[int]:
