@@ -10,13 +10,29 @@ import tempfile
 from pathlib import Path
 
 from experiments._results import RESULTS, environment, read, write
-from experiments.benchmarks import _accuracy, _gradient, _query
+from experiments.benchmarks import (
+    _accuracy,
+    _cold_start,
+    _construct,
+    _gradient,
+    _growth,
+    _heuristic,
+    _oracle,
+    _planner,
+    _query,
+)
 
 NAME = "benchmark"
 SECTIONS = {
     "query": _query,
     "gradient": _gradient,
     "accuracy": _accuracy,
+    "construct": _construct,
+    "oracle": _oracle,
+    "heuristic": _heuristic,
+    "planner": _planner,
+    "cold_start": _cold_start,
+    "growth": _growth,
 }
 
 
