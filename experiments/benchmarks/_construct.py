@@ -6,8 +6,9 @@ every call and return: each moment counts for the innermost of these that is und
 (oracle), a function of the modules of fitting and of splitting (fit), anything else (bookkeeping: the tree, the
 file's bytes, the tables of queries). What NumPy does counts for its caller.
 
-Two more rows are tasks from end to end: the cone with 512 leaves, and from the maze's obstacles as rings to a PLR
-within a largest error, by way of workspace and visibility graph, with the fewest leaves that measure so.
+Two more rows are tasks from end to end: the cone with 512 leaves and ``midrange`` planes, and from the maze's
+obstacles as rings to a PLR within a largest error, by way of workspace and visibility graph, with the fewest leaves
+that measure so.
 """
 
 import sys
@@ -24,7 +25,7 @@ from tqdm import tqdm
 
 from experiments._tables import aligned
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, DistanceFn, Problem, VisibilityGraph, Workspace, construct, scenes
+from plr_jax import PLR, DistanceFn, Problem, VisibilityGraph, Workspace, construct, midrange, scenes
 
 LEAVES, FEW_LEAVES = (512, 4_096, 65_536), (64, 128)
 CONE_LEAVES, CONE_ERROR, MAZE_ERROR = 512, 0.0005, 0.018
@@ -32,8 +33,9 @@ NUM_POINTS, NUM_TURNS, NUM_RUNS = 1_000_000, 15, 3
 LIMIT, SECONDS_IN_ALL = 60.0, 10.0
 _POINT_SEED = 1_000
 _UNIT_SQUARE = ((0.0, 0.0), (1.0, 1.0))
-_FIT_MODULES = ("plr_jax/plr/_fit.py", "plr_jax/plr/_split.py")
+_FIT_MODULES = ("plr_jax/plr/_fit.py", "plr_jax/plr/_pattern.py", "plr_jax/plr/_split.py")
 _MORE_LEAVES = 1.05
+_SAMPLES_OF_CONE = 64  # of a function that bends as little
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
@@ -55,7 +57,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
 
 def cone(x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
     """Distance to the origin: a function that costs next to nothing."""
-    return np.sqrt(np.einsum("ij,ij->i", x, x))
+    return np.sqrt(sum(column * column for column in x.T))
 
 
 def _rows(
@@ -161,7 +163,14 @@ def _tasks(
         return construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=leaves, seed=seed)
 
     def cone_plr() -> PLR:
-        return construct(cone, _UNIT_SQUARE, max_leaves=cone_leaves, seed=seed)
+        return construct(
+            cone,
+            _UNIT_SQUARE,
+            max_leaves=cone_leaves,
+            compute_coefficients=midrange,
+            num_samples=_SAMPLES_OF_CONE,
+            seed=seed,
+        )
 
     leaves = fewest_leaves(lambda leaves: _error(maze_plr(leaves), free, distance)["max"], allowed)
     seconds = interleaved({"cone": cone_plr, "maze": lambda: maze_plr(leaves)}, num_turns)
