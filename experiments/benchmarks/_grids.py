@@ -56,17 +56,19 @@ def travel_time_grid(workspace: Workspace, goal: Float[np.ndarray, "2"], num_byt
 
     axes = _axes(workspace.bounds, num_bytes // _BYTES_A_FLOAT)
     spacing = [float(axis[1] - axis[0]) for axis in axes]
-    radius = float(np.hypot(*spacing))
+    radius = float(np.linalg.norm(spacing))
     blocked = ~_on_nodes(workspace.is_free, axes).astype(bool)
     from_circle = _on_nodes(lambda x: np.linalg.norm(x - goal, axis=1), axes) - radius
-    field = skfmm.distance(np.ma.MaskedArray(from_circle, blocked), dx=spacing)
+    field = skfmm.distance(np.ma.MaskedArray(from_circle, blocked), dx=spacing)  # type: ignore[reportArgumentType]  # a list too
     values = np.ma.filled(field, np.nan).astype(np.float32) + np.float32(radius)
     return Grid(axes, values, values.nbytes)
 
 
 def scipy_grid(grid: Grid) -> Rival:
     """SciPy's linear interpolation of a grid; what rounding moves out of the grid is answered too."""
-    return Rival(grid.num_bytes, RegularGridInterpolator(grid.axes, grid.values, bounds_error=False, fill_value=None))
+    extrapolate: Any = None
+    interpolator = RegularGridInterpolator(grid.axes, grid.values, bounds_error=False, fill_value=extrapolate)
+    return Rival(grid.num_bytes, interpolator)
 
 
 def map_coordinates(grid: Grid) -> Rival:
@@ -86,10 +88,11 @@ def interpax_grid(grid: Grid, method: str) -> Rival:
     """Interpax's interpolation of a grid, in chunks of points, with which it is faster than all at once."""
     import interpax
 
-    axes, values = [jnp.asarray(axis, jnp.float32) for axis in grid.axes], jnp.asarray(grid.values)
+    rows, columns = (jnp.asarray(axis, jnp.float32) for axis in grid.axes)
+    values = jnp.asarray(grid.values)
 
     def function(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-        return interpax.interp2d(x[..., 0], x[..., 1], *axes, values, method=method, extrap=True)
+        return interpax.interp2d(x[..., 0], x[..., 1], rows, columns, values, method=method, extrap=True)
 
     return Rival(grid.num_bytes, compiled(function, _CHUNK), True, function, _CHUNK)
 

@@ -26,18 +26,17 @@ _LEAVES = (64, 1_024, 16_384, 65_536)
 _LARGEST, _LARGEST_DIMS, _LARGEST_SECONDS = 10**6, (2, 4), 30
 _SAMPLES = 16
 _OTHER_GOALS = 4
-_MAZE_LEAVES = 512
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#444444")
 
 
-def measure(points: list[int], turns: int, seed: int, smoke: bool) -> dict[str, Any]:
-    sizes, skipped = _sizes(_DIMS[:2] if smoke else _DIMS, _LEAVES[:1] if smoke else _LEAVES, points, turns, seed)
+def measure(points: list[int], leaves: int, turns: int, seed: int, smoke: bool) -> dict[str, Any]:
+    sizes, skipped = _sizes(_DIMS[:2] if smoke else _DIMS, (64,) if smoke else _LEAVES, points, turns, seed)
     return {
         "sizes": sizes,
         "sizes_skipped": skipped,
-        "one_point": _one_point(turns, seed),
-        "other_goals": _other_goals(1 if smoke else _OTHER_GOALS, seed),
+        "one_point": _one_point(leaves, turns, seed),
+        "other_goals": _other_goals(1 if smoke else _OTHER_GOALS, leaves, seed),
     }
 
 
@@ -51,10 +50,10 @@ def _sizes(
     """Rows of all sizes. A million leaves are built only where that will not take long, judged by the size before."""
     rows, skipped = [], {}
     for dim in tqdm(dims, desc="dimensions", disable=None):
-        plrs = {}
+        plrs, seconds = {}, 0.0
         for number in leaves:
             plrs[number], seconds = _cone(dim, number, seed)
-        expected = seconds * _LARGEST / leaves[-1]
+        expected = seconds * _LARGEST / max(leaves)
         if len(leaves) > 1 and dim in _LARGEST_DIMS:
             if expected < _LARGEST_SECONDS:
                 plrs[_LARGEST], _ = _cone(dim, _LARGEST, seed)
@@ -87,14 +86,14 @@ def _rows(plrs: dict[int, PLR], points: list[int], turns: int, seed: int) -> lis
     return list(rows.values())
 
 
-def _maze_plr(goal: np.ndarray, seed: int) -> PLR:
+def _maze_plr(goal: np.ndarray, leaves: int, seed: int) -> PLR:
     workspace = scenes.maze().workspace
-    return construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=_MAZE_LEAVES, seed=seed)
+    return construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=leaves, seed=seed)
 
 
-def _one_point(turns: int, seed: int) -> dict[str, list[float]]:
+def _one_point(leaves: int, turns: int, seed: int) -> dict[str, list[float]]:
     """Microseconds of a call with one point."""
-    plr = _maze_plr(scenes.maze().goals[0], seed)
+    plr = _maze_plr(scenes.maze().goals[0], leaves, seed)
     x = np.random.default_rng(POINT_SEED + seed).random((1, 2)).astype(np.float32)
     on_device, closed_over = jnp.asarray(x), jax.jit(plr)
     calls = {
@@ -105,15 +104,15 @@ def _one_point(turns: int, seed: int) -> dict[str, list[float]]:
     return {name: [1e6 * s for s in seconds] for name, seconds in interleaved(calls, turns).items()}
 
 
-def _other_goals(number: int, seed: int) -> list[dict[str, Any]]:
+def _other_goals(number: int, leaves: int, seed: int) -> list[dict[str, Any]]:
     """Compilations when PLRs of other goals, with as many leaves, answer points after the first did."""
     workspace = scenes.maze().workspace
-    first = _maze_plr(scenes.maze().goals[0], seed)
+    first = _maze_plr(scenes.maze().goals[0], leaves, seed)
     x = jnp.asarray(np.random.default_rng(POINT_SEED + seed).random((1_000, 2)), jnp.float32)
     first(x).block_until_ready()
     rows, seen = [], {_shapes(first)}
     for goal in workspace.sample_free(number, POINT_SEED + seed):
-        plr = _maze_plr(goal, seed)
+        plr = _maze_plr(goal, leaves, seed)
         with compilations() as compiled:
             plr(x).block_until_ready()
         rows.append(
@@ -132,9 +131,9 @@ def compilations() -> Iterator[list[float]]:
     """Seconds of everything that XLA compiles meanwhile."""
     compiled: list[float] = []
 
-    def listen(event: str, seconds: float, **_: Any) -> None:
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
         if event == _COMPILED:
-            compiled.append(seconds)
+            compiled.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
