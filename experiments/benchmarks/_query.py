@@ -38,7 +38,7 @@ _DOUBLE = ", float64 points"
 _RATIOS = {
     "map_coordinates": "at most 1.2",
     "Numba loop": "at most 2",
-    "copy": "at most 6",
+    "copy, JAX": "at most 6",
     "SciPy RegularGridInterpolator": "at most 1/40 = 0.025",
     "LightGBM linear tree": "at most 1/30 = 0.033",
 }

@@ -25,6 +25,9 @@ _MAX_BLOCK_BITS = 16
 _FRACTION_BITS = 23  # of a 32-bit float
 _WORD_BITS = 32
 _MAX_SLOTS = 2**28
+# Sizes of tables: few, so that a PLR of another goal finds its query compiled. Padding is never read.
+_SLOT_SIZES = (2**6, 2**10, 2**14, 2**18)
+_LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
 _MAX_COLUMN_BYTES = 2**18  # half of a core's second-level cache, the other half is for slots
 
 
@@ -53,7 +56,7 @@ class Blocks:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """All that a query reads. Arrays are padded to powers of two, so PLRs of like size share compiled code.
+    """All that a query reads. Arrays are padded to few sizes, so PLRs of like size share compiled code.
 
     They are few, because every array adds to the cost of a call. All indices are unsigned: JAX counts a signed one
     from the end if it is negative, which takes as long as a table lookup.
@@ -191,7 +194,7 @@ def _lay_out(
     slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
 ) -> Float[np.ndarray, "terms padded"] | Float[np.ndarray, "coefficients"]:
     """The planes as ``Tables.planes`` describes, padded with zeros."""
-    planes = np.zeros((_power_of_two(len(slope)), 1 + slope.shape[1]), np.float32)
+    planes = np.zeros((_padded_size(len(slope), _LEAF_SIZES), 1 + slope.shape[1]), np.float32)
     planes[: len(slope), 0], planes[: len(slope), 1:] = intercept, slope
     return planes.ravel() if planes.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(planes.T)
 
@@ -353,10 +356,11 @@ def _row_major(
 
 
 def _padded(values: Integer[np.ndarray, "n"]) -> Integer[np.ndarray, "padded"]:
-    padded = np.zeros(_power_of_two(len(values)), values.dtype)
+    padded = np.zeros(_padded_size(len(values), _SLOT_SIZES), values.dtype)
     padded[: len(values)] = values
     return padded
 
 
-def _power_of_two(n: int) -> int:
-    return 1 << (n - 1).bit_length()
+def _padded_size(n: int, sizes: tuple[int, ...]) -> int:
+    """The first of the sizes that is large enough; beyond them, the next power of two."""
+    return next((size for size in sizes if size >= n), 1 << (n - 1).bit_length())
