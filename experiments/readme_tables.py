@@ -76,16 +76,74 @@ def error_curve(results: dict[str, Any]) -> str:
 
 
 def query(results: dict[str, Any]) -> str:
-    """Nanoseconds a point."""
-    rows = [["", "leaves", "bytes in the file", "bytes in memory", "ns a point"]]
-    for name, title in (("plane", "2-D"), ("joint", "4-D")):
-        row = results[name]
-        for contender, nanoseconds in row["nanoseconds_a_point"].items():
-            sizes = (
-                [f"{row[key]:,}" for key in ("leaves", "bytes", "resident_bytes")] if contender == "PLR" else [""] * 3
-            )
-            rows.append([f"{title}: {contender}", *sizes, f"{nanoseconds:.1f}"])
-    return markdown(rows, numbers=4)
+    """Bytes, error and nanoseconds a point of every contender in the maze, and of the joint distance."""
+    plane, joint = results["plane"], results["joint"]
+    sizes = [str(n) for n in plane["points"] if n > 1]
+    rows = [["", "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
+    for contender, times in plane["nanoseconds"].items():
+        size = plane["rows"].get(contender)
+        cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"] if size else ["", ""]
+        rows.append([contender, *cells, *(f"{times[n][0]:.3g}" for n in sizes)])
+    fastest = joint["nanoseconds"]["PLR"][0]
+    return markdown(rows, numbers=len(rows[0]) - 1) + (
+        f"\nMedians of calls that take turns in one process, {plane['leaves']} leaves; errors over free points. "
+        f"In 4-D, {joint['leaves']:,} leaves of the joint distance of two robots: {fastest:.1f} ns a point of "
+        f"{int(sizes[-1]):,}.\n"
+    )
+
+
+def accuracy(results: dict[str, Any]) -> str:
+    """Mean errors at equal bytes, one row a map and a contender."""
+    maps = results["maps"]
+    budgets = list(dict.fromkeys(row["budget"] for rows in maps.values() for row in rows))
+    table = [["map", "", *(f"{budget:,} bytes" for budget in budgets)]]
+    for name, rows in maps.items():
+        for contender in dict.fromkeys(row["contender"] for row in rows):
+            errors = {row["budget"]: row["free"] for row in rows if row["contender"] == contender}
+            table.append([name, contender, *(_mean_and_largest(errors.get(budget)) for budget in budgets)])
+    note = "Mean error, and in brackets the largest, over the free points that it answers; *: not all of them."
+    return markdown(table, numbers=len(budgets)) + f"\n{note}\n"
+
+
+def _mean_and_largest(errors: dict[str, Any] | None) -> str:
+    if errors is None or errors["mean"] is None:
+        return "-"
+    return f"{errors['mean']:.2g} ({errors['max']:.2g}){'*' if errors['unanswered'] else ''}"
+
+
+def oracle(results: dict[str, Any]) -> str:
+    """Preparation and queries of the exact oracle beside two libraries."""
+    rivals = list(dict.fromkeys(name for each in results["maps"].values() for name in each.get("rivals", ())))
+    rows = [
+        [
+            "map",
+            "vertices",
+            "prepare s",
+            "us a point",
+            *(f"{name}: {what}" for name in rivals for what in ("s", "us")),
+        ]
+    ]
+    for name, each in results["maps"].items():
+        if "skipped" in each:
+            continue
+        batched = each["microseconds_a_point"][max(each["microseconds_a_point"], key=int)]
+        cells = [
+            f"{each['vertices']:,}",
+            f"{each['seconds_workspace'] + each['seconds_prepare']:.2g}",
+            f"{batched:.2g}",
+        ]
+        for rival in rivals:
+            cells += _rival_cells(results, each["rivals"][rival])
+        rows.append([name, *cells])
+    return markdown(rows, numbers=len(rows[0]) - 1) + (
+        "\nOurs in a batch, theirs one point a call, as they offer it; preparing includes the workspace.\n"
+    )
+
+
+def _rival_cells(results: dict[str, Any], rival: dict[str, Any]) -> list[str]:
+    if "skipped" in rival:
+        return [f"> {results['rival_limit']:g}" if rival.get("over_limit") else "-", "-"]
+    return [f"{rival['prepare']:.2g}", f"{1e6 * rival['query']:,.0f}"]
 
 
 def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
@@ -167,7 +225,9 @@ def results_of(name: str) -> dict[str, Any]:
 TABLES: dict[str, Callable[[], str]] = {
     "table1": lambda: table1(results_of("table1")),
     "error_curve": lambda: error_curve(results_of("error_curve")),
-    "query": lambda: query(results_of("query")),
+    "query": lambda: query(results_of("benchmark")["query"]),
+    "accuracy": lambda: accuracy(results_of("benchmark")["accuracy"]),
+    "oracle": lambda: oracle(results_of("benchmark")["oracle"]),
     "table2": lambda: table2(results_of("table2"), results_of("race")),
     "heuristics": lambda: heuristics(results_of("table2")),
     "race": lambda: race(results_of("race")),

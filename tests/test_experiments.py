@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-COMMITTED = ["fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "query", "table2", "race"]
+COMMITTED = ["fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"]
 
 
 def experiment(name, *options):

@@ -4,8 +4,9 @@ Run by the Python of an environment of their own, which needs neither this proje
 
     pip install "extremitypathfinder[numba]==2.7.2" pyvisgraph==0.2.1 tqdm
 
-Both libraries answer one query a call. What can be prepared, is: pyvisgraph has the goal in its graph, and a query
-of extremitypathfinder does not test whether its ends are free.
+Both libraries answer one query a call. What can be prepared, is: a query of extremitypathfinder does not test whether
+its ends are free. Only the goal is not put into pyvisgraph's graph beforehand: its answers are then too long, as the
+straight way to the goal is missed.
 """
 
 import json
