@@ -37,7 +37,9 @@ class Places:
         turns &= (boundary.vertices[boundary.edges[:, 0]] != goal).any(axis=1)
         vertex, sector = np.unique(boundary.edges[turns, 0], return_index=True)
         sector = np.flatnonzero(turns)[sector]
-        along = boundary.vertices[[boundary.edges[sector, 1], boundary.sector_end[sector]]] - boundary.vertices[vertex]
+        along = (
+            boundary.vertices[[boundary.edges[sector, 1], boundary.sector_end[sector]]] - boundary.vertices[vertex]
+        )
         along /= np.linalg.norm(along, axis=2, keepdims=True)
         along[:, np.isin(vertex, contacts)] = 0.0
         points = np.concatenate([goal[None], boundary.vertices[vertex]])
