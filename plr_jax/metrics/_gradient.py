@@ -72,8 +72,8 @@ class GradientReport:
         num_points: Points asked about.
         num_undirected: Points without an exact direction: no way to the goal, or the goal itself.
         num_not_finite: Points with a direction whose gradient or value is not finite. Should be 0.
-        num_zero: Points with a direction whose gradient is zero, but for those in leaves that hold the goal. Should be
-            0.
+        num_zero: Points with a direction whose gradient is zero, without those in leaves that hold the goal. Should
+            be 0.
         jumps: Jumps at the faces of leaves; None for a function without leaves.
         walks: Walks down the gradient from leaves; None for a function without leaves.
         share_reached: Share of the points with an exact direction from which descent reaches the goal; None where
@@ -195,7 +195,7 @@ def _directions_at(directions: Directions, x: Float[np.ndarray, "n 2"]) -> Float
 def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
     """Angles between vectors in degrees, precise for small ones and for those close to a half turn (Kahan)."""
     u, v = unit_vectors(u), unit_vectors(v)
-    return np.asarray(np.degrees(2 * np.arctan2(np.linalg.norm(u - v, axis=1), np.linalg.norm(u + v, axis=1))))
+    return np.degrees(2 * np.arctan2(np.linalg.norm(u - v, axis=1), np.linalg.norm(u + v, axis=1)))
 
 
 def _in_leaves_of(
@@ -226,7 +226,7 @@ def _walk_report(
     directions: Directions,
 ) -> WalkReport:
     def has_way(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        return np.isfinite(_directions_at(directions, x)).all(axis=1)
+        return np.asarray(np.isfinite(_directions_at(directions, x)).all(axis=1))
 
     walled, stalled = walk_from_leaves(leaves, evaluate, workspace, goal, has_way)
     return WalkReport(len(walled), int(walled.sum()), int(stalled.sum()))

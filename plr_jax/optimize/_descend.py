@@ -9,6 +9,7 @@ remains falls at every step, so a path comes to no place twice, and ends.
 """
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_finite_point, as_points
 from plr_jax._graph import Graph, dijkstra
-from plr_jax._types import ArrayLike, DistanceFn
+from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
 from plr_jax.optimize._places import Places
 from plr_jax.optimize._sight import best_in_sight
@@ -69,7 +70,9 @@ class Descent:
         return f"Descent({int(self.reached.sum()):,} of {len(self):,} starts reach the goal)"
 
 
-def descend(distance_fn: DistanceFn, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Descent:
+def descend(
+    distance_fn: Callable[[ArrayLike], ArrayLike], workspace: Workspace, starts: ArrayLike, goal: ArrayLike
+) -> Descent:
     """Follow a distance field from many starts to its goal, by lookahead to the corners in sight.
 
     The field is asked once, at the corners of the workspace, whose joints it ranks; every leg of every path is tested
@@ -108,7 +111,9 @@ def descend(distance_fn: DistanceFn, workspace: Workspace, starts: ArrayLike, go
     return _assemble(starts, free, first, places.points, onward)
 
 
-def _field_at(distance_fn: DistanceFn, points: Float[np.ndarray, "places 2"]) -> Float[np.ndarray, "places"]:
+def _field_at(
+    distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
+) -> Float[np.ndarray, "places"]:
     """The field at the goal, where it is zero by definition, and at the corners."""
     field = np.asarray(distance_fn(points), dtype=np.float64)
     if field.shape != (len(points),):
