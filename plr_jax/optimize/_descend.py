@@ -76,9 +76,9 @@ def descend(
     """Follow a distance field from many starts to its goal, by lookahead to the corners in sight.
 
     The field is asked once, at the corners of the workspace, whose joints it ranks; every leg of every path is tested
-    for visibility. Corners that the field does not lead to the goal are joined to all they see. So a start reaches
-    the goal whenever there is a way, whatever the field; a good one saves most of the tests, and its path is the
-    shortest but for places where the field errs by more than the two best ways from a corner differ.
+    for visibility. Corners that the field does not lead to the goal are joined to all that they see. So a start
+    reaches the goal whenever there is a way, whatever the field; a good one saves tests, and its paths are the
+    shortest but for places where it errs by more than the best ways on from a corner differ.
 
     Args:
         distance_fn: The field, such as a PLR: any function of points ``(n, 2)`` to ``(n,)`` distances to the goal
@@ -149,7 +149,7 @@ def _joints(
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         score = places.distances(places.points[corners[rows]]) + field
         score[np.arange(len(score)), corners[rows]] = np.inf
-        return score
+        return np.where(places.tangent(corners[rows]), score, np.inf)
 
     def sees(row: Int[np.ndarray, "pairs"], place: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return workspace.is_visible(places.points[corners[row]], places.points[place])
@@ -167,9 +167,11 @@ def _pulled_tight(
     onward: Int[np.ndarray, "places"],
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
     """The ways after joining places to the place after the next where they see it, until no new joint comes up."""
+    tried = np.full(len(places), -1)
     while True:
-        place = np.flatnonzero(onward > 0)
-        pairs = _distinct(np.stack([place, onward[onward[place]]], axis=1))
+        after_next = onward[onward]
+        place = np.flatnonzero((onward > 0) & (after_next != tried))
+        pairs, tried = _distinct(np.stack([place, after_next[place]], axis=1)), after_next
         visible = workspace.is_visible(*places.points[pairs.T])
         joined = _distinct(np.concatenate([joints, pairs[visible]]))
         if len(joined) == len(joints):

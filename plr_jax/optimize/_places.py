@@ -54,6 +54,18 @@ class Places:
         dx, dy = x[:, :1] - self.points[:, 0], x[:, 1:] - self.points[:, 1]
         return np.sqrt(dx * dx + dy * dy)
 
+    def tangent(self, corners: Int[np.ndarray, "corners"]) -> Bool[np.ndarray, "corners places"]:
+        """Whether lines from some corners to all places have both walls of either end on one side.
+
+        Any other line cuts off a part of the obstacle at an end, so no shortest path turns there to go along it.
+        """
+        way = self.points - self.points[corners][:, None]
+        tangent = np.ones(way.shape[:2], bool)
+        for walls in (self.walls, self.walls[:, corners][:, :, None]):
+            first, second = cross(way, walls[0]), cross(way, walls[1])
+            tangent &= (np.minimum(first, second) >= -self.slack) | (np.maximum(first, second) <= self.slack)
+        return tangent
+
     def taut(self, onward: Int[np.ndarray, "places"]) -> "TautTurns":
         """The turns of paths that go on from each place to a given other one."""
         way = self.points[onward] - self.points
