@@ -125,6 +125,33 @@ class VisibilityGraph:
         path = np.concatenate([x[None], self.graph.vertices[onward]])
         return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
+    def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
+        """The directions in which the shortest paths set out: where the exact distance falls at a rate of one.
+
+        Args:
+            x: Points, ``(n, 2)``.
+
+        Returns:
+            Unit vectors, ``(n, 2)``: zero within the workspace's tolerance of the goal, NaN where the distance is
+            ``inf``. Where several paths are shortest, the direction of one of them.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x, 2)
+        distance, turn = self._first_turns(x)
+        leg = self.graph.vertices[turn] - x
+        length = np.linalg.norm(leg, axis=1)
+        # From a corner the path sets out towards the vertex after it.
+        while (here := (length <= self.workspace.tolerance) & (turn > 0) & np.isfinite(distance)).any():
+            turn[here] = self._parents[turn[here]]
+            leg[here] = self.graph.vertices[turn[here]] - x[here]
+            length[here] = np.linalg.norm(leg[here], axis=1)
+        away = (length > self.workspace.tolerance)[:, None]
+        result = np.divide(leg, length[:, None], out=np.zeros_like(leg), where=away)
+        result[~np.isfinite(distance)] = np.nan
+        return result
+
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)

@@ -1,4 +1,4 @@
-"""How far an approximation of a distance function is from the distance function."""
+"""How far an approximation of a distance function is from the distance function, in value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,0 +1,224 @@
+"""Paths extracted from PLRs, and where their gradients point.
+
+On each map, at each size: descent from random free starts (how many reach the goal, whether a leg crosses a wall by
+an independent check, how much longer paths are than the shortest, seconds), and the gradient report. A field that
+is zero everywhere shows what descent does without one.
+"""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import shapely
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from experiments._results import run
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, metrics, plot, scenes
+from plr_jax.optimize._descend import Descent, descend
+
+START_SEED = 1_000
+DRAWN = ("maze", "arena")
+NUM_DRAWN = 40
+NUM_ARROWS = 28
+_PATH_COLOR = "#D55E00"
+_ARROW_COLOR = "#0072B2"
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    num_starts, num_points = (200, 500) if smoke else (10_000, 100_000)
+    results = []
+    for name, (workspace, goal, sizes) in _maps(smoke).items():
+        exact = VisibilityGraph(workspace, goal)
+        starts = workspace.sample_free(num_starts, START_SEED + seed)
+        x = workspace.sample_free(num_points, 2 * START_SEED + seed)
+        distance = exact(starts)
+        blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance)
+        print(f"{name} without a field: {blind['reached']:.2%} reached, length over exact up to {_longest(blind)}")
+        rows = []
+        for max_bytes in sizes:
+            plr = construct(exact, workspace.bounds, max_bytes=max_bytes, seed=seed)
+            row = _measure_descent(plr, workspace, starts, goal, distance)
+            row["gradient"] = _gradient(plr, exact, x)
+            row["finite_differences"] = _worst_finite_difference(plr)
+            rows.append({"bytes": plr.num_bytes, **row})
+            _say(name, rows[-1])
+        entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind, "rows": rows}
+        results.append({**entry, "picture": _picture(plr, workspace, goal, starts) if name in DRAWN else None})
+    return {"starts": num_starts, "points": num_points, "maps": results}
+
+
+def _maps(smoke: bool) -> dict[str, tuple[Workspace, Float[np.ndarray, "2"], list[int]]]:
+    """Workspace, goal and sizes in bytes of each map; the last size is drawn."""
+    maze, thin = scenes.maze(), scenes.thin_maze()
+    maps = {"maze": (maze.workspace, maze.goals[0], [1024] if smoke else [2048, 6144])}
+    if smoke:
+        return maps
+    maps["thin_maze"] = (thin.workspace, thin.goals[0], [2048, 6144])
+    data = os.environ.get("PLR_JAX_DATA")
+    if data is None:
+        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
+    else:
+        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
+        maps["arena"] = (arena, np.array([1.0, 11.0]), [6_144, 16_384, 30_720])
+    return maps
+
+
+def _measure_descent(
+    field: Callable,
+    workspace: Workspace,
+    starts: Float[np.ndarray, "n 2"],
+    goal: Float[np.ndarray, "2"],
+    distance: Float[np.ndarray, "n"],
+) -> dict[str, Any]:
+    descent = descend(field, workspace, starts, goal)  # compiles the field's query
+    seconds = []
+    for _ in range(15):
+        begin = time.perf_counter()
+        descend(field, workspace, starts, goal)
+        seconds.append(time.perf_counter() - begin)
+    ratio = descent.lengths[descent.reached] / distance[descent.reached]
+    return {
+        "reached": float(descent.reached.mean()),
+        "crossings": _count_crossings(descent, workspace),
+        "ratio": {
+            "median": float(np.median(ratio)),
+            "99 %": float(np.quantile(ratio, 0.99)),
+            "max": float(ratio.max()),
+        },
+        "seconds": {"median": float(np.median(seconds)), "min": min(seconds)},
+    }
+
+
+def _count_crossings(descent: Descent, workspace: Workspace) -> int:
+    """Paths that go through an obstacle or leave the bounds, rounding aside: by Shapely, from the obstacles."""
+    obstacles = shapely.union_all(workspace.obstacles)
+    region = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    blocked = shapely.union_all([obstacles, shapely.buffer(region, 1.0, join_style="mitre").difference(region)])
+    core = shapely.buffer(blocked, -2 * workspace.tolerance, join_style="mitre")
+    shapely.prepare(core)
+    rows = np.flatnonzero(descent.counts > 1)
+    paths: Any = shapely.linestrings(descent.vertices[rows])
+    return int(shapely.intersects(core, paths).sum())
+
+
+def _gradient(plr: PLR, exact: VisibilityGraph, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
+    report = metrics.gradient_report(
+        plr,
+        exact.directions,
+        exact.workspace,
+        exact.goal,
+        x,
+        reaches=lambda x: descend(plr, exact.workspace, x, exact.goal).reached,
+    )
+    return dataclasses.asdict(report)
+
+
+def _worst_finite_difference(plr: PLR) -> float:
+    """Largest relative difference of the gradient to central differences in 64 bits, in the middle of all leaves."""
+    lo, hi = plr.leaf_boxes
+    with jax.enable_x64(True):
+        center, step = jnp.asarray((lo + hi) / 2), 1e-3 * (hi - lo)
+        gradient = np.asarray(jax.grad(lambda x: plr(x).sum())(center))
+        difference = np.empty_like(gradient)
+        for axis in range(2):
+            offset = jnp.asarray(step * np.eye(2)[axis])
+            rise = plr(center + offset) - plr(center - offset)
+            difference[:, axis] = np.asarray(rise) / (2 * step[:, axis])
+    finite = np.isfinite(difference).all(axis=1) & (gradient != 0).any(axis=1)
+    error = np.linalg.norm(difference - gradient, axis=1)[finite]
+    return float((error / np.linalg.norm(gradient[finite], axis=1)).max())
+
+
+def _picture(
+    plr: PLR, workspace: Workspace, goal: Float[np.ndarray, "2"], starts: Float[np.ndarray, "n 2"]
+) -> dict[str, Any]:
+    """Some paths, and the directions of the negative gradient on a grid."""
+    gradient = np.asarray(jax.grad(lambda x: plr(x).sum())(jnp.asarray(_arrows(workspace))))
+    paths = descend(plr, workspace, starts[:NUM_DRAWN], goal).paths
+    return {
+        "bytes": plr.num_bytes,
+        "goal": goal.tolist(),
+        "free_space": shapely.to_wkt(workspace.free_space, rounding_precision=9),
+        "degrees": np.rint(np.degrees(np.arctan2(*-gradient.T[::-1]))).astype(int).tolist(),
+        "paths": [np.round(path, 4).tolist() for path in paths],
+    }
+
+
+def _arrows(workspace: Workspace) -> Float[np.ndarray, "n 2"]:
+    """Where arrows are drawn."""
+    points = workspace.bounds.grid(NUM_ARROWS).reshape(-1, 2)
+    return points[workspace.is_free(points)]
+
+
+def _longest(row: dict[str, Any]) -> str:
+    return f"{row['ratio']['max']:.4f} (median {row['ratio']['median']:.4f})"
+
+
+def _say(name: str, row: dict[str, Any]) -> None:
+    ratio, gradient = row["ratio"], row["gradient"]
+    print(
+        f"{name} {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, length over "
+        f"exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
+        f"{row['seconds']['median']:.3f} s; "
+        f"angle {gradient['angles'][0.5]:.2f} degrees (99 % {gradient['angles'][0.99]:.1f}), "
+        f"{gradient['num_not_finite']} not finite, {gradient['num_zero']} zero, "
+        f"jumps up to {gradient['jumps']['max']:.2g}; finite differences {row['finite_differences']:.1e}"
+    )
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    drawn = [entry for entry in results["maps"] if entry["picture"] is not None]
+    figure = Figure(figsize=(5.2 * len(drawn), 5.4), dpi=100, facecolor="white", layout="constrained")
+    for ax, entry in zip(np.atleast_1d(figure.subplots(1, len(drawn))), drawn, strict=True):
+        _draw_map(ax, entry)
+    path = output / "descent.png"
+    figure.savefig(path)
+    return [path]
+
+
+def _draw_map(ax: Axes, entry: dict[str, Any]) -> None:
+    picture, row = entry["picture"], entry["rows"][-1]
+    workspace = _workspace_of(picture["free_space"])
+    plot.plot_workspace(workspace, ax)
+    angle = np.radians(picture["degrees"])
+    ax.quiver(
+        *_arrows(workspace).T,
+        np.cos(angle),
+        np.sin(angle),
+        color=_ARROW_COLOR,
+        pivot="mid",
+        angles="xy",
+        width=0.0022,
+        scale=NUM_ARROWS * 1.3,
+    )
+    ax.add_collection(LineCollection(picture["paths"], colors=_PATH_COLOR, linewidths=1.0, alpha=0.75, zorder=4))
+    begins = np.array([path[0] for path in picture["paths"]])
+    ax.plot(*begins.T, "o", ms=3, color=_PATH_COLOR, zorder=5)
+    ax.plot(*picture["goal"], "*", ms=12, mfc="white", mec="black", zorder=6)
+    ax.set_title(
+        f"{entry['map']}, {picture['bytes']:,} bytes: {row['reached']:.1%} reach the goal, "
+        f"{row['ratio']['median']:.3f} times as long\n"
+        f"gradient {row['gradient']['angles']['0.5']:.2g} degrees off (median)",
+        fontsize=8,
+    )
+
+
+def _workspace_of(free_space: str) -> Workspace:
+    parts: Any = shapely.get_parts(shapely.from_wkt(free_space))
+    rings = [(part.exterior, part.interiors) for part in parts]
+    return Workspace.from_polygons(
+        [{"outer": outer.coords, "holes": [hole.coords for hole in holes]} for outer, holes in rings]
+    )
+
+
+if __name__ == "__main__":
+    run("descent", "Paths extracted from PLRs by descent, and where their gradients point.", compute, draw)

@@ -1,0 +1,232 @@
+"""How well the gradient of a distance function points the way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from plr_jax._arrays import as_finite_point, as_points
+from plr_jax._types import ArrayLike
+from plr_jax._workspace import Workspace
+from plr_jax.metrics._leaves import (
+    Partition,
+    ValuesAndGradients,
+    face_jumps,
+    unit_vectors,
+    walk_from_leaves,
+)
+
+_QUANTILES = (0.5, 0.9, 0.99)
+
+Directions = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
+
+
+@dataclass(frozen=True)
+class JumpReport:
+    """Jumps at the free faces of a partition's leaves, in workspace units.
+
+    Attributes:
+        max: Largest jump; 0 where there is no face.
+        quantiles: Jumps not exceeded by a share 0.5, 0.9 and 0.99 of the points.
+        max_at: The point of the largest jump, ``(2,)``; None where there is no face.
+        num_points: Points on faces, equally many a leaf and axis, that are free on both sides.
+    """
+
+    max: float
+    quantiles: dict[float, float]
+    max_at: tuple[float, ...] | None
+    num_points: int
+
+
+@dataclass(frozen=True)
+class WalkReport:
+    """Walks down the gradient from the centers of leaves, each four times its leaf's shorter side long.
+
+    They take steps of a quarter of that side against the gradient, along straight lines.
+
+    Attributes:
+        num_leaves: Leaves walked from: those whose center is free and has a way to the goal.
+        num_into_wall: Walks that left free space: their gradient leads into a wall.
+        num_stalled: Walks that kept clear of walls and ended less than one side from where they began, though not at
+            the goal: their gradient leads nowhere.
+    """
+
+    num_leaves: int
+    num_into_wall: int
+    num_stalled: int
+
+
+@dataclass(frozen=True)
+class GradientReport:
+    """Gradient of an approximate distance function against the exact direction of travel.
+
+    All fields are plain numbers, fit for JSON. Where two shortest paths are equally long, the exact direction is one
+    of two, and the gradient may have chosen the other; such points count like all others.
+
+    Attributes:
+        angles: Angles between the negative gradient and the exact direction, in degrees, not exceeded by a share
+            0.5, 0.9 and 0.99 of the points that have both.
+        max_angle: Largest angle, in degrees.
+        max_at: The point of the largest angle, ``(2,)``.
+        num_points: Points asked about.
+        num_undirected: Points without an exact direction: no way to the goal, or the goal itself.
+        num_not_finite: Points with a direction whose gradient or value is not finite. Should be 0.
+        num_zero: Points with a direction whose gradient is zero, without those in leaves that hold the goal. Should
+            be 0.
+        jumps: Jumps at the faces of leaves; None for a function without leaves.
+        walks: Walks down the gradient from leaves; None for a function without leaves.
+        share_reached: Share of the points with an exact direction from which descent reaches the goal; None where
+            no descent was given.
+    """
+
+    angles: dict[float, float]
+    max_angle: float
+    max_at: tuple[float, ...]
+    num_points: int
+    num_undirected: int
+    num_not_finite: int
+    num_zero: int
+    jumps: JumpReport | None
+    walks: WalkReport | None
+    share_reached: float | None
+
+    def __str__(self) -> str:
+        median, ninety, ninety_nine = (self.angles[q] for q in _QUANTILES)
+        return (
+            f"angle to the exact direction: median {median:.3g}, 90 % {ninety:.3g}, 99 % {ninety_nine:.3g}, "
+            f"max {self.max_angle:.3g} degrees over {self.num_points - self.num_undirected:,} points"
+        )
+
+
+def gradient_report(
+    distance_fn: Callable[[ArrayLike], ArrayLike],
+    directions: Directions,
+    workspace: Workspace,
+    goal: ArrayLike,
+    x: ArrayLike,
+    *,
+    reaches: Callable[[Float[np.ndarray, "n 2"]], Bool[np.ndarray, "n"]] | None = None,
+    seed: int = 0,
+) -> GradientReport:
+    """Measure where the gradient of a distance function points.
+
+    Args:
+        distance_fn: What is judged: a PLR, or any function from points ``(n, 2)`` to ``(n,)`` distances that JAX can
+            differentiate. If it has ``leaf_boxes`` and a ``domain``, jumps and walks are reported too.
+        directions: The exact directions of travel, unit vectors ``(n, 2)``, zero at the goal and NaN where there is
+            no way: ``VisibilityGraph(workspace, goal).directions``.
+        workspace: The free space.
+        goal: The goal, ``(2,)``.
+        x: Where, ``(n, 2)`` free points: ``workspace.sample_free(n, seed)``.
+        reaches: Whether descent reaches the goal, for a batch of starts:
+            ``lambda x: descend(plr, workspace, x, goal).reached``.
+        seed: Seed of the points on faces.
+
+    Returns:
+        The report.
+
+    Raises:
+        ValueError: If a shape is wrong, no point has both a direction and a gradient, or JAX cannot differentiate the
+            function.
+    """
+    x, goal = as_points("x", x, 2), as_finite_point("The goal", goal, 2)
+    evaluate = _differentiated(distance_fn)
+    exact = _directions_at(directions, x)
+    directed = np.isfinite(exact).all(axis=1) & (exact != 0).any(axis=1)
+    points = x[directed]
+    value, gradient = evaluate(points)
+    finite = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
+    zero = finite & (gradient == 0).all(axis=1)
+    usable = finite & ~zero
+    if not usable.any():
+        raise ValueError(f"Of {len(x)} points none has both an exact direction and a gradient; give free points.")
+    angle = _angles(-gradient[usable], exact[directed][usable])
+    worst = int(np.argmax(angle))
+    leaves = distance_fn if isinstance(distance_fn, Partition) else None
+    at_goal = np.zeros(len(points), bool) if leaves is None else _in_leaves_of(leaves, points, goal)
+    return GradientReport(
+        angles={q: float(np.quantile(angle, q)) for q in _QUANTILES},
+        max_angle=float(angle[worst]),
+        max_at=tuple(map(float, points[usable][worst])),
+        num_points=len(x),
+        num_undirected=int((~directed).sum()),
+        num_not_finite=int((~finite).sum()),
+        num_zero=int((zero & ~at_goal).sum()),
+        jumps=None if leaves is None else _jump_report(leaves, evaluate, workspace, seed),
+        walks=None if leaves is None else _walk_report(leaves, evaluate, workspace, goal, directions),
+        share_reached=None if reaches is None else float(np.mean(reaches(points))),
+    )
+
+
+def _differentiated(distance_fn: Callable[[ArrayLike], ArrayLike]) -> ValuesAndGradients:
+    """Values and gradients of a batch. Each value depends on its own point alone, so the sum's gradient has all."""
+    import jax
+    import jax.numpy as jnp
+
+    def summed(x):
+        values = jnp.asarray(distance_fn(x))
+        return values.sum(), values
+
+    compiled = jax.jit(jax.value_and_grad(summed, has_aux=True))
+
+    def evaluate(x: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
+        try:
+            (_, values), gradients = compiled(x)
+        except jax.errors.TracerArrayConversionError:
+            raise ValueError(
+                "JAX cannot differentiate the distance function: it computes in NumPy. Give a PLR, or a function in "
+                "jax.numpy."
+            ) from None
+        if values.shape != (len(x),):
+            raise ValueError(f"The distance function must give shape ({len(x)},), got {values.shape}.")
+        return np.asarray(values, np.float64), np.asarray(gradients, np.float64)
+
+    return evaluate
+
+
+def _directions_at(directions: Directions, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    exact = np.asarray(directions(x), np.float64)
+    if exact.shape != x.shape:
+        raise ValueError(f"The exact directions must have shape {x.shape}, got {exact.shape}.")
+    return exact
+
+
+def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    """Angles between vectors in degrees, precise for small ones and for those close to a half turn (Kahan)."""
+    u, v = unit_vectors(u), unit_vectors(v)
+    return np.degrees(2 * np.arctan2(np.linalg.norm(u - v, axis=1), np.linalg.norm(u + v, axis=1)))
+
+
+def _in_leaves_of(
+    leaves: Partition, x: Float[np.ndarray, "n 2"], goal: Float[np.ndarray, "2"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether points are in a closed leaf that holds the goal."""
+    inside = np.zeros(len(x), bool)
+    lo, hi = (np.asarray(corner, np.float64) for corner in leaves.leaf_boxes)
+    for leaf in np.flatnonzero(((lo <= goal) & (goal <= hi)).all(axis=1)):
+        inside |= ((lo[leaf] <= x) & (x <= hi[leaf])).all(axis=1)
+    return inside
+
+
+def _jump_report(leaves: Partition, evaluate: ValuesAndGradients, workspace: Workspace, seed: int) -> JumpReport:
+    jumps, at = face_jumps(leaves, evaluate, workspace, seed)
+    if len(jumps) == 0:
+        return JumpReport(0.0, dict.fromkeys(_QUANTILES, 0.0), None, 0)
+    worst = int(np.argmax(jumps))
+    quantiles = {q: float(np.quantile(jumps, q)) for q in _QUANTILES}
+    return JumpReport(float(jumps[worst]), quantiles, tuple(map(float, at[worst])), len(jumps))
+
+
+def _walk_report(
+    leaves: Partition,
+    evaluate: ValuesAndGradients,
+    workspace: Workspace,
+    goal: Float[np.ndarray, "2"],
+    directions: Directions,
+) -> WalkReport:
+    def has_way(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        return np.asarray(np.isfinite(_directions_at(directions, x)).all(axis=1))
+
+    walled, stalled = walk_from_leaves(leaves, evaluate, workspace, goal, has_way)
+    return WalkReport(len(walled), int(walled.sum()), int(stalled.sum()))

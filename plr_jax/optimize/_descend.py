@@ -1,0 +1,238 @@
+"""Paths that follow a distance field to its goal, from many starts at once, never through a wall.
+
+A shortest path among polygons turns only at corners that stick out into free space. So these, and the goal, are the
+places worth looking ahead to: the way on from a point leads to the place in sight of least ``|x - y| + f(y)``. Steps
+taken so could run in circles where the field ``f`` has bumps. Therefore each corner is joined to the best two places
+that it sees, and Dijkstra's algorithm finds the ways to the goal along these joints. A start goes to the place in
+sight of least ``|x - y|`` plus the length of the way from there, and on from corner to corner. The length that
+remains falls at every step, so a path comes to no place twice, and ends.
+"""
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from plr_jax._arrays import as_finite_point, as_points
+from plr_jax._graph import Graph, dijkstra
+from plr_jax._types import ArrayLike
+from plr_jax._workspace import Workspace
+from plr_jax.optimize._places import Places
+from plr_jax.optimize._sight import best_in_sight
+
+_NUM_WAYS = 2
+"""Ways on from a corner that the field names: the best one, and another where the field errs by a little."""
+
+
+class DescentStatus(enum.StrEnum):
+    """How the descent from a start ended; the value is the message."""
+
+    REACHED = "the path ends at the goal"
+    STUCK = "neither the goal nor a corner from which it can be reached is in sight"
+    START_NOT_FREE = "the start lies in an obstacle or outside the bounds, or is not finite"
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Paths from many starts to one goal.
+
+    Attributes:
+        status: How each descent ended, members of :class:`DescentStatus`, ``(n,)``.
+        vertices: The paths, ``(n, longest, 2)``: from the start, along straight legs, to the goal, which is repeated
+            up to the length of the longest path. NaN where there is no path.
+        counts: Number of vertices of each path without the repetitions, ``(n,)``: 1 where the start is the goal, 0
+            where there is no path.
+        lengths: Length of each path in workspace units, ``(n,)``; ``inf`` where there is none.
+    """
+
+    status: Shaped[np.ndarray, "n"]
+    vertices: Float[np.ndarray, "n longest 2"]
+    counts: Int[np.ndarray, "n"]
+    lengths: Float[np.ndarray, "n"]
+
+    @property
+    def reached(self) -> Bool[np.ndarray, "n"]:
+        """Whether each path ends at the goal."""
+        return self.counts > 0
+
+    @cached_property
+    def paths(self) -> list[Float[np.ndarray, "m 2"]]:
+        """The paths one by one, without repetitions; no rows where there is none."""
+        return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __repr__(self) -> str:
+        return f"Descent({int(self.reached.sum()):,} of {len(self):,} starts reach the goal)"
+
+
+def descend(
+    distance_fn: Callable[[ArrayLike], ArrayLike], workspace: Workspace, starts: ArrayLike, goal: ArrayLike
+) -> Descent:
+    """Follow a distance field from many starts to its goal, by lookahead to the corners in sight.
+
+    The field is asked once, at the corners of the workspace, whose joints it ranks; every leg of every path is tested
+    for visibility. Corners that the field does not lead to the goal are joined to all that they see. So a start
+    reaches the goal whenever there is a way, whatever the field; a good one saves tests, and its paths are the
+    shortest but for places where it errs by more than the best ways on from a corner differ.
+
+    Args:
+        distance_fn: The field, such as a PLR: any function of points ``(n, 2)`` to ``(n,)`` distances to the goal
+            through free space, NumPy or JAX; ``inf`` where it has none.
+        workspace: The free space. For a disc, the inflated one.
+        starts: Where to begin, ``(n, 2)``.
+        goal: Where to end, ``(2,)``, in closed free space.
+
+    Returns:
+        The paths, with a status for each start. A path has at most one leg more than the workspace has corners.
+
+    Raises:
+        ValueError: If a shape is wrong, the goal is not free, or the field gives NaN or another number of values.
+
+    References:
+        "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The joints are a part of the
+        visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
+    """
+    starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
+    if not workspace.is_free(goal[None])[0]:
+        raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")
+    places = Places.of(workspace, goal)
+    length, onward = _ways_to_goal(workspace, places, _field_at(distance_fn, places.points))
+    free = workspace.is_free(starts)
+    first = np.full(len(starts), -1)
+    first[free] = _first_places(workspace, starts[free], places, length, onward)
+    # A start that is a corner begins with the leg that follows.
+    at_corner = (first > 0) & (starts == places.points[first]).all(axis=1)
+    first[at_corner] = onward[first[at_corner]]
+    return _assemble(starts, free, first, places.points, onward)
+
+
+def _field_at(
+    distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
+) -> Float[np.ndarray, "places"]:
+    """The field at the goal, where it is zero by definition, and at the corners."""
+    field = np.asarray(distance_fn(points), dtype=np.float64)
+    if field.shape != (len(points),):
+        raise ValueError(f"The field must give one number a point, shape ({len(points)},), got {field.shape}.")
+    if np.isnan(field).any():
+        raise ValueError(f"The field gives NaN at {points[np.isnan(field)][0].tolist()}; use inf for unreachable.")
+    return np.append(0.0, field[1:])
+
+
+def _ways_to_goal(
+    workspace: Workspace, places: Places, field: Float[np.ndarray, "places"]
+) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
+    """Length of a free way from each place to the goal, ``inf`` where there is none, and the next place on it."""
+    joints = _joints(workspace, places, field, np.arange(1, len(places)), _NUM_WAYS)
+    length, onward = _shortest(places, joints)
+    lost = np.flatnonzero(~np.isfinite(length))
+    if lost.size:
+        everything = _joints(workspace, places, np.zeros(len(places)), lost, len(places))
+        joints = _distinct(np.concatenate([joints, everything]))
+        length, onward = _shortest(places, joints)
+    return _pulled_tight(workspace, places, joints, length, onward)
+
+
+def _joints(
+    workspace: Workspace,
+    places: Places,
+    field: Float[np.ndarray, "places"],
+    corners: Int[np.ndarray, "corners"],
+    count: int,
+) -> Int[np.ndarray, "joints 2"]:
+    """Pairs of one of some corners and a place it sees, for the ``count`` ways on that promise to be shortest."""
+
+    def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
+        score = places.distances(places.points[corners[rows]]) + field
+        score[np.arange(len(score)), corners[rows]] = np.inf
+        return np.where(places.tangent(corners[rows]), score, np.inf)
+
+    def sees(row: Int[np.ndarray, "pairs"], place: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        return workspace.is_visible(places.points[corners[row]], places.points[place])
+
+    ways = best_in_sight(lookahead, len(corners), len(places), count, sees)
+    row, column = np.nonzero(ways >= 0)
+    return _distinct(np.stack([corners[row], ways[row, column]], axis=1))
+
+
+def _pulled_tight(
+    workspace: Workspace,
+    places: Places,
+    joints: Int[np.ndarray, "joints 2"],
+    length: Float[np.ndarray, "places"],
+    onward: Int[np.ndarray, "places"],
+) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
+    """The ways after joining places to the place after the next where they see it, until no new joint comes up."""
+    tried = np.full(len(places), -1)
+    while True:
+        after_next = onward[onward]
+        place = np.flatnonzero((onward > 0) & (after_next != tried))
+        pairs, tried = _distinct(np.stack([place, after_next[place]], axis=1)), after_next
+        visible = workspace.is_visible(*places.points[pairs.T])
+        joined = _distinct(np.concatenate([joints, pairs[visible]]))
+        if len(joined) == len(joints):
+            return length, onward
+        joints = joined
+        length, onward = _shortest(places, joints)
+
+
+def _shortest(
+    places: Places, joints: Int[np.ndarray, "joints 2"]
+) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
+    """Length of the shortest way to the goal along joints, and the next place on it; the goal follows itself."""
+    length, onward = dijkstra(Graph(places.points, joints), 0)
+    return length, np.maximum(onward, 0)
+
+
+def _first_places(
+    workspace: Workspace,
+    starts: Float[np.ndarray, "n 2"],
+    places: Places,
+    length: Float[np.ndarray, "places"],
+    onward: Int[np.ndarray, "places"],
+) -> Int[np.ndarray, "n"]:
+    """The place that each start goes to first, -1 where none from which the goal can be reached is in sight."""
+    first, taut = np.full(len(starts), -1), places.taut(onward)
+    # Joints may be missing for the taut ways, so who finds none in sight tries all.
+    for is_option in (taut, None):
+        pending = np.flatnonzero(first < 0)
+        x = starts[pending]
+
+        def lookahead(rows: slice, x=x, is_option=is_option) -> Float[np.ndarray, "rows places"]:
+            score = places.distances(x[rows]) + length
+            return score if is_option is None else np.where(is_option(x[rows]), score, np.inf)
+
+        def sees(row: Int[np.ndarray, "k"], place: Int[np.ndarray, "k"], x=x) -> Bool[np.ndarray, "k"]:
+            return workspace.is_visible(x[row], places.points[place])
+
+        first[pending] = best_in_sight(lookahead, len(x), len(places), 1, sees)[:, 0]
+    return first
+
+
+def _assemble(
+    starts: Float[np.ndarray, "n 2"],
+    free: Bool[np.ndarray, "n"],
+    first: Int[np.ndarray, "n"],
+    points: Float[np.ndarray, "places 2"],
+    onward: Int[np.ndarray, "places"],
+) -> Descent:
+    """The paths that go from each start to its first place and on from there."""
+    chains = [np.arange(len(points))]
+    while (chains[-1][first[first >= 0]] != 0).any():
+        chains.append(onward[chains[-1]])
+    chain = np.stack(chains, axis=1)[first]
+    vertices = np.concatenate([starts[:, None], points[chain]], axis=1)
+    counts = 2 + (chain != 0).sum(axis=1) - (starts == points[0]).all(axis=1)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
+    vertices[first < 0], counts[first < 0], lengths[first < 0] = np.nan, 0, np.inf
+    members = np.array([DescentStatus.REACHED, DescentStatus.STUCK, DescentStatus.START_NOT_FREE], dtype=object)
+    return Descent(members[np.where(first >= 0, 0, np.where(free, 1, 2))], vertices, counts, lengths)
+
+
+def _distinct(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
+    """Each pair once, whichever way round it is given."""
+    return np.unique(np.sort(pairs, axis=1), axis=0)
