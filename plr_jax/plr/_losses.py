@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from plr_jax._types import ArrayLike
 from plr_jax.plr._faces import Faces
 
 
@@ -49,10 +50,10 @@ class Quantile:
     """The loss that :func:`quantile` gives.
 
     Attributes:
-        share: Share of points that shall be over-estimated.
+        share: Share of points that shall be over-estimated; a number.
     """
 
-    share: float
+    share: ArrayLike
 
     def __call__(self, error: Float[Array, "n"]) -> Float[Array, "n"]:
         """Loss of each error."""
@@ -119,7 +120,7 @@ def jumps(faces: Faces, weight: int | float = 1.0) -> Penalty:
     """
     if len(faces) == 0:
         raise ValueError("There is no free face to keep from jumping: the faces have no points.")
-    leaves, u = faces.leaves.T.astype(np.int32), faces.u.astype(np.float32)
+    leaves, u = jnp.asarray(faces.leaves.T, jnp.int32), jnp.asarray(faces.u, jnp.float32)
     return jax.tree_util.Partial(_jumps, _checked("jumps", weight), leaves, u)
 
 

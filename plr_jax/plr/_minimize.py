@@ -56,7 +56,7 @@ class Problem(NamedTuple):
         weight: Weight of each point; they sum to 1.
         share: Sum of the weights in each leaf.
         plane: Least-squares plane of each leaf, its center and half-differences.
-        transform: Change of a leaf's plane with each of its variables.
+        transform: Change of a leaf's plane with each of its variables; 0 for a plane that is to stay.
         per_half: Slope along each axis of a leaf whose half-difference along it is 1.
     """
 
@@ -85,7 +85,7 @@ _lookup = jax.jit(lookup)
 def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"]]:
     """The problem of refining a PLR with some points, and which leaves have enough of them.
 
-    The points of other leaves get no weight, and the least-squares planes of those are the given ones.
+    The points of other leaves get no weight, and nothing moves the planes of those from the given ones.
     """
     leaf = leaf_of(plr, samples.x)
     order = np.argsort(leaf, kind="stable")
@@ -108,7 +108,7 @@ def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"
     plane -= solve_planes(normal.copy(), np.stack([sum_up(weight * error * term) for term in design.T], axis=1))
     error = np.sum(plane[leaf] * design, axis=1) - distance
     unit = _units(share, sum_up(weight * error**2), plane)
-    transform = unit[:, None, None] * _whitening(share, normal, np.where(enough, num_points, 1))
+    transform = (enough * unit)[:, None, None] * _whitening(share, normal, np.where(enough, num_points, 1))
     feature = np.einsum("nij,ni->nj", transform[leaf], design)
     points = map(_padded, (leaf.astype(np.int32), feature, error, weight))
     leaves = map(_padded, (share, plane, transform, 2 / (hi - lo)))
@@ -126,7 +126,7 @@ def minimize(
 
     loss, penalties = _as_pytree(loss), tuple(map(_as_pytree, penalties))
     z = jnp.zeros(problem.plane.shape, jnp.float32)
-    start = _checked_objective(problem, loss, penalties, z)
+    start = _checked_start(problem, loss, penalties, z)
     total = -(-num_steps // STEPS_AT_ONCE) * STEPS_AT_ONCE
     rates = np.asarray(optax.cosine_decay_schedule(_FIRST_STEP, total)(np.arange(total)), np.float32)
     state, done = (z, _adam().init(z), z, jnp.float32(start)), 0
@@ -150,27 +150,39 @@ def _objective(
     error = problem.error + jnp.sum(problem.feature * z[problem.leaf], axis=1)
     objective = jnp.sum(problem.weight * loss(error))
     if penalties:
-        plane = problem.plane + jnp.einsum("lij,lj->li", problem.transform, z)
-        planes = Planes(plane[:, 0], plane[:, 1:], problem.per_half * plane[:, 1:], jnp.asarray(problem.share))
+        planes = _planes_at(problem, z)
         objective += sum(penalty(planes) for penalty in penalties)
     return objective
 
 
-def _checked_objective(
+def _planes_at(problem: Problem, z: Float[Array, "leaves terms"]) -> Planes:
+    plane = problem.plane + jnp.einsum("lij,lj->li", problem.transform, z)
+    return Planes(plane[:, 0], plane[:, 1:], problem.per_half * plane[:, 1:], jnp.asarray(problem.share))
+
+
+def _checked_start(
     problem: Problem, loss: Loss, penalties: tuple[Penalty, ...], z: Float[Array, "leaves terms"]
 ) -> float:
-    """The objective at the start, after what is called there has been checked."""
-    errors = jax.ShapeDtypeStruct((len(problem.error),), jnp.float32)
-    shape = getattr(jax.eval_shape(loss, errors), "shape", None)
-    if shape != errors.shape:
-        raise ValueError(f"A loss must return one number an error, shape (n,) = {errors.shape}, got {shape}.")
-    try:
-        start = float(jax.jit(_objective)(problem, loss, penalties, z))
-    except TypeError as error:
-        raise ValueError(f"The loss and every penalty must return real numbers, a penalty one alone: {error}") from error
+    """The objective at the start, after what the loss and the penalties return has been checked."""
+    errors = jax.ShapeDtypeStruct(problem.error.shape, jnp.float32)
+    if _shape_of(jax.eval_shape(loss, errors)) != errors.shape:
+        raise ValueError(
+            f"A loss must return one number an error, shape {errors.shape} here, got {jax.eval_shape(loss, errors)}."
+        )
+    planes = jax.eval_shape(_planes_at, problem, z)
+    for penalty in penalties:
+        if _shape_of(jax.eval_shape(penalty, planes)) != ():
+            raise ValueError(f"A penalty must return one number, got {jax.eval_shape(penalty, planes)}.")
+    start = float(jax.jit(_objective)(problem, loss, penalties, z))
     if not np.isfinite(start):
         raise ValueError(f"The mean loss plus the penalties must be finite, got {start} at the least-squares planes.")
     return start
+
+
+def _shape_of(result: Any) -> tuple[int, ...] | None:
+    """Shape of real numbers; None if it is anything else."""
+    is_real = jnp.issubdtype(getattr(result, "dtype", object), jnp.floating)
+    return result.shape if is_real else None
 
 
 @jax.jit
@@ -185,7 +197,7 @@ def _descend(
         objective *= jnp.maximum(start, _TINY)
         best = jnp.where(objective < least, z, best)
         update, adam = _adam().update(gradient, adam)
-        return (z - rate * update, adam, best, jnp.minimum(objective, least)), None
+        return (z - rate * jnp.asarray(update), adam, best, jnp.minimum(objective, least)), None
 
     def scaled(z: Float[Array, "leaves terms"]) -> Float[Array, ""]:
         return _objective(problem, loss, penalties, z) / jnp.maximum(start, _TINY)
@@ -220,7 +232,7 @@ def _whitening(
     """For each leaf the coordinates in which its points' values change by a unit in the root mean square.
 
     As many points as a plane has coefficients, spread evenly over the cell, are counted in: along directions in
-    which the points hardly vary, a plane is not flung about, and leaves without points have coordinates too.
+    which the points hardly vary, a plane is not flung about.
     """
     terms = normal.shape[-1]
     even = np.diag([1.0, *[1 / 3] * (terms - 1)])
@@ -234,9 +246,8 @@ def _units(
 ) -> Float[np.ndarray, "leaves"]:
     """Unit of each leaf's variables: how far off its least-squares plane is, but not next to nothing."""
     of_leaf = np.sqrt(squares / np.where(share > 0, share, 1.0))
-    of_all = np.sqrt(squares.sum())
-    variation = np.linalg.norm(plane[:, 1:], axis=1)
-    return np.maximum(np.where(share > 0, of_leaf, of_all), np.maximum(_OF_ALL_ERROR * of_all, _OF_VARIATION * variation))
+    least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(plane[:, 1:], axis=1))
+    return np.maximum(of_leaf, least)
 
 
 def _as_pytree(function: Callable) -> Any:

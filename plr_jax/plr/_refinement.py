@@ -9,8 +9,8 @@ from jaxtyping import Float
 from plr_jax._types import Distances, Points
 from plr_jax.plr._faces import Faces
 from plr_jax.plr._losses import Loss
-from plr_jax.plr._plr import PLR
 from plr_jax.plr._minimize import leaf_of
+from plr_jax.plr._plr import PLR
 
 
 @dataclass(frozen=True)
