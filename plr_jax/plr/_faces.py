@@ -11,6 +11,8 @@ from plr_jax.plr._fit import call_oracle
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._tables import lookup
 
+_SAME = 1e-6  # of a leaf's width
+
 
 @dataclass(frozen=True, eq=False)
 class Faces:
@@ -30,10 +32,22 @@ class Faces:
         return len(self.x)
 
     def jumps(self, plr: PLR) -> Float[np.ndarray, "m"]:
-        """Value above the face minus value below it, for any PLR of the partition that was sampled."""
+        """Value above the face minus value below it, for any PLR of the partition that was sampled.
+
+        Raises:
+            ValueError: If the PLR has another partition.
+        """
+        if not self._fit(plr):
+            raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
         center, half = plr.planes.decode()
         value = center[self.leaves] + np.sum(half[self.leaves] * self.u, axis=2)
         return value[:, 1] - value[:, 0]
+
+    def _fit(self, plr: PLR) -> bool:
+        """Whether the points are where the PLR's leaves say that they are."""
+        if self.leaves.max(initial=0) >= plr.num_leaves or self.x.shape[1] != plr.dim:
+            return False
+        return bool((np.abs(_local(plr, self.x, self.leaves) - self.u) < _SAME).all())
 
 
 def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:
@@ -52,18 +66,25 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
         The points and the two leaves that meet in each.
 
     Raises:
-        ValueError: If ``num_samples`` is not positive, or ``distance_fn`` returns a wrong shape or NaN.
+        ValueError: If ``num_samples`` is not positive, ``seed`` is negative, or ``distance_fn`` returns a wrong
+            shape or NaN.
     """
     if not isinstance(num_samples, int | np.integer) or num_samples < 1:
         raise ValueError(f"num_samples must be an integer >= 1, got {num_samples!r}.")
-    lo, hi = plr.leaf_boxes
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
     x, leaves = _face_points(plr, np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim)))
     kept = ~plr.planes.unreachable[leaves].any(axis=1)
     x, leaves = x[kept], leaves[kept]
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
-    u = (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]
-    return Faces(x, leaves, u)
+    return Faces(x, leaves, _local(plr, x, leaves))
+
+
+def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:
+    """Coordinates of each point in both of its leaves."""
+    lo, hi = plr.leaf_boxes
+    return (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]
 
 
 def _face_points(

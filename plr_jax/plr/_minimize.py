@@ -110,7 +110,7 @@ def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"
     unit = _units(share, sum_up(weight * error**2), plane)
     transform = (enough * unit)[:, None, None] * _whitening(share, normal, np.where(enough, num_points, 1))
     feature = np.einsum("nij,ni->nj", transform[leaf], design)
-    points = map(_padded, (leaf.astype(np.int32), feature, error, weight))
+    points = map(_padded, (leaf, feature, error, weight))
     leaves = map(_padded, (share, plane, transform, 2 / (hi - lo)))
     return Problem(*points, *leaves), enough
 
@@ -125,12 +125,14 @@ def minimize(
     import optax
 
     loss, penalties = _as_pytree(loss), tuple(map(_as_pytree, penalties))
+    problem = jax.tree.map(
+        lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), problem
+    )
     z = jnp.zeros(problem.plane.shape, jnp.float32)
     start = _checked_start(problem, loss, penalties, z)
     total = -(-num_steps // STEPS_AT_ONCE) * STEPS_AT_ONCE
     rates = np.asarray(optax.cosine_decay_schedule(_FIRST_STEP, total)(np.arange(total)), np.float32)
     state, done = (z, _adam().init(z), z, jnp.float32(start)), 0
-    problem = jax.device_put(problem)
     with tqdm(total=total, desc="refine", unit=" steps", delay=2, leave=False, disable=None) as progress:
         try:
             for done in range(STEPS_AT_ONCE, total + 1, STEPS_AT_ONCE):
@@ -157,7 +159,7 @@ def _objective(
 
 def _planes_at(problem: Problem, z: Float[Array, "leaves terms"]) -> Planes:
     plane = problem.plane + jnp.einsum("lij,lj->li", problem.transform, z)
-    return Planes(plane[:, 0], plane[:, 1:], problem.per_half * plane[:, 1:], jnp.asarray(problem.share))
+    return Planes(plane[:, 0], plane[:, 1:], problem.per_half * plane[:, 1:], problem.share)
 
 
 def _checked_start(

@@ -76,7 +76,7 @@ def refine(
     Raises:
         ValueError: If an argument has another shape or is out of its range, a point lies outside the domain, a
             distance is NaN or ``-inf``, no leaf has enough points, the loss gives another shape or no finite
-            number, or not even 4-bit coefficients fit into ``max_bytes``.
+            number, ``faces`` are those of another partition, or not even 4-bit coefficients fit into ``max_bytes``.
 
     References:
         Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019, of which the added number is

@@ -48,7 +48,7 @@ class Stage:
         num_bytes: Size of its file.
         training: Errors over the points that it was fitted to.
         held_out: Errors over the points that were set aside for this; None if none were.
-        jump_rms: Root of the mean squared jump over the points of free faces; None without faces.
+        jump_rms: Root of the mean squared jump over the points of free faces; None without any.
     """
 
     num_bytes: int
@@ -119,8 +119,8 @@ def measure_errors(plr: PLR, x: Points, distance: Distances, loss: Loss) -> Erro
 
 
 def measure_jumps(plr: PLR, faces: Faces | None) -> float | None:
-    """Root mean square of a PLR's jumps."""
-    return None if faces is None else _rms(faces.jumps(plr))
+    """Root mean square of a PLR's jumps; None where there are no points."""
+    return _rms(faces.jumps(plr)) if faces else None
 
 
 def _rms(values: Float[np.ndarray, "n"]) -> float:

@@ -1,5 +1,6 @@
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -349,9 +350,22 @@ def test_bad_losses_and_penalties_are_named(wall, wall_faces):
         jumps(wall_faces, np.inf)
     with pytest.raises(ValueError, match="num_samples must be an integer >= 1"):
         sample_faces(plr, walled, num_samples=0)
+    for other in (construct(cone, UNIT, max_leaves=61), construct(cone, UNIT, max_leaves=3)):
+        with pytest.raises(ValueError, match="These faces are not those of PLR"):
+            refine(other, x, distance, faces=wall_faces, num_steps=1)
     one_leaf = construct(cone, UNIT, max_leaves=1)
+    assert refine(one_leaf, x, distance, faces=sample_faces(one_leaf, cone), num_steps=1)[1].refined.jump_rms is None
     with pytest.raises(ValueError, match="no free face"):
         jumps(sample_faces(one_leaf, cone))
+
+
+def test_double_precision_changes_nothing_but_rounding(wall, wall_faces):
+    plr, x, distance = wall
+    arguments = {"loss": quantile(0.2), "penalties": [eikonal(1e-3), jumps(wall_faces, 1e-3)], "num_steps": 200}
+    single, _ = refine(plr, x, distance, **arguments)
+    with jax.enable_x64(True):
+        double, _ = refine(from_bytes(plr.to_bytes()), x, distance, **arguments)
+    np.testing.assert_allclose(double(x), single(x), atol=1e-4)
 
 
 def test_the_pinball_loss_by_hand():
