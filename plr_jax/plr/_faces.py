@@ -106,10 +106,15 @@ def _face_points(
             x[:, :, axis] = edge[inner, axis, None]
             beyond = x.copy()
             beyond[:, :, axis] += side * step
-            across = np.asarray(_lookup(plr.tables, beyond)).astype(np.int64)
+            across = leaf_of(plr, beyond)
             points.append(x.reshape(-1, plr.dim))
             pairs.append(np.stack([leaf, across][::side], axis=2).reshape(-1, 2))
     return np.concatenate(points), np.concatenate(pairs)
+
+
+def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
+    """Index of the leaf that answers for each point."""
+    return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
 
 
 _lookup = jax.jit(lookup)

@@ -65,7 +65,8 @@ def quantile(share: int | float) -> Quantile:
 
     An over-estimate costs ``1 - share`` a unit, an under-estimate ``share``; a mean of that is smallest where the
     given share of points is over-estimated. 0.5 is half the absolute error; a small share makes a heuristic that
-    seldom over-estimates, at the price of a larger mean error.
+    seldom over-estimates, at the price of a larger mean error. The smaller the share, the more points a leaf needs:
+    with fewer than a few over ``share`` its plane is set by chance, and lowering all values alike does as well.
 
     Args:
         share: Share of points to be over-estimated, between 0 and 1.

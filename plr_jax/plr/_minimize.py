@@ -20,10 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax._types import Distances, Points
+from plr_jax.plr._faces import leaf_of
 from plr_jax.plr._fit import solve_planes
 from plr_jax.plr._losses import Loss, Penalty, Planes
 from plr_jax.plr._plr import PLR
-from plr_jax.plr._tables import lookup
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 STEPS_AT_ONCE = 50  # between two chances to interrupt
@@ -72,14 +72,6 @@ class Problem(NamedTuple):
     def corrected(self, z: Float[Any, "leaves terms"]) -> Float[np.ndarray, "leaves terms"]:
         """The planes at given variables, in double precision."""
         return self.plane + np.einsum("lij,lj->li", self.transform, np.asarray(z, np.float64))
-
-
-def leaf_of(plr: PLR, x: Points) -> Int[np.ndarray, "n"]:
-    """Index of the leaf that answers for each point."""
-    return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
-
-
-_lookup = jax.jit(lookup)
 
 
 def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"]]:
