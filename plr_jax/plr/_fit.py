@@ -83,7 +83,7 @@ def least_squares(
     masked = _masked(weight)
     if len(masked):
         design, weight = pattern.design, weight[masked] * pattern.weight
-        plane[masked] = _solve(_normal_matrices(design, weight), (weight * value[masked]) @ design)
+        plane[masked] = solve_planes(_normal_matrices(design, weight), (weight * value[masked]) @ design)
     return plane[:, 0], plane[:, 1:]
 
 
@@ -122,7 +122,7 @@ def fit_cells(
 ) -> CellFit:
     """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
     x = cells.points(pattern.u, domain).reshape(-1, cells.dim)
-    distance = _call_oracle(distance_fn, x).reshape(len(cells), len(pattern))
+    distance = call_oracle(distance_fn, x).reshape(len(cells), len(pattern))
     reachable = np.isfinite(distance)
     weight = reachable.astype(np.float64)
     if weight_fn is not None:
@@ -175,7 +175,7 @@ def _explained(
     explained = np.zeros(len(residual))
     for design in np.split(halves, 2, axis=1):
         projection = (weight * residual) @ design
-        explained += (projection * _solve(_normal_matrices(design, weight), projection)).sum(axis=1)
+        explained += (projection * solve_planes(_normal_matrices(design, weight), projection)).sum(axis=1)
     return explained
 
 
@@ -192,7 +192,7 @@ def _normal_matrices(
     return (weight @ products).reshape(-1, terms, terms)
 
 
-def _solve(
+def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
     """Planes that solve the normal equations; of slope zero in directions in which no sample varies."""
@@ -203,7 +203,7 @@ def _solve(
     return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
-def _call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:
+def call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:
     distance = distance_fn(x)
     try:
         distance = np.asarray(distance)
