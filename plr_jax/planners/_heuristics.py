@@ -38,7 +38,7 @@ class SeparableHeuristic:
             ValueError: If ``q`` is not of that shape, or not for the robots that the heuristic is for.
         """
         terms = self.per_robot(q)
-        # Column by column: NumPy's sum over a short last axis takes several times as long.
+        # Robot by robot: NumPy's sum over a short last axis takes several times as long.
         return reduce(np.add, terms.T, np.zeros(len(terms)))
 
 
@@ -160,9 +160,9 @@ def _checked(i: int, distances: ArrayLike, n: int) -> Distances:
 
 def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"]) -> Float[np.ndarray, "n robots"]:
     """The distances, ``inf`` for NaN where the configuration is to blame; a NaN that the function made is refused."""
-    broken = np.isnan(distances)
-    if not broken.any():
+    if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
         return distances
+    broken = np.isnan(distances)
     unexplained = np.argwhere(broken & np.isfinite(q).all(axis=2))
     if len(unexplained):
         row, i = unexplained[0]
