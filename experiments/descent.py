@@ -22,8 +22,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from experiments._results import run
-from plr_jax import PLR, VisibilityGraph, Workspace, construct, metrics, plot, scenes
-from plr_jax.optimize._descend import Descent, descend
+from plr_jax import PLR, Descent, VisibilityGraph, Workspace, construct, descend, metrics, plot, scenes
 
 START_SEED = 1_000
 DRAWN = ("maze", "arena")

@@ -17,9 +17,7 @@ from matplotlib.figure import Figure
 
 from experiments._results import run
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, scenes
-from plr_jax.plr._faces import Faces, sample_faces
-from plr_jax.plr._losses import eikonal, jumps, quantile
-from plr_jax.plr._refine import refine
+from plr_jax.plr import Faces, eikonal, jumps, quantile, refine, sample_faces
 
 TRAINING_SEED, TEST_SEED = 3_000, 4_000
 SHARES = (0.5, 0.05, 0.01)

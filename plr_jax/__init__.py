@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from plr_jax._validate import ValidationReport as ValidationReport
     from plr_jax._validate import validate as validate
     from plr_jax._workspace import Workspace as Workspace
+    from plr_jax.optimize import Descent as Descent
+    from plr_jax.optimize import DescentStatus as DescentStatus
+    from plr_jax.optimize import descend as descend
     from plr_jax.oracles import Euclidean as Euclidean
     from plr_jax.oracles import Roadmap as Roadmap
     from plr_jax.oracles import VisibilityGraph as VisibilityGraph
@@ -44,6 +47,8 @@ if TYPE_CHECKING:
     from plr_jax.plr import PLR as PLR
     from plr_jax.plr import CellFit as CellFit
     from plr_jax.plr import ConstructionInterrupted as ConstructionInterrupted
+    from plr_jax.plr import Refinement as Refinement
+    from plr_jax.plr import RefinementInterrupted as RefinementInterrupted
     from plr_jax.plr import best_axis as best_axis
     from plr_jax.plr import center_error as center_error
     from plr_jax.plr import construct as construct
@@ -55,6 +60,7 @@ if TYPE_CHECKING:
     from plr_jax.plr import load as load
     from plr_jax.plr import maximum_depth as maximum_depth
     from plr_jax.plr import midrange as midrange
+    from plr_jax.plr import refine as refine
     from plr_jax.plr import save as save
 
 _MODULES = ("metrics", "plot", "scenes")
@@ -71,6 +77,9 @@ _HOME = {
     "ValidationReport": "_validate",
     "validate": "_validate",
     "Workspace": "_workspace",
+    "Descent": "optimize",
+    "DescentStatus": "optimize",
+    "descend": "optimize",
     "Euclidean": "oracles",
     "Roadmap": "oracles",
     "VisibilityGraph": "oracles",
@@ -88,6 +97,8 @@ _HOME = {
     "PLR": "plr",
     "CellFit": "plr",
     "ConstructionInterrupted": "plr",
+    "Refinement": "plr",
+    "RefinementInterrupted": "plr",
     "best_axis": "plr",
     "center_error": "plr",
     "construct": "plr",
@@ -99,6 +110,7 @@ _HOME = {
     "load": "plr",
     "maximum_depth": "plr",
     "midrange": "plr",
+    "refine": "plr",
     "save": "plr",
 }
 

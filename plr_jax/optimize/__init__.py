@@ -1,1 +1,5 @@
 """Room 4, optimize: descent along a distance field, and trajectories, by their gradients."""
+
+from plr_jax.optimize._descend import Descent as Descent
+from plr_jax.optimize._descend import DescentStatus as DescentStatus
+from plr_jax.optimize._descend import descend as descend
