@@ -26,7 +26,7 @@ _POWERS = (2, 4)  # of t along each axis, by order of continuity
 class ContinuousPLR:
     """A distance function stored as values at the corners of a binary space partition's leaves.
 
-    Made by :func:`construct_continuous` and read by :func:`continuous_from_bytes`. Between the corners of a leaf it is
+    Made by :func:`construct_continuous` and read by :func:`continuous_from_bytes`. Between a leaf's corners it is
     multilinear (order 0) or multicubic (order 1). Across a free face (a face with a point whose two sides can both be
     reached) nothing jumps: order 0 is continuous there, order 1 has a continuous gradient too. A face in a wall ties
     nothing, so nothing blends across walls.

@@ -83,7 +83,7 @@ def construct_continuous(
     fitted = rounds.first()
     if len(fitted.data) > limits.max_bytes:
         raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {len(fitted.data)} bytes; allow at least that."
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {len(fitted.data)} bytes; allow that."
         )
     return continuous_from_bytes(_grow(rounds, fitted, limits).data)
 
@@ -203,7 +203,7 @@ class _Rounds:
         cells, value = _selected(cells, order), value[order]
         faces = shared_faces(tree)
         tied = self._face_tests.are_free(tree.leaves, faces)
-        unreachable = ~cells.reachable.any(axis=1)
+        unreachable = ~np.any(cells.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = Partition(tree, unreachable, faces, tied)
         space = partition.space()
@@ -215,7 +215,7 @@ class _Rounds:
         return _Fitted(replace(cells, residual=residual), value, data)
 
     def _samples(self, cells: CellFit, value: Float[np.ndarray, "leaves k"]) -> Samples:
-        """Samples as the fit weighs them: cells by the root of their volume, between the largest and the mean error."""
+        """Samples as the fit weighs them: cells by the root of their volume, a compromise of errors."""
         weight = np.where((cells.weight > 0).any(axis=1, keepdims=True), cells.weight, cells.reachable)
         of_cell = 2.0 ** (-0.5 * cells.cells.depth.sum(axis=1))
         return Samples(self._pattern, value, weight * self._pattern.weight * (of_cell / of_cell.mean())[:, None])

@@ -88,12 +88,12 @@ def _free_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num_gr
     depth = np.repeat(space.tree.leaves.depth, corners, axis=0)
     answered = np.diff(space.values.indptr) > 0
     answered &= ~np.isin(space.group, space.hanging)
-    total = csr_array((num_groups * len(kinds), space.values.shape[1]))
+    total = csr_array((num_groups * len(kinds), len(space.masters)))
     for kind, along in enumerate(kinds):
         # Where two cells meet, the difference over the smaller one is the better derivative.
         weight = np.ldexp(1.0, depth @ along) * answered
         weight /= np.bincount(space.group, weight)[space.group] + (weight == 0)
-        mean = csr_array((weight, (space.group * len(kinds) + kind, nodes)), (total.shape[0], len(nodes)))
+        mean = csr_array((weight, (space.group * len(kinds) + kind, nodes)), (num_groups * len(kinds), len(nodes)))
         total = total + mean @ (_differences(space, along) @ space.values)
     return csr_array(total)
 

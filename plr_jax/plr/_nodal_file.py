@@ -19,11 +19,11 @@ All numbers are little-endian. Layout of version 1:
     u32     CRC-32 of all bytes before
 
 A value is ``offset + step * code``; masters, their order and their levels follow from the tree and the ties (see
-``_nodal_space.py``). What is stored of a code is by how much it differs from the rounded prediction from coarser ones:
-for smooth functions a few bits. A set is the number of its members in 32 bits and before each member the number of
-those left out. Numbers are Exp-Golomb codes, whose order, the best one, comes first in 5 bits: for all of them in
-unary how many bits each has beyond the order, then these and as many more as the order says. A signed number is twice
-its absolute value, minus one if it is positive.
+``_nodal_space.py``). What is stored of a code is by how much it differs from the rounded prediction from coarser
+ones: for smooth functions a few bits. A set is the number of its members in 32 bits and before each member the
+number of those left out. Numbers are Exp-Golomb codes, whose order, the best one, comes first in 5 bits: for all of
+them in unary how many bits each has beyond the order, then these and as many more as the order says. A signed number
+is twice its absolute value, minus one if it is positive.
 """
 
 import struct

@@ -1,7 +1,6 @@
 """The continuous function of least squared error: all values at once, one sparse system."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -10,12 +9,10 @@ from plr_jax.plr._nodal_basis import design, numbers_of_leaves
 from plr_jax.plr._nodal_space import NodalSpace
 from plr_jax.plr._pattern import Pattern
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 # How much a value that differs from what coarser ones predict counts beside a cell's samples: it decides only where
 # samples do not, in a wall.
-_PREDICTION_WEIGHT = 1e-4
+_PREDICTION_WEIGHT = 1e-7
+_UNPREDICTED = 1e-3  # of that, for the corners of the domain, which only differ from the mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +32,7 @@ class Samples:
 
 def fit_values(order: int, space: NodalSpace, samples: Samples) -> Float[np.ndarray, "masters"]:
     """Values of the masters with which the function of the given order errs least at the samples."""
-    from scipy.sparse import bsr_array, csc_array, eye_array
+    from scipy.sparse import bsr_array, csc_array, diags_array
     from scipy.sparse.linalg import spsolve
 
     numbers = numbers_of_leaves(order, space)
@@ -46,10 +43,14 @@ def fit_values(order: int, space: NodalSpace, samples: Samples) -> Float[np.ndar
         ((samples.weight @ products).reshape(-1, terms, terms), np.arange(leaves), np.arange(leaves + 1)),
         (leaves * terms, leaves * terms),
     )
-    surprise = eye_array(len(space.masters)) - space.prediction
-    normal = numbers.T @ (gram @ numbers) + (_PREDICTION_WEIGHT * samples.pattern.weight.sum()) * (surprise.T @ surprise)
-    moments = ((samples.weight * samples.value) @ functions).ravel()
-    return np.atleast_1d(spsolve(csc_array(normal), numbers.T @ moments, permc_spec="MMD_AT_PLUS_A"))
+    is_predicted = np.diff(space.prediction.indptr) > 0
+    surprise = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    normal = numbers.T @ (gram @ numbers) + (_PREDICTION_WEIGHT * samples.pattern.weight.sum()) * (
+        surprise.T @ surprise
+    )
+    mean = np.sum(samples.weight * samples.value) / np.sum(samples.weight)
+    moments = ((samples.weight * (samples.value - mean)) @ functions).ravel()
+    return mean + spsolve(csc_array(normal), numbers.T @ moments, permc_spec="MMD_AT_PLUS_A")
 
 
 def residuals(

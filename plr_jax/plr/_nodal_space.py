@@ -2,9 +2,9 @@
 
 Every corner of every leaf is a *node*. Across a face that is free the functions of its two leaves must agree at the
 corners of what they share. A corner of both makes their nodes one; a corner of one of them alone, which *hangs* on
-the other, takes the other's interpolation there. A hanging corner has a larger denominator, summed over the axes, than
-the corners it is interpolated from, so these dependencies have no cycles. Walls tie nothing: a mesh point in a wall
-has several nodes.
+the other, takes the other's interpolation there. A hanging corner has larger denominators than the corners it is
+interpolated from (in the sum of their exponents over the axes), so these dependencies have no cycles. Walls tie
+nothing: a mesh point in a wall has several nodes.
 """
 
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ def nodal_space(tree: Tree, tied: Faces, unreachable: Bool[np.ndarray, "leaves"]
         tied: Faces across which the functions are continuous.
         unreachable: Leaves without a function; none has a tied face.
     """
-    from scipy.sparse import csr_array, eye_array
+    from scipy.sparse import csr_array
 
     agreement = _agreement(tree, tied)
     group = _united(tree, agreement)
@@ -98,8 +98,7 @@ def nodal_space(tree: Tree, tied: Faces, unreachable: Bool[np.ndarray, "leaves"]
     is_master &= of_groups.diagonal() == 1
     masters = np.flatnonzero(is_master)
     masters = masters[np.argsort(level[masters], kind="stable")]
-    selection = eye_array(num_groups, format="csc")[:, masters]
-    values = csr_array((of_groups @ selection)[group])
+    values = csr_array(of_groups[group][:, masters])
     prediction = _prediction(tree, unreachable, group, masters, values)
     return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
 
@@ -218,7 +217,10 @@ def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, corner
     rows = np.repeat(np.arange(num_points), corners)
     parts = [
         csr_array(
-            (multilinear(agreement.t[side]).ravel(), (rows, group.reshape(-1, corners)[agreement.leaf[side]].ravel())),
+            (
+                multilinear(agreement.t[side]).ravel(),
+                (rows, group.reshape(-1, corners)[agreement.leaf[side]].ravel()),
+            ),
             (num_points, int(group.max()) + 1),
         )
         for side in range(2)

@@ -138,9 +138,7 @@ def _overlap(
     return tree.cells.position[a, axis] >> (depth_a - common) == tree.cells.position[b, axis] >> (depth_b - common)
 
 
-def face_points(
-    cells: Cells, faces: Faces, w: Float[np.ndarray, "k dim"]
-) -> Float[np.ndarray, "faces k dim"]:
+def face_points(cells: Cells, faces: Faces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
     """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
@@ -160,8 +158,8 @@ def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"],
     origin = np.full((len(tree.child), len(bits)), -1)
     for split in tree.splits():
         for half in range(2):
-            is_old = bits[:, tree.axis[split]].T == half
-            origin[tree.child[split] + half] = np.where(is_old, origin[split], split[:, None])
+            stays = (bits == half)[:, tree.axis[split]].T
+            origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
     leaf_at = np.empty_like(origin)
     leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
     corners = np.arange(len(bits))

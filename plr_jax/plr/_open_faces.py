@@ -28,7 +28,9 @@ class FaceTests:
 
     def are_free(self, cells: Cells, faces: Faces) -> Bool[np.ndarray, "faces"]:
         """Whether each face is free."""
-        geometry = np.concatenate([part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1)
+        geometry = np.concatenate(
+            [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
+        )
         keys = [row.tobytes() for row in geometry]
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
@@ -46,7 +48,8 @@ class FaceTests:
         across = _BESIDE * np.eye(self._domain.dim)[faces.axis][:, None]
         sides = [self._domain.lo + self._domain.width * (x + sign * across) for sign in (-1, 1)]
         distance = self._distance_fn(np.concatenate(sides).reshape(-1, self._domain.dim))
-        return np.isfinite(np.asarray(distance)).reshape(2, *x.shape[:2]).all(axis=0).any(axis=1)
+        below, above = np.isfinite(np.asarray(distance)).reshape(2, *x.shape[:2])
+        return np.any(below & above, axis=1)
 
 
 def _points_of_a_face(dim: int) -> Float[np.ndarray, "k dim"]:
