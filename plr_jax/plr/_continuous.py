@@ -191,8 +191,12 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
     frame = tables.frame.astype(x.dtype)
     outside, beyond, t = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype), []
     for axis in range(tables.dim):
-        above, below = x[..., axis] - frame[Frame.LO, axis], frame[Frame.HI, axis] - x[..., axis]
-        outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
+        above = x[..., axis] - frame[Frame.LO, axis]
+        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+            below = frame[Frame.HI, axis] - x[..., axis]
+            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
+        else:
+            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
         beyond += jnp.abs(above)  # NaN if any coordinate is
         u = above * frame[Frame.SCALE, axis] - frame[Frame.LO_FRACTION, axis]
         t.append(_fraction_of_cell(u, _gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
@@ -204,8 +208,8 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
 def _fraction_of_cell(u: Float[Array, "*batch"], count: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Coordinate in a cell, from 0 to 1, of a point at ``u`` of the domain, which ``count`` such cells span."""
     t = u * count  # exact, and so is the difference: both leaves at a face see the same point
-    cell = jnp.clip(jnp.floor(jax.lax.stop_gradient(t)), 0, count - 1)
-    return t - cell
+    inside = jnp.minimum(jax.lax.stop_gradient(t), count - t.dtype.type(0.5))  # the upper edge is the last cell's
+    return t - jnp.floor(inside)
 
 
 def _polynomial(

@@ -75,7 +75,7 @@ def test_nothing_blends_across_a_wall(plr):
 def test_no_jump_in_other_dimensions(dim):
     def walled_anywhere(x):
         blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
-        return np.where(blocked, np.inf, cone(x))
+        return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
 
     plr = construct_continuous(walled_anywhere, (np.zeros(dim), np.ones(dim)), max_leaves=120)
     below, above = both_sides_of_faces(plr, walled_anywhere)
