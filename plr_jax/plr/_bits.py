@@ -20,6 +20,13 @@ class BitWriter:
         self._bits.append(bits.astype(np.uint8).ravel())
         return self
 
+    def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+        """Append each value as so many zeros and a one."""
+        bits = np.zeros(int(values.sum()) + len(values), np.uint8)
+        bits[np.cumsum(values + 1) - 1] = 1
+        self._bits.append(bits)
+        return self
+
     def to_bytes(self) -> bytes:
         """All bits so far, the last byte filled up with zeros."""
         return np.packbits(np.concatenate(self._bits), bitorder="little").tobytes()
@@ -43,6 +50,14 @@ class BitReader:
     def read_alike(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
         """The next values, all of one width; raises ``ValueError`` past the end."""
         return self._take(num_values * width).reshape(num_values, width) @ (1 << np.arange(width))
+
+    def read_unary(self, num_values: int) -> Int[np.ndarray, "n"]:
+        """The next values, each as many zeros as it counts and a one; raises ``ValueError`` past the end."""
+        ends = np.flatnonzero(self._bits[self._at :])[:num_values]
+        if len(ends) < num_values:
+            raise ValueError("the data end too early")
+        self._at += int(ends[-1]) + 1 if num_values else 0
+        return np.diff(ends, prepend=-1) - 1
 
     def _take(self, num_bits: int) -> Int[np.ndarray, "bits"]:
         bits = self._bits[self._at : self._at + num_bits]

@@ -54,7 +54,7 @@ def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> bytes:
     corners = np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes()
     span = _SPAN.pack(planes.offset, planes.step)
     body = BitWriter()
-    _write_tree(body, levels, domain.dim)
+    write_tree(body, levels, domain.dim)
     _write_planes(body, cells.depth[order], planes[order])
     rest = corners + span + body.to_bytes()
     size = _HEADER.size + len(rest) + _CRC.size
@@ -95,7 +95,7 @@ def _decode_checked(data: bytes, dim: int, bits: int, num_leaves: int) -> tuple[
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
     body = BitReader(data[16 * dim + _SPAN.size :])
-    cells = cells_of(_read_tree(body, dim), dim)
+    cells = cells_of(read_tree(body, dim), dim)
     if len(cells) != num_leaves:
         raise ValueError(f"its tree has {len(cells)} leaves, its header states {num_leaves}")
     planes = _read_planes(body, cells.depth, bits, offset, step)
@@ -104,13 +104,15 @@ def _decode_checked(data: bytes, dim: int, bits: int, num_leaves: int) -> tuple[
     return domain, cells, planes
 
 
-def _write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
+def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
+    """Append a tree as the layout above says."""
     for level in levels:
         body.write(level.inner.astype(np.int64), 1)
         body.write(level.axis, _axis_bits(dim))
 
 
-def _read_tree(body: BitReader, dim: int) -> list[Level]:
+def read_tree(body: BitReader, dim: int) -> list[Level]:
+    """The levels of the tree that comes next; raises ``ValueError`` if it is none."""
     levels, num_nodes = [], 1
     while num_nodes:
         if len(levels) > MAX_DEPTH:

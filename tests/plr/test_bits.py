@@ -34,3 +34,13 @@ def test_reading_past_the_end_is_an_error():
     assert not reader.at_end()
     with pytest.raises(ValueError, match="end too early"):
         reader.read(np.array([4]))
+
+
+def test_unary_numbers_stand_between_others():
+    body = BitWriter().write_unary(np.array([3, 0, 5])).write(np.array([6]), 3).write_unary(np.array([], np.int64))
+    reader = BitReader(body.to_bytes())
+    assert reader.read_unary(3).tolist() == [3, 0, 5]
+    assert reader.read_unary(0).tolist() == []
+    assert reader.read_alike(1, 3).tolist() == [6]
+    with pytest.raises(ValueError, match="too early"):
+        reader.read_unary(1)

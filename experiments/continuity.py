@@ -1,0 +1,146 @@
+"""What continuity costs: plain PLRs against continuous ones and ones with a continuous gradient, at equal bytes.
+
+Errors are over random free points against the exact distance. Jumps are measured at random points of the leaves'
+faces, moved ``2**-22`` of the domain to either side, where both sides are free: of the value as a share of the
+largest distance, of the gradient as the length of the difference. Queries of a million points (less with ``--smoke``)
+take turns; medians are reported.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from experiments._results import run
+from experiments.query import interleaved_medians
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, metrics, scenes
+from plr_jax._box import Box
+from plr_jax.plr._continuous import ContinuousPLR
+from plr_jax.plr._continuous_construct import construct_continuous
+from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
+
+POINT_SEED, FACE_SEED = 1_000, 3_000
+BESIDE = 2.0**-22
+POINTS_A_FACE = 8
+
+Points = Float[np.ndarray, "n 2"]
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    num_points, num_runs = (5_000, 3) if smoke else (1_000_000, 15)
+    budgets = [512] if smoke else [2_048, 6_144, 30_720]
+    problems = {"maze": scenes.maze()} if smoke else {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
+    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in problems.items()}
+    data = os.environ.get("PLR_JAX_DATA")
+    if data and not smoke:
+        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
+        maps["arena"] = (arena, np.array([1.0, 11.0]))
+    elif not smoke:
+        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
+    rows = []
+    for name, (workspace, goal) in maps.items():
+        exact = VisibilityGraph(workspace, goal)
+        x = workspace.sample_free(min(num_points, 200_000), POINT_SEED + seed)
+        distance = exact(x)
+        for budget in budgets:
+            contenders = build(exact, workspace, budget, seed)
+            nanoseconds = time_queries({label: plr for label, (plr, _) in contenders.items()}, num_points, num_runs)
+            for label, (plr, seconds) in contenders.items():
+                row = measure(plr, workspace, exact, x, distance)
+                timing = {"nanoseconds": nanoseconds[label], "to_plain": nanoseconds[label] / nanoseconds["plain"]}
+                rows.append({"map": name, "budget": budget, "kind": label, **row, **timing, "seconds": seconds})
+                print(line(rows[-1]), flush=True)
+    return {"points": num_points, "runs": num_runs, "rows": rows}
+
+
+def build(
+    exact: VisibilityGraph, workspace: Workspace, max_bytes: int, seed: int
+) -> dict[str, tuple[PLR | ContinuousPLR, float]]:
+    """The three contenders, and seconds that each took."""
+    builders: dict[str, Callable[[], PLR | ContinuousPLR]] = {
+        "plain": lambda: construct(exact, workspace.bounds, max_bytes=max_bytes, seed=seed),
+        "order 0": lambda: construct_continuous(exact, workspace.bounds, order=0, max_bytes=max_bytes, seed=seed),
+        "order 1": lambda: construct_continuous(exact, workspace.bounds, order=1, max_bytes=max_bytes, seed=seed),
+    }
+    contenders = {}
+    for label, builder in builders.items():
+        start = time.perf_counter()
+        plr = builder()
+        contenders[label] = (plr, time.perf_counter() - start)
+    return contenders
+
+
+def time_queries(plrs: dict[str, PLR | ContinuousPLR], num_points: int, num_runs: int) -> dict[str, float]:
+    domain = next(iter(plrs.values())).domain
+    x = domain.lo + domain.width * np.random.default_rng(POINT_SEED).random((num_points, domain.dim))
+    on_device = jnp.asarray(x, jnp.float32)
+    queries = {label: (lambda plr=plr: plr(on_device)) for label, plr in plrs.items()}
+    return interleaved_medians(queries, num_points, num_runs)
+
+
+def measure(
+    plr: PLR | ContinuousPLR,
+    workspace: Workspace,
+    exact: VisibilityGraph,
+    x: Points,
+    distance: Float[np.ndarray, "n"],
+) -> dict[str, Any]:
+    report = metrics.error_map(plr, lambda _: distance, x)
+    value_jump, gradient_jump = jumps(plr, workspace, exact)
+    return {
+        "leaves": plr.num_leaves,
+        "bytes": plr.num_bytes,
+        "resident_bytes": plr.resident_bytes,
+        "mean": report.mean,
+        "max": report.max,
+        "unanswered": report.num_unanswered,
+        "value_jump": value_jump / report.max_distance,
+        "gradient_jump": gradient_jump,
+    }
+
+
+def jumps(plr: PLR | ContinuousPLR, workspace: Workspace, exact: VisibilityGraph) -> tuple[float, float]:
+    """Largest jumps of value and gradient over random points of free faces."""
+    below, above = both_sides(plr, plr.domain)
+    free = workspace.is_free(below) & workspace.is_free(above)
+    free[free] = np.isfinite(exact(below[free]))  # the goal can be reached
+    sides = [jnp.asarray(side[free], jnp.float32) for side in (below, above)]
+    (low, slope_low), (high, slope_high) = (jax.vmap(jax.value_and_grad(plr))(side) for side in sides)
+    gradient = np.linalg.norm(np.asarray(slope_low) - np.asarray(slope_high), axis=1)
+    return float(np.abs(np.asarray(low) - np.asarray(high)).max()), float(gradient.max())
+
+
+def both_sides(plr: PLR | ContinuousPLR, domain: Box) -> tuple[Points, Points]:
+    tree = tree_of(plr.cells)
+    faces = shared_faces(tree)
+    w = np.random.default_rng(FACE_SEED).random((POINTS_A_FACE, domain.dim))
+    u = face_points(tree.leaves, faces, w)
+    across = BESIDE * np.eye(domain.dim)[faces.axis][:, None]
+    below, above = ((domain.lo + domain.width * (u + sign * across)).reshape(-1, domain.dim) for sign in (-1, 1))
+    return below, above
+
+
+def line(row: dict[str, Any]) -> str:
+    return (
+        f"{row['map']:10}{row['budget']:>7,}  {row['kind']:8}{row['leaves']:>7,} leaves {row['bytes']:>7,} bytes "
+        f"({row['resident_bytes']:>9,} resident)  mean {row['mean']:.2e}  max {row['max']:.2e}  "
+        f"jump {row['value_jump']:.1e}  gradient jump {row['gradient_jump']:.1e}  "
+        f"{row['nanoseconds']:6.2f} ns ({row['to_plain']:.2f} x)  built in {row['seconds']:.2f} s"
+    )
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """The table as text."""
+    path = output / "continuity.txt"
+    path.write_text("\n".join(line(row) for row in results["rows"]) + "\n")
+    return [path]
+
+
+if __name__ == "__main__":
+    run("continuity", "What continuity costs in error, bytes and query time.", compute, draw)

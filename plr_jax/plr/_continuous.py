@@ -1,0 +1,226 @@
+"""The continuous PLR: one number a corner in place of a plane a leaf, and no jump where nothing is in the way."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Num, UInt8, UInt32
+
+from plr_jax._box import Box
+from plr_jax._types import ArrayLike
+from plr_jax.plr._cells import Cells
+from plr_jax.plr._neighbors import fill_unreachable
+from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
+from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
+from plr_jax.plr._planes import LARGEST
+from plr_jax.plr._plr import _as_array, _require_real
+from plr_jax.plr._tables import Frame, Tables, _gather, _power_of_two, build_tables, lookup
+
+_POWERS = (2, 4)  # of t along each axis, by order of continuity
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class ContinuousPLR:
+    """A distance function stored as values at the corners of a binary space partition's leaves.
+
+    Made by :func:`construct_continuous` and read by :func:`continuous_from_bytes`. Between a leaf's corners it is
+    multilinear (order 0) or multicubic (order 1). Across a free face (a face with a point whose two sides can both be
+    reached) nothing jumps: order 0 is continuous there, order 1 has a continuous gradient too. A face in a wall ties
+    nothing, so nothing blends across walls.
+
+    It is a pytree of arrays, as a :class:`PLR` is, and answers under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
+
+    Attributes:
+        tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: for every axis
+            how many of such cells span the domain, then coefficients by powers of the coordinates in the cell.
+        file: The bytes of the file, padded with zeros to a power of two.
+        order: Order of continuity.
+    """
+
+    tables: Tables
+    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+    order: int = field(metadata={"static": True})
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Approximate distance at each point.
+
+        Args:
+            x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
+                least 32 bits; coefficients are 32-bit floats.
+
+        Returns:
+            Distances of shape ``(...)``. As for a :class:`PLR`, obstacles are not tested: every point of the closed
+            domain gets a finite value, except in leaves of which nothing can be reached and that touch no leaf of
+            which something can. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. A
+            gradient is finite everywhere, and zero where the distance is ``inf``.
+
+        Raises:
+            ValueError: If the last axis of ``x`` is not ``dim`` long.
+        """
+        if not isinstance(x, jax.Array):
+            x = _as_array(x)
+        return _evaluate(self.order, self.tables, x)
+
+    @cached_property
+    def _partition(self) -> tuple[Box, Partition]:
+        domain, _, partition, _, _ = decode(self.to_bytes())
+        return domain, partition
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file; the format is documented in ``plr_jax/plr/_nodal_file.py``."""
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def domain(self) -> Box:
+        """The closed box that is covered."""
+        return self._partition[0]
+
+    @property
+    def partition(self) -> Partition:
+        """The leaves and their faces, those across which the function is continuous among them."""
+        return self._partition[1]
+
+    @property
+    def cells(self) -> Cells:
+        """The leaves' cells, in the order of the tree's left-to-right traversal."""
+        return self.partition.tree.leaves
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.tables.dim
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves of the partition."""
+        return len(self.partition.unreachable)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file."""
+        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        return sum(leaf.nbytes for leaf in jax.tree_util.tree_leaves(self.tables))
+
+    @property
+    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
+        """Lower and upper corners of the leaves."""
+        return self.cells.boxes(self.domain)
+
+    def __repr__(self) -> str:
+        return (
+            f"ContinuousPLR(dim={self.dim}, order={self.order}, num_leaves={self.num_leaves}, "
+            f"num_bytes={self.num_bytes}, {self.domain})"
+        )
+
+
+def continuous_from_bytes(data: bytes) -> ContinuousPLR:
+    """The continuous PLR that a file's bytes hold.
+
+    Every one comes into being here, so a loaded one equals the one that was saved, bit for bit.
+
+    Args:
+        data: What :meth:`ContinuousPLR.to_bytes` gave.
+
+    Raises:
+        ValueError: If the bytes are not those of such a file of a version this release reads.
+    """
+    domain, order, partition, space, values = decode(data)
+    leaves = partition.tree.leaves
+    numbers = (numbers_of_leaves(order, space) @ values.decode()).reshape(len(leaves), -1)
+    rows = np.concatenate(
+        [np.ldexp(1.0, leaves.depth), _coefficients(order, leaves, partition, numbers)], axis=1, dtype=np.float32
+    )
+    padded_rows = np.zeros((_power_of_two(len(rows)), rows.shape[1]), np.float32)
+    padded_rows[: len(rows)] = rows
+    nothing = np.zeros((len(leaves), leaves.dim)), np.zeros(len(leaves))
+    tables = replace(build_tables(domain, leaves, *nothing), planes=jnp.asarray(padded_rows.ravel()))
+    padded = np.zeros(_power_of_two(len(data)), np.uint8)
+    padded[: len(data)] = np.frombuffer(data, np.uint8)
+    return ContinuousPLR(tables, padded, order)
+
+
+def _coefficients(
+    order: int, leaves: Cells, partition: Partition, numbers: Float[np.ndarray, "leaves terms"]
+) -> Float[np.ndarray, "leaves powers"]:
+    """Coefficients of every leaf's function by powers of the coordinates in it; ``inf`` where it has none.
+
+    Unreachable leaves beside a reachable one continue a plane of that one's value and mean slope at its center.
+    """
+    coefficients = numbers @ monomials(order, leaves.dim)
+    if not np.abs(coefficients).max() < LARGEST:
+        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    unreachable = partition.unreachable
+    if unreachable.any():
+        count = np.ldexp(1.0, leaves.depth)
+        at_center, slope = _mean_planes(order, numbers, leaves.dim)
+        slope *= count
+        center = (leaves.position + 0.5) / count
+        slope, intercept = fill_unreachable(leaves, unreachable, slope, at_center - np.sum(slope * center, axis=1))
+        coefficients[unreachable] = 0.0
+        linear = _POWERS[order] ** np.arange(leaves.dim)[::-1]
+        coefficients[np.ix_(unreachable, linear)] = (slope / count)[unreachable]
+        at_corner = intercept + np.sum(slope * leaves.position / count, axis=1)
+        coefficients[unreachable, 0] = at_corner[unreachable]
+    return coefficients
+
+
+def _mean_planes(
+    order: int, numbers: Float[np.ndarray, "leaves terms"], dim: int
+) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    """Value at the center, and differences of the values in the middle of opposite faces."""
+    center = np.full((1, dim), 0.5)
+    ends = [center + sign * 0.5 * np.eye(dim) for sign in (-1, 1)]
+    low, high = (numbers @ design(order, points).T for points in ends)
+    return (numbers @ design(order, center).T)[:, 0], high - low
+
+
+@partial(jax.jit, static_argnames="order")
+def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, "*batch"]:
+    if x.ndim == 0 or x.shape[-1] != tables.dim:
+        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
+    _require_real(x)
+    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
+    row = lookup(tables, jax.lax.stop_gradient(x)) * np.uint32(tables.dim + _POWERS[order] ** tables.dim)
+    frame = tables.frame.astype(x.dtype)
+    outside, beyond, t = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype), []
+    for axis in range(tables.dim):
+        above = x[..., axis] - frame[Frame.LO, axis]
+        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+            below = frame[Frame.HI, axis] - x[..., axis]
+            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
+        else:
+            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
+        beyond += jnp.abs(above)  # NaN if any coordinate is
+        u = above * frame[Frame.SCALE, axis] - frame[Frame.LO_FRACTION, axis]
+        t.append(_fraction_of_cell(u, _gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
+    t = [jnp.where(outside, jnp.zeros_like(along), along) for along in t]  # of inf, no gradient is a number
+    value = _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t)
+    return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
+
+
+def _fraction_of_cell(u: Float[Array, "*batch"], count: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Coordinate in a cell, from 0 to 1, of a point at ``u`` of the domain, which ``count`` such cells span."""
+    t = u * count  # exact, and so is the difference: both leaves at a face see the same point
+    inside = jnp.minimum(jax.lax.stop_gradient(t), count - t.dtype.type(0.5))  # the upper edge is the last cell's
+    return t - jnp.floor(inside)
+
+
+def _polynomial(
+    powers: int, table: Float[Array, "numbers"], first: UInt32[Array, "*batch"], t: list[Float[Array, "*batch"]]
+) -> Float[Array, "*batch"]:
+    """Horner's rule along the first coordinate, whose coefficients are polynomials of the others."""
+    if not t:
+        return _gather(table, first)
+    stride = np.uint32(powers ** (len(t) - 1))
+    terms = [_polynomial(powers, table, first + stride * np.uint32(power), t[1:]) for power in range(powers)]
+    total = terms[-1].astype(t[0].dtype)
+    for term in reversed(terms[:-1]):
+        total = total * t[0] + term
+    return total
