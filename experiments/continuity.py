@@ -18,11 +18,17 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments._results import run
-from experiments.query import interleaved_medians
-from plr_jax import PLR, VisibilityGraph, Workspace, construct, metrics, scenes
-from plr_jax._box import Box
-from plr_jax.plr._continuous import ContinuousPLR
-from plr_jax.plr._continuous_construct import construct_continuous
+from plr_jax import (
+    PLR,
+    Box,
+    ContinuousPLR,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    construct_continuous,
+    metrics,
+    scenes,
+)
 from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
 
 POINT_SEED, FACE_SEED = 1_000, 3_000
@@ -81,7 +87,7 @@ def time_queries(plrs: dict[str, PLR | ContinuousPLR], num_points: int, num_runs
     x = domain.lo + domain.width * np.random.default_rng(POINT_SEED).random((num_points, domain.dim))
     on_device = jnp.asarray(x, jnp.float32)
     queries = {label: (lambda plr=plr: plr(on_device)) for label, plr in plrs.items()}
-    return interleaved_medians(queries, num_points, num_runs)
+    return {name: 1e9 / num_points * seconds.median for name, seconds in interleaved(queries, num_runs).items()}
 
 
 def measure(

@@ -47,11 +47,13 @@ if TYPE_CHECKING:
     from plr_jax.plr import PLR as PLR
     from plr_jax.plr import CellFit as CellFit
     from plr_jax.plr import ConstructionInterrupted as ConstructionInterrupted
+    from plr_jax.plr import ContinuousPLR as ContinuousPLR
     from plr_jax.plr import Refinement as Refinement
     from plr_jax.plr import RefinementInterrupted as RefinementInterrupted
     from plr_jax.plr import best_axis as best_axis
     from plr_jax.plr import center_error as center_error
     from plr_jax.plr import construct as construct
+    from plr_jax.plr import construct_continuous as construct_continuous
     from plr_jax.plr import cyclic_axis as cyclic_axis
     from plr_jax.plr import evaluate as evaluate
     from plr_jax.plr import from_bytes as from_bytes
@@ -101,7 +103,9 @@ _HOME = {
     "RefinementInterrupted": "plr",
     "best_axis": "plr",
     "center_error": "plr",
+    "ContinuousPLR": "plr",
     "construct": "plr",
+    "construct_continuous": "plr",
     "cyclic_axis": "plr",
     "evaluate": "plr",
     "from_bytes": "plr",

@@ -21,7 +21,7 @@ from plr_jax.plr._fit import FitRule, WeightFn, fit_cells, least_squares
 from plr_jax.plr._limits import Limits, check_limits, check_memory
 from plr_jax.plr._nodes import NEVER, Nodes, nodes_of_fit, split_order
 from plr_jax.plr._pattern import sample_pattern
-from plr_jax.plr._plr import PLR, from_bytes
+from plr_jax.plr._plr import PLR, plr_from_bytes
 from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_error
 
 _SAMPLES_AT_ONCE = 2**20
@@ -119,7 +119,7 @@ def construct(
 
     nodes = _grow(fit_nodes, domain.dim, limits)
     leaf, planes = choose_leaves(nodes, limits)
-    return from_bytes(encode(domain, nodes.cells[leaf], planes))
+    return plr_from_bytes(encode(domain, nodes.cells[leaf], planes))
 
 
 def _grow(fit_nodes: FitNodes, dim: int, limits: Limits) -> Nodes:

@@ -15,8 +15,8 @@ from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
 from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
 from plr_jax.plr._planes import LARGEST
-from plr_jax.plr._plr import _as_array, _require_real
-from plr_jax.plr._tables import Frame, Tables, _gather, _power_of_two, build_tables, lookup
+from plr_jax.plr._plr import as_array, require_real
+from plr_jax.plr._tables import LEAF_SIZES, Frame, Tables, build_tables, gather, lookup, padded_size
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
 
@@ -26,7 +26,7 @@ _POWERS = (2, 4)  # of t along each axis, by order of continuity
 class ContinuousPLR:
     """A distance function stored as values at the corners of a binary space partition's leaves.
 
-    Made by :func:`construct_continuous` and read by :func:`continuous_from_bytes`. Between a leaf's corners it is
+    Made by :func:`construct_continuous` and :func:`load`. Between a leaf's corners it is
     multilinear (order 0) or multicubic (order 1). Across a free face (a face with a point whose two sides can both be
     reached) nothing jumps: order 0 is continuous there, order 1 has a continuous gradient too. A face in a wall ties
     nothing, so nothing blends across walls.
@@ -61,7 +61,7 @@ class ContinuousPLR:
             ValueError: If the last axis of ``x`` is not ``dim`` long.
         """
         if not isinstance(x, jax.Array):
-            x = _as_array(x)
+            x = as_array(x)
         return _evaluate(self.order, self.tables, x)
 
     @cached_property
@@ -137,11 +137,11 @@ def continuous_from_bytes(data: bytes) -> ContinuousPLR:
     rows = np.concatenate(
         [np.ldexp(1.0, leaves.depth), _coefficients(order, leaves, partition, numbers)], axis=1, dtype=np.float32
     )
-    padded_rows = np.zeros((_power_of_two(len(rows)), rows.shape[1]), np.float32)
+    padded_rows = np.zeros((padded_size(len(rows), LEAF_SIZES), rows.shape[1]), np.float32)
     padded_rows[: len(rows)] = rows
     nothing = np.zeros((len(leaves), leaves.dim)), np.zeros(len(leaves))
     tables = replace(build_tables(domain, leaves, *nothing), planes=jnp.asarray(padded_rows.ravel()))
-    padded = np.zeros(_power_of_two(len(data)), np.uint8)
+    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
     padded[: len(data)] = np.frombuffer(data, np.uint8)
     return ContinuousPLR(tables, padded, order)
 
@@ -185,7 +185,7 @@ def _mean_planes(
 def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, "*batch"]:
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    _require_real(x)
+    require_real(x)
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     row = lookup(tables, jax.lax.stop_gradient(x)) * np.uint32(tables.dim + _POWERS[order] ** tables.dim)
     frame = tables.frame.astype(x.dtype)
@@ -199,7 +199,7 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
             outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
         beyond += jnp.abs(above)  # NaN if any coordinate is
         u = above * frame[Frame.SCALE, axis] - frame[Frame.LO_FRACTION, axis]
-        t.append(_fraction_of_cell(u, _gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
+        t.append(_fraction_of_cell(u, gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
     t = [jnp.where(outside, jnp.zeros_like(along), along) for along in t]  # of inf, no gradient is a number
     value = _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t)
     return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
@@ -217,7 +217,7 @@ def _polynomial(
 ) -> Float[Array, "*batch"]:
     """Horner's rule along the first coordinate, whose coefficients are polynomials of the others."""
     if not t:
-        return _gather(table, first)
+        return gather(table, first)
     stride = np.uint32(powers ** (len(t) - 1))
     terms = [_polynomial(powers, table, first + stride * np.uint32(power), t[1:]) for power in range(powers)]
     total = terms[-1].astype(t[0].dtype)

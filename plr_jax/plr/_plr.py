@@ -1,17 +1,14 @@
 """The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from plr_jax._atomic import write_atomically
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
@@ -128,7 +125,7 @@ class PLR:
         return f"PLR(dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, {self.domain})"
 
 
-def from_bytes(data: bytes) -> PLR:
+def plr_from_bytes(data: bytes) -> PLR:
     """The PLR that a file's bytes hold: fill unreachable leaves from their neighbors, then build the tables.
 
     Every PLR comes into being here, so a loaded one equals the one that was saved, bit for bit.
@@ -175,7 +172,7 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
         ValueError: If the last axis of ``x`` is not ``dim`` long.
     """
     if not isinstance(x, jax.Array):
-        x = _as_array(x)
+        x = as_array(x)
     return _evaluate(plr.tables, x)
 
 
@@ -184,16 +181,16 @@ def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
     """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    _require_real(x)
+    require_real(x)
     return evaluate_tables(tables, x)
 
 
-def _require_real(x: Array | np.ndarray) -> None:
+def require_real(x: Array | np.ndarray) -> None:
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
 
 
-def _as_array(x: ArrayLike) -> np.ndarray:
+def as_array(x: ArrayLike) -> np.ndarray:
     """Points on the host. Integers become floats here, where they cannot wrap around."""
     try:
         x = np.asarray(x)
@@ -203,29 +200,5 @@ def _as_array(x: ArrayLike) -> np.ndarray:
         return x
     if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
         return x.astype(np.float64)
-    _require_real(x)  # which JAX cannot even be shown
+    require_real(x)  # which JAX cannot even be shown
     return x
-
-
-def save(plr: PLR, path: str | os.PathLike) -> None:
-    """Write a PLR to a file of ``plr.num_bytes`` bytes; the format is documented in ``plr_jax/plr/_file.py``.
-
-    The file is complete or absent: it is written under another name first, then renamed.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
-    write_atomically(Path(path), plr.to_bytes())
-
-
-def load(path: str | os.PathLike) -> PLR:
-    """Read a PLR that :func:`save` wrote; it equals the saved one bit for bit.
-
-    Raises:
-        ValueError: If the file is truncated, corrupt, no PLR file, or of a newer format.
-        OSError: If the file cannot be read.
-    """
-    try:
-        return from_bytes(Path(path).read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

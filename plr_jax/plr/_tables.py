@@ -27,7 +27,7 @@ _WORD_BITS = 32
 _MAX_SLOTS = 2**28
 # Sizes of tables: few, so that a PLR of another goal finds its query compiled. Padding is never read.
 _SLOT_SIZES = (2**6, 2**10, 2**14, 2**18)
-_LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
+LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
 _MAX_COLUMN_BYTES = 2**18  # half of a core's second-level cache, the other half is for slots
 
 
@@ -114,7 +114,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
     index = reduce(jnp.bitwise_or, [_shift_right(p & mask[axis], right[axis]) for axis, p in enumerate(place)])
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, place, index)
-    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
+    return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
@@ -194,7 +194,7 @@ def _lay_out(
     slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
 ) -> Float[np.ndarray, "terms padded"] | Float[np.ndarray, "coefficients"]:
     """The planes as ``Tables.planes`` describes, padded with zeros."""
-    planes = np.zeros((_padded_size(len(slope), _LEAF_SIZES), 1 + slope.shape[1]), np.float32)
+    planes = np.zeros((padded_size(len(slope), LEAF_SIZES), 1 + slope.shape[1]), np.float32)
     planes[: len(slope), 0], planes[: len(slope), 1:] = intercept, slope
     return planes.ravel() if planes.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(planes.T)
 
@@ -202,8 +202,8 @@ def _lay_out(
 def _coefficient(tables: Tables, leaf: UInt32[Array, "*batch"], term: int) -> Float[Array, "*batch"]:
     """A coefficient of each leaf's plane: its value at the corner (term 0) or its slope along axis ``term - 1``."""
     if tables.planes.ndim == 2:
-        return _gather(tables.planes[term], leaf)
-    return _gather(tables.planes, leaf * np.uint32(tables.dim + 1) + np.uint32(term))
+        return gather(tables.planes[term], leaf)
+    return gather(tables.planes, leaf * np.uint32(tables.dim + 1) + np.uint32(term))
 
 
 def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
@@ -228,7 +228,7 @@ def _index_in_block(
     index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = _gather(table, block)
+        word = gather(table, block)
         for slot in range(axes):
             bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
             within = place[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(_WORD_BITS - 1))) - np.uint32(1))
@@ -257,7 +257,7 @@ def _pack_blocks(
     return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
+def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
     return table.at[index].get(mode="promise_in_bounds")
 
 
@@ -356,11 +356,11 @@ def _row_major(
 
 
 def _padded(values: Integer[np.ndarray, "n"]) -> Integer[np.ndarray, "padded"]:
-    padded = np.zeros(_padded_size(len(values), _SLOT_SIZES), values.dtype)
+    padded = np.zeros(padded_size(len(values), _SLOT_SIZES), values.dtype)
     padded[: len(values)] = values
     return padded
 
 
-def _padded_size(n: int, sizes: tuple[int, ...]) -> int:
+def padded_size(n: int, sizes: tuple[int, ...]) -> int:
     """The first of the sizes that is large enough; beyond them, the next power of two."""
     return next((size for size in sizes if size >= n), 1 << (n - 1).bit_length())
