@@ -127,7 +127,7 @@ def round_clearances(
 
 def box_clearances(
     walls: Walls, bodies: Bodies, q0: Float[Array, "*batch robots 3"], q1: Float[Array, "*batch robots 3"]
-) -> tuple[Float[Array, "*batch robots 4"], ...]:
+) -> tuple[Float[Array, "..."], ...]:
     """Clearance of any robots in short motions: their corners to the walls, the walls' to them, both in passing."""
     corners0, corners1 = _corners(q0, bodies.half), _corners(q1, bodies.half)
     radius = bodies.radius[:, None]
@@ -162,7 +162,7 @@ def _seen(x: Float[Array, "*batch n 2"], q: Float[Array, "*batch 3"]) -> Float[A
 
 def _corners(q: Float[Array, "*batch robots 3"], half: Float[Array, "robots 2"]) -> Float[Array, "*batch robots 4 2"]:
     """Corners of the robots' boxes."""
-    return q[..., None, :2] + _turned(_SIGNS * half[:, None], q[..., 2, None])
+    return q[..., None, :2] + _turned(jnp.asarray(_SIGNS) * half[:, None], q[..., 2, None])
 
 
 def _turned(x: Float[Array, "*#batch 2"], angle: Float[Array, "*#batch"]) -> Float[Array, "*batch 2"]:

@@ -11,7 +11,7 @@ Path = Float[np.ndarray, "rows robots dof"]
 _SHORTEST = 0.3  # share of the path's time in which a robot makes all its motions, at the shortest
 
 
-def subdivided(problem: Problem, path: Path, rows: int) -> Path:
+def subdivided(problem: Problem, path: Float[np.ndarray, "steps robots dof"], rows: int) -> Path:
     """The same path, its costliest motions divided evenly until there are ``rows`` rows.
 
     Args:
@@ -60,7 +60,7 @@ def unwrapped(path: Path) -> Path:
     return path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(_changes(path), axis=0)])
 
 
-def _changes(path: Path) -> Float[np.ndarray, "motions robots dof"]:
+def _changes(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "motions robots dof"]:
     change = np.diff(path, axis=0)
     change[..., 2:] = shorter_turn(path[:-1, :, 2:], path[1:, :, 2:])
     return change

@@ -21,7 +21,8 @@ _STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
 _RATES = (3e-3, 3e-6)  # learning rate at first and at last
 _WIDENING = 10.0  # by how much the margin is wider at first, so that bodies slide past one another
 _PACE = 0.1  # weight of the unevenness of the pace
-_GUIDE = 3.0  # weight, at first, of the cost-to-go's deviation from even progress
+_GUIDE = 5.0  # weight, at first, of the cost-to-go's deviation from even progress
+_FADE = 1e-3  # its share that is left at last
 _PIECES = 2  # of a motion in which something turns, each taken for a chord
 _SMOOTHING = 1e-6  # length below which a motion costs less than its length, so that it has a gradient at rest
 
@@ -110,10 +111,12 @@ def _loss(scene: Scene, path: Path, aims: Aims, progress: Float[Array, ""]) -> F
     margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
     penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(scene, path))
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
-    loss = _length(scene, path) + _STEEPNESS * penalty + aims.smoothness * len(path) * (bends * bends).sum()
-    if aims.distance_fns:
-        loss = loss + _GUIDE * 1e-4**progress * _lag(scene, path, aims.distance_fns)
-    return loss
+    loss = _length(scene, path) + aims.smoothness * len(path) * (bends * bends).sum()
+    if not aims.distance_fns:
+        return loss + _STEEPNESS * penalty
+    # Walls fade in as the guide fades out: what begins on their wrong side could not cross them later.
+    guide = _FADE**progress
+    return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(scene, path, aims.distance_fns)
 
 
 def _length(scene: Scene, path: Path) -> Float[Array, ""]:
@@ -136,14 +139,14 @@ def _clearances(scene: Scene, path: Path) -> tuple[Float[Array, "..."], ...]:
 
 
 def _lag(scene: Scene, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
-    """How far each robot's cost-to-go is from falling evenly from start to goal, on average over the rows."""
+    """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):
         q = path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin)
         cost = fn(q[:, : getattr(fn, "dim", q.shape[1])]) / scene.scale
         known = jnp.isfinite(cost) & jnp.isfinite(cost[0])
         off = jnp.where(known, cost - share * cost[0], 0.0)
-        lag = lag + jnp.sqrt(off * off + _SMOOTHING).mean()
+        lag = lag + jnp.sqrt(off * off + _SMOOTHING).sum()
     return lag
 
 
