@@ -54,7 +54,7 @@ def optimize_paths(
     *,
     distance_fns: Sequence[Any] | None = None,
     num_retimings: int = 15,
-    num_iterations: int = 600,
+    num_iterations: int = 1000,
     margin: float | int | None = None,
     smoothness: float | int = 0.0,
     seed: int = 0,
