@@ -54,7 +54,9 @@ def scene_row(name: str, seed: int, smoke: bool) -> dict[str, Any]:
     }
 
 
-def optimized(problem: Problem, paths: Float[np.ndarray, "..."], seed: int, smoke: bool, **options: Any):
+def optimized(
+    problem: Problem, paths: Float[np.ndarray, "..."], seed: int, smoke: bool, **options: Any
+) -> tuple[OptimizedPaths, float]:
     """The result, and its seconds."""
     if smoke:
         options |= {"num_retimings": 1, "num_iterations": 20}

@@ -141,7 +141,15 @@ def box_clearances(
     )
 
 
-def _passing(bodies, corners0, corners1, q0, q1, i, j):
+def _passing(
+    bodies: Bodies,
+    corners0: Float[Array, "*batch robots 4 2"],
+    corners1: Float[Array, "*batch robots 4 2"],
+    q0: Float[Array, "*batch robots 3"],
+    q1: Float[Array, "*batch robots 3"],
+    i: Int[np.ndarray, "pairs"],
+    j: Int[np.ndarray, "pairs"],
+) -> Float[Array, "*batch pairs 4"]:
     """Clearance of the corners of robots ``i`` to robots ``j``, at first and in passing theirs."""
     a, b = (_seen(corners[..., i, :, :], q[..., j, :]) for corners, q in ((corners0, q0), (corners1, q1)))
     half, rounding = bodies.half[j][:, None], (bodies.radius[i] + bodies.radius[j])[:, None]

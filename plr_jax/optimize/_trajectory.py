@@ -81,7 +81,8 @@ def optimize_paths(
         num_iterations: Steps of descent, at least 1.
         margin: Clearance below which there is a penalty, in workspace units, positive; None: 1e-4 of the extent.
             It is met where there is room, and costs about its multiple by the turns of a path.
-        smoothness: Weight, at least 0, of the squared second differences of the way points.
+        smoothness: Weight, at least 0, of the squared second differences of the way points. A path that costs more
+            than a valid one that was given is not returned, however smooth.
         seed: Seed of the retimings.
 
     Returns:

@@ -109,7 +109,7 @@ def test_a_rectangle_that_cuts_a_corner_between_two_free_poses_is_seen():
     swept = shapes(robot, along(q0, q1, 201))
     assert (
         shapely.distance(swept[[0, -1]], BOX.obstacles[0]).min() > 0.05
-        and 0 == shapely.distance(swept, BOX.obstacles[0]).min()
+        and shapely.distance(swept, BOX.obstacles[0]).min() == 0
     )
     clearances = box_clearances(
         walls_of(BOX, ORIGIN, 1.0), bodies_of([robot], 1.0), *(jnp.asarray(q, jnp.float32) for q in (q0, q1))

@@ -97,12 +97,12 @@ def test_rectangles_and_a_disc_stay_valid():
 
 
 @given(st.integers(0, 10_000), st.integers(0, 12))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_a_valid_path_stays_valid_and_becomes_no_costlier(seed, steps):
     rng = np.random.default_rng(seed)
-    path = detour()
-    wild = np.concatenate([path[:2], rng.uniform(0.5, 9.5, (steps, 2, 2)), path[2:]])
-    for path in (wild, path + rng.normal(0, 0.3, path.shape) * [[[0]], [[1]], [[1]], [[0]]]):
+    tame = detour() + rng.normal(0, 0.3, (4, 2, 2)) * [[[0]], [[1]], [[1]], [[0]]]
+    wild = np.concatenate([detour()[:2], rng.uniform(0.5, 9.5, (steps, 2, 2)), detour()[2:]])
+    for path in (tame, wild):
         before = validate(SWAP, path)
         result = checked(SWAP, optimize_paths(SWAP, path, num_retimings=1, num_iterations=20, seed=seed))
         if before.valid:
@@ -159,7 +159,11 @@ def test_a_guide_brings_a_guess_around_a_wall():
     oracle = VisibilityGraph(wall, problem.goals[0])
     plr = construct(oracle, wall.bounds, max_bytes=1024)
     exact = oracle(problem.starts)[0]
-    for fn in (plr, lambda x: plr(x)):
+
+    def plain(x):
+        return plr(x)
+
+    for fn in (plr, plain):
         result = checked(problem, optimize_paths(problem, through(problem), distance_fns=[fn], num_iterations=1500))
         assert result.valid.all() and result.cost <= 1.01 * exact
     assert not checked(problem, optimize_paths(problem, through(problem))).valid.any()
@@ -180,7 +184,7 @@ def test_of_a_batch_the_cheapest_valid_path_is_returned():
         (detour()[0], "Paths must have shape"),
         (detour()[:0], "at least one guess of one step"),
         ("abc", "Paths must be numbers"),
-        (detour() + [[[0]], [[np.nan]], [[0]], [[0]]], "Paths must be finite; path 0"),
+        (detour() * np.array([1, np.nan, 1, 1])[:, None, None], "Paths must be finite; path 0"),
         (detour()[::-1], "Path 0 must have the problem's starts as its first row"),
         (detour()[:-1], "Path 0 must have the problem's goals as its last row"),
     ],
