@@ -1,0 +1,212 @@
+"""Optimized paths: short where the shortest is known, never invalid, never costlier."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plr_jax import (
+    DiscRobot,
+    PointRobot,
+    Problem,
+    RectangleRobot,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    path_cost,
+    validate,
+)
+from plr_jax.optimize._trajectory import optimize_paths
+
+ROOM = Workspace(((0, 0), (10, 10)))
+BOX = Workspace(((0, 0), (10, 10)), [[(4, 3), (6, 3), (6, 7), (4, 7)]])
+SWAP = Problem(ROOM, [DiscRobot(0.5)] * 2, [[2, 5], [8, 5]], [[8, 5], [2, 5]])
+QUICK = {"num_retimings": 1, "num_iterations": 200}
+
+
+def through(problem, *rows):
+    """A path from the starts through some rows to the goals."""
+    return np.stack([problem.starts, *(np.array(row, dtype=float) for row in rows), problem.goals])
+
+
+def detour():
+    """Two discs that pass one another with much room between them."""
+    return through(SWAP, [[2, 8], [8, 2]], [[8, 8], [2, 2]])
+
+
+def checked(problem, result):
+    """The result, its claims verified."""
+    assert result.paths.shape[1:] == (result.paths.shape[1], *problem.starts.shape)
+    for path, cost, valid in zip(result.paths, result.costs, result.valid, strict=True):
+        np.testing.assert_array_equal(path[[0, -1]], [problem.starts, problem.goals])
+        assert cost == pytest.approx(path_cost(problem, path), rel=1e-12)
+        assert valid == validate(problem, path).valid
+    assert (result.path is None) == (not result.valid.any()) == (not np.isfinite(result.cost))
+    if result.path is not None:
+        assert result.cost == pytest.approx(path_cost(problem, result.path), rel=1e-12)
+        assert result.cost == pytest.approx(result.costs[result.valid].min(), rel=1e-12)
+    assert np.isfinite(result.history).all()
+    return result
+
+
+def test_in_an_empty_room_a_jagged_path_becomes_a_straight_line():
+    problem = Problem(ROOM, [PointRobot()], [[1, 1]], [[9, 8]])
+    rows = np.random.default_rng(0).uniform(0, 10, (12, 1, 2))
+    result = checked(problem, optimize_paths(problem, through(problem, *rows)))
+    assert result.cost == pytest.approx(np.hypot(8, 7), rel=1e-4)
+
+
+@pytest.mark.parametrize("robot, corner", [(PointRobot(), 0.0), (DiscRobot(0.5), 0.5)])
+def test_past_one_obstacle_a_path_becomes_two_tangents(robot, corner):
+    problem = Problem(BOX, [robot], [[1, 4.5]], [[9, 4.5]])
+    result = checked(problem, optimize_paths(problem, through(problem, [[3, 1]], [[7, 1]])))
+    # By symmetry: a tangent to the circle about the corner (4, 3), an arc, and straight on to the middle.
+    away, below = np.hypot(3, 1.5), np.arctan2(1.5, 3)
+    turn = below + np.arcsin(corner / away)
+    exact = 2 * (np.sqrt(away**2 - corner**2) + corner * turn + 1)
+    assert exact - 1e-6 <= result.cost <= 1.001 * exact
+
+
+def test_two_discs_swap_places_almost_straight():
+    result = checked(SWAP, optimize_paths(SWAP, detour(), num_retimings=1))
+    # Neither can do better than to swerve by a radius where they meet.
+    assert 12 < result.cost <= 1.003 * 4 * np.hypot(3, 0.5) < 0.6 * path_cost(SWAP, detour())
+
+
+def test_a_rectangle_turns_no_more_than_it_must():
+    problem = Problem(ROOM, [RectangleRobot(2, 0.5)], [[2, 2, 3.0]], [[8, 3, -3.0]])
+    result = checked(problem, optimize_paths(problem, through(problem, [[4, 6, -2.5]], [[6, 1, 3.1]])))
+    turn = 2 * np.pi - 6.0
+    assert result.cost == pytest.approx(np.hypot(6, 1) + turn * problem.rotation_weights[0], rel=1e-3)
+
+
+PASSING = (  # a rectangle, and a disc that waits for it
+    [[2, 2, 0], [5, 2.2, 0], [8, 2.5, 1], [8, 2.5, 1]],
+    [[8, 0.6, 0], [8, 0.6, 0], [8, 0.6, 0], [2, 0.6, 0]],
+)
+
+
+def test_rectangles_and_a_disc_stay_valid():
+    robots = [RectangleRobot(1.5, 0.4), DiscRobot(0.4)]
+    problem = Problem(BOX, robots, [[2, 2, 0], [8, 2, 0]], [[8, 2.5, 1], [2, 2.5, 0]])
+    path = through(problem, *([rectangle, disc] for rectangle, disc in zip(PASSING[0], PASSING[1], strict=True)))
+    assert validate(problem, path).valid
+    result = checked(problem, optimize_paths(problem, path, **QUICK))
+    assert result.valid.all() and result.cost < 0.9 * path_cost(problem, path)
+
+
+@given(st.integers(0, 10_000), st.integers(0, 12))
+@settings(max_examples=6, deadline=None)
+def test_a_valid_path_stays_valid_and_becomes_no_costlier(seed, steps):
+    rng = np.random.default_rng(seed)
+    tame = detour() + rng.normal(0, 0.3, (4, 2, 2)) * [[[0]], [[1]], [[1]], [[0]]]
+    wild = np.concatenate([detour()[:2], rng.uniform(0.5, 9.5, (steps, 2, 2)), detour()[2:]])
+    for path in (tame, wild):
+        before = validate(SWAP, path)
+        result = checked(SWAP, optimize_paths(SWAP, path, num_retimings=1, num_iterations=20, seed=seed))
+        if before.valid:
+            assert result.valid[0] and result.cost <= before.cost * (1 + 1e-12)
+
+
+def test_what_is_shortest_already_is_left_as_it_is():
+    problem = Problem(ROOM, [PointRobot()], [[1, 1]], [[9, 8]])
+    result = checked(problem, optimize_paths(problem, through(problem)))
+    assert result.cost == pytest.approx(np.hypot(8, 7), rel=1e-12)
+
+
+def test_robots_that_stay_where_they_are():
+    problem = Problem(ROOM, [DiscRobot(0.5)] * 2, SWAP.starts, SWAP.starts)
+    result = checked(problem, optimize_paths(problem, SWAP.starts[None], **QUICK))
+    assert result.valid.all() and result.cost == 0
+
+
+def test_wide_margins_are_kept_where_there_is_room_but_not_for_a_higher_cost():
+    path = detour()
+    result = checked(SWAP, optimize_paths(SWAP, path, margin=0.2, **QUICK))
+    assert validate(SWAP, result.path).clearance > 0.15
+
+
+def test_smoothness_makes_bends_wider():
+    problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
+    path = through(problem, [[3, 1]], [[7, 1]])
+    sharp, smooth = (checked(problem, optimize_paths(problem, path, smoothness=w)).path for w in (0.0, 30.0))
+    sharpest, smoothest = (np.abs(np.diff(each, 2, axis=0)).max() for each in (sharp, smooth))
+    assert smoothest < 0.7 * sharpest
+
+
+def test_a_batch_is_optimized_as_its_paths_are_one_by_one_and_again():
+    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]], detour()[:, ::-1, ::-1]][:2])
+    together = checked(SWAP, optimize_paths(SWAP, paths, **QUICK))
+    again = optimize_paths(SWAP, paths, **QUICK)
+    np.testing.assert_array_equal(together.paths, again.paths)
+    for k, path in enumerate(paths):
+        alone = checked(SWAP, optimize_paths(SWAP, path, **QUICK))
+        assert alone.cost == pytest.approx(together.costs[k], rel=1e-3)
+
+
+def test_far_from_the_origin_paths_are_as_good():
+    shift = np.array([1e5, -3e5])
+    problem = Problem(Workspace((shift, shift + 10)), SWAP.robots, SWAP.starts + shift, SWAP.goals + shift)
+    near = optimize_paths(SWAP, detour(), **QUICK)
+    far = checked(problem, optimize_paths(problem, detour() + shift, **QUICK))
+    assert far.cost == pytest.approx(near.cost, rel=1e-3)
+
+
+def test_a_guide_brings_a_guess_around_a_wall():
+    wall = Workspace(((0, 0), (10, 10)), [[(4, 0), (4.5, 0), (4.5, 8), (4, 8)]])
+    problem = Problem(wall, [PointRobot()], [[1, 4]], [[9, 3]])
+    oracle = VisibilityGraph(wall, problem.goals[0])
+    plr = construct(oracle, wall.bounds, max_bytes=1024)
+    exact = oracle(problem.starts)[0]
+
+    def plain(x):
+        return plr(x)
+
+    for fn in (plr, plain):
+        result = checked(problem, optimize_paths(problem, through(problem), distance_fns=[fn], num_iterations=1500))
+        assert result.valid.all() and result.cost <= 1.01 * exact
+    assert not checked(problem, optimize_paths(problem, through(problem))).valid.any()
+
+
+def test_of_a_batch_the_cheapest_valid_path_is_returned():
+    problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
+    above, below = through(problem, [[3, 9]], [[7, 9]]), through(problem, [[3, 1]], [[7, 1]])
+    result = checked(problem, optimize_paths(problem, np.stack([above, below])))
+    assert result.valid.all() and result.costs[1] < result.costs[0]
+    np.testing.assert_array_equal(result.path, result.paths[1])
+
+
+@pytest.mark.parametrize(
+    "path, message",
+    [
+        (detour()[:, :1], r"Paths must have shape .* = \(2, 2\), .* got \(4, 1, 2\)"),
+        (detour()[0], "Paths must have shape"),
+        (detour()[:0], "at least one guess of one step"),
+        ("abc", "Paths must be numbers"),
+        (detour() * np.array([1, np.nan, 1, 1])[:, None, None], "Paths must be finite; path 0"),
+        (detour()[::-1], "Path 0 must have the problem's starts as its first row"),
+        (detour()[:-1], "Path 0 must have the problem's goals as its last row"),
+    ],
+)
+def test_paths_that_are_none_of_the_problem(path, message):
+    with pytest.raises(ValueError, match=message):
+        optimize_paths(SWAP, path)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"num_retimings": -1}, "num_retimings must be at least 0"),
+        ({"num_iterations": 0}, "num_iterations must be at least 1"),
+        ({"margin": 0.0}, "margin must be positive"),
+        ({"margin": np.nan}, "margin must be positive"),
+        ({"smoothness": -1.0}, "smoothness must be finite and at least 0"),
+        ({"distance_fns": [jnp.sum]}, "one a robot, 2, got 1"),
+        ({"distance_fns": [VisibilityGraph(ROOM, [8, 5])] * 2}, r"distance_fns\[0\] must be a function that JAX"),
+        ({"distance_fns": [jnp.sum] * 2}, r"points \(n, dim\) to distances \(n,\), got \(\)"),
+    ],
+)
+def test_options_out_of_range(options, message):
+    with pytest.raises(ValueError, match=message):
+        optimize_paths(SWAP, detour(), **options)
