@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments._results import run
-from plr_jax import Box, Euclidean, construct, cyclic_axis, from_bytes, maximum_depth, metrics, plot
+from plr_jax import PLR, Box, Euclidean, construct, cyclic_axis, from_bytes, maximum_depth, metrics, plot
 
 DEPTH = 6
 
@@ -29,7 +29,9 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    ax = plot.plot_surface(from_bytes(base64.b64decode(results["plr_base64"])))
+    plr = from_bytes(base64.b64decode(results["plr_base64"]))
+    assert isinstance(plr, PLR)
+    ax = plot.plot_surface(plr)
     ax.set_title(
         f"{results['leaves']} planes, {results['bytes']:,} bytes: max error {results['max']:.2g}, "
         f"mean {results['mean']:.2g}",

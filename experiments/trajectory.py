@@ -16,8 +16,17 @@ from matplotlib.figure import Figure
 from experiments._planning import PLR, PLR_BYTES, SCENES, lower_bound, solve
 from experiments._results import run
 from experiments._tables import aligned
-from plr_jax import Problem, Roadmap, VisibilityGraph, construct, plot, scenes, validate
-from plr_jax.optimize._trajectory import OptimizedPaths, optimize_paths
+from plr_jax import (
+    OptimizedPaths,
+    Problem,
+    Roadmap,
+    VisibilityGraph,
+    construct,
+    optimize_paths,
+    plot,
+    scenes,
+    validate,
+)
 
 SHOWN = "four rooms 4"
 NUM_GUESSES, NUM_WAY_POINTS, NUM_ROADMAP_SAMPLES, SHAKE = 64, 6, 300, 0.01

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from plr_jax._workspace import Workspace as Workspace
     from plr_jax.optimize import Descent as Descent
     from plr_jax.optimize import DescentStatus as DescentStatus
+    from plr_jax.optimize import OptimizedPaths as OptimizedPaths
     from plr_jax.optimize import descend as descend
+    from plr_jax.optimize import optimize_paths as optimize_paths
     from plr_jax.oracles import Euclidean as Euclidean
     from plr_jax.oracles import Roadmap as Roadmap
     from plr_jax.oracles import VisibilityGraph as VisibilityGraph
@@ -81,7 +83,9 @@ _HOME = {
     "Workspace": "_workspace",
     "Descent": "optimize",
     "DescentStatus": "optimize",
+    "OptimizedPaths": "optimize",
     "descend": "optimize",
+    "optimize_paths": "optimize",
     "Euclidean": "oracles",
     "Roadmap": "oracles",
     "VisibilityGraph": "oracles",
@@ -99,11 +103,11 @@ _HOME = {
     "PLR": "plr",
     "CellFit": "plr",
     "ConstructionInterrupted": "plr",
+    "ContinuousPLR": "plr",
     "Refinement": "plr",
     "RefinementInterrupted": "plr",
     "best_axis": "plr",
     "center_error": "plr",
-    "ContinuousPLR": "plr",
     "construct": "plr",
     "construct_continuous": "plr",
     "cyclic_axis": "plr",

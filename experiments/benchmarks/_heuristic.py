@@ -22,7 +22,7 @@ from tqdm import tqdm
 from experiments._planning import PLR_BYTES
 from experiments._tables import aligned
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, Problem, construct, from_bytes, robot_distance_fns, scenes, sum_of_distances
+from plr_jax import PLR, Problem, construct, robot_distance_fns, scenes, sum_of_distances
 
 TEAMS = (2, 4, 8, 16)
 BATCHES, SMOKE_BATCHES = (1, 64, 4_096, 32_768, 1_000_000), (1, 64, 1_024)
@@ -67,7 +67,7 @@ def team_plrs(problem: Problem, num_bytes: int, seed: int) -> tuple[list[PLR], d
 
 def team_of(plrs: list[PLR], robots: int) -> list[PLR]:
     """The first PLRs, or all of them several times, each with arrays of its own."""
-    return [from_bytes(plrs[i % len(plrs)].to_bytes()) for i in range(robots)]
+    return [jax.tree.map(jnp.copy, plrs[i % len(plrs)]) for i in range(robots)]
 
 
 def team_configurations(problem: Problem, robots: int, n: int, seed: int) -> Float[np.ndarray, "n robots 2"]:

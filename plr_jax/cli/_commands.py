@@ -142,10 +142,9 @@ def info(file: _File) -> None:
     from plr_jax.plr import load
 
     plr = load(file)
-    finite = int(np.isfinite(np.asarray(plr.intercept)).sum())
     typer.echo(f"file       {file}")
     typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D)")
-    typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_leaves - finite:,} unreachable")
+    typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
     typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
 
@@ -177,7 +176,7 @@ def plot(
     ] = Picture.distance,
 ) -> None:
     """Draw a .plr file."""
-    from plr_jax.plr import load
+    from plr_jax.plr import PLR, load
 
     if goal is not None and map is None:
         raise ValueError("--goal needs --map.")
@@ -192,6 +191,10 @@ def plot(
         case Picture.cells:
             ax = draw.plot_cells(plr, workspace=workspace)
         case Picture.surface:
+            if not isinstance(plr, PLR):
+                raise ValueError(
+                    f"{file} is a continuous PLR, which has no plane a leaf; draw --kind distance or cells."
+                )
             ax = draw.plot_surface(plr, workspace=workspace)
         case Picture.error:
             if workspace is None or goal_point is None:

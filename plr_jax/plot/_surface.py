@@ -14,7 +14,7 @@ from plr_jax._workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
     DISTANCE_LABEL,
-    Partition,
+    PlanesOfLeaves,
     cell_corners,
     new_axes_3d,
     require_2d,
@@ -24,7 +24,7 @@ from plr_jax.plot._page import (
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 
 
-def plot_surface(plr: Partition, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
+def plot_surface(plr: PlanesOfLeaves, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
     """Draw a 2-D distance function as a surface of plane pieces, as in Fig. 1 of the paper.
 
     Args:
@@ -61,7 +61,7 @@ def plot_surface(plr: Partition, ax: Axes3D | None = None, *, workspace: Workspa
     return ax
 
 
-def _plane_pieces(plr: Partition, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
+def _plane_pieces(plr: PlanesOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Every leaf's plane over the leaf (or over the free part of it), as polygons in space."""
     slope, intercept = np.asarray(plr.slope, dtype=np.float64), np.asarray(plr.intercept, dtype=np.float64)
     pieces = []

@@ -99,6 +99,17 @@ class ContinuousPLR:
         return len(self.partition.unreachable)
 
     @property
+    def depth(self) -> int:
+        """Largest number of splits between the root and a leaf."""
+        return int(self.cells.depth.sum(axis=1).max())
+
+    @property
+    def num_unreachable(self) -> int:
+        """Number of leaves that answer ``inf``."""
+        lo, hi = self.leaf_boxes
+        return int(np.isinf(self((lo + hi) / 2)).sum())
+
+    @property
     def num_bytes(self) -> int:
         """Bytes of the file."""
         return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())

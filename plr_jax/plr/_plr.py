@@ -91,6 +91,11 @@ class PLR:
         return len(self.cells)
 
     @property
+    def num_unreachable(self) -> int:
+        """Number of leaves that answer ``inf``."""
+        return int(np.isinf(self.intercept).sum())
+
+    @property
     def depth(self) -> int:
         """Largest number of splits between the root and a leaf."""
         return int(self.cells.depth.sum(axis=1).max())
