@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 # interpax's linear answers are those of the bilinear grid.
 _STYLES = {
     "PLR": ("#0072B2", "-", "o"),
+    "PLR, continuous": ("#0072B2", "--", "o"),
     "bilinear grid, 16-bit": ("#444444", "-", "D"),
     "bilinear grid": ("#444444", "--", "D"),
     "interpax, cubic, 16-bit": ("#009E73", "-", "^"),

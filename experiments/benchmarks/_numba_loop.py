@@ -110,13 +110,13 @@ def _place(tables: Tables) -> Callable[[Any, int], Any]:
     """A point's place along an axis, in units of ``2**-23`` of the domain's width."""
     import numba
 
-    lo, fraction_of_lo, scale = (_row(tables, row) for row in (Frame.LO, Frame.LO_FRACTION, Frame.SCALE))
-    largest, unit = np.float32(1 - 2.0**-_FRACTION_BITS), np.float32(2**_FRACTION_BITS)
+    lo, start, scale = (_row(tables, row) for row in (Frame.LO, Frame.START, Frame.SCALE))
+    largest, unit, one = np.float32(2 - 2.0**-_FRACTION_BITS), np.float32(2**_FRACTION_BITS), np.float32(1)
 
     @numba.njit(inline="always")
     def place(coordinate, axis):
-        fraction = (coordinate - lo[axis]) * scale[axis] - fraction_of_lo[axis]
-        return np.int32(min(fraction, largest) * unit)
+        placed = (coordinate - lo[axis]) * scale[axis] + start[axis]
+        return np.int32((min(placed, largest) - one) * unit)
 
     return place
 

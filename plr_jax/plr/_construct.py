@@ -16,15 +16,15 @@ from plr_jax._box import Box
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._budget import choose_leaves, splits_allowed
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import encode
 from plr_jax.plr._fit import FitRule, WeightFn, fit_cells, least_squares
 from plr_jax.plr._limits import Limits, check_limits, check_memory
 from plr_jax.plr._nodes import NEVER, Nodes, nodes_of_fit, split_order
 from plr_jax.plr._pattern import sample_pattern
-from plr_jax.plr._plr import PLR, plr_from_bytes
+from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_error
 
 _SAMPLES_AT_ONCE = 2**20
+_LAST_SHARE = 32  # of the splits so far, as many as this fraction are made in one last round
 
 
 class ConstructionInterrupted(UserWarning):
@@ -119,7 +119,7 @@ def construct(
 
     nodes = _grow(fit_nodes, domain.dim, limits)
     leaf, planes = choose_leaves(nodes, limits)
-    return plr_from_bytes(encode(domain, nodes.cells[leaf], planes))
+    return plr_of_leaves(domain, nodes.cells[leaf], planes)
 
 
 def _grow(fit_nodes: FitNodes, dim: int, limits: Limits) -> Nodes:
@@ -151,8 +151,11 @@ def _grow(fit_nodes: FitNodes, dim: int, limits: Limits) -> Nodes:
 
 
 def _next_batch(nodes: Nodes, limits: Limits) -> Int[np.ndarray, "batch"]:
-    """Leaves to split next: the better half of those that would be split if no better ones came up."""
+    """Leaves to split next: the better half of those that would be split if no better ones came up.
+
+    Of the last few all: some are sampled in vain, but a round of a few takes as long as one of many.
+    """
     order = split_order(nodes)
     wanted = order[: splits_allowed(nodes, order, limits)]
     wanted = wanted[nodes.child[wanted] < 0]
-    return wanted[: (len(wanted) + 1) // 2]
+    return wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]

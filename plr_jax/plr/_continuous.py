@@ -16,7 +16,7 @@ from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
 from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._plr import as_array, require_real
-from plr_jax.plr._tables import LEAF_SIZES, Frame, Tables, build_tables, gather, lookup, padded_size
+from plr_jax.plr._tables import LEAF_SIZES, Frame, Tables, build_tables, gather, lookup, padded_size, place
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
 
@@ -209,18 +209,23 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
         else:
             outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
         beyond += jnp.abs(above)  # NaN if any coordinate is
-        u = above * frame[Frame.SCALE, axis] - frame[Frame.LO_FRACTION, axis]
-        t.append(_fraction_of_cell(u, gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
+        u = above * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
+        placed = place(tables, jax.lax.stop_gradient(x), axis).astype(x.dtype) - 1
+        t.append(_fraction_of_cell(u, placed, gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
     t = [jnp.where(outside, jnp.zeros_like(along), along) for along in t]  # of inf, no gradient is a number
     value = _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t)
     return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
 
 
-def _fraction_of_cell(u: Float[Array, "*batch"], count: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Coordinate in a cell, from 0 to 1, of a point at ``u`` of the domain, which ``count`` such cells span."""
-    t = u * count  # exact, and so is the difference: both leaves at a face see the same point
-    inside = jnp.minimum(jax.lax.stop_gradient(t), count - t.dtype.type(0.5))  # the upper edge is the last cell's
-    return t - jnp.floor(inside)
+def _fraction_of_cell(
+    u: Float[Array, "*batch"], placed: Float[Array, "*batch"], count: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Coordinate in a cell, from 0 to 1, of a point at ``u`` of the domain, which ``count`` such cells span.
+
+    The cell is the one that the lookup found, which rounds ``u`` to ``placed``: beside a border ``u`` may lie in the
+    one before. Products and the difference are exact, so both leaves at a face see the same point.
+    """
+    return u * count - jnp.floor(placed * count)
 
 
 def _polynomial(

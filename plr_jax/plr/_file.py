@@ -48,8 +48,8 @@ _CRC = struct.Struct("<I")
 _WIDTH_BITS = 6
 
 
-def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> bytes:
-    """The bytes of a file that holds these leaves; their order is kept only up to the tree's traversal."""
+def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> tuple[bytes, Int[np.ndarray, "leaves"]]:
+    """The bytes of a file that holds these leaves, and the order in which it has them, that of the tree."""
     levels, order = levels_of(cells)
     corners = np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes()
     span = _SPAN.pack(planes.offset, planes.step)
@@ -59,7 +59,7 @@ def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> bytes:
     rest = corners + span + body.to_bytes()
     size = _HEADER.size + len(rest) + _CRC.size
     data = _HEADER.pack(MAGIC, VERSION, domain.dim, planes.bits, 0, len(cells), size) + rest
-    return data + _CRC.pack(zlib.crc32(data))
+    return data + _CRC.pack(zlib.crc32(data)), order
 
 
 def file_size(data: bytes) -> int:

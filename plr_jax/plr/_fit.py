@@ -180,7 +180,8 @@ def _explained(
 
 
 def _masked(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
-    return np.flatnonzero((weight != 1).any(axis=1))
+    differs = weight != 1
+    return np.flatnonzero(differs.any(axis=1)) if differs.any() else np.zeros(0, np.int64)
 
 
 def _normal_matrices(

@@ -76,7 +76,7 @@ def nodes_of_fit(
     """
     _check_rules(fit, priority, axis)
     depth = fit.cells.depth
-    volume = fit.reachable @ fit.pattern.weight
+    volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     at_limit = depth.sum(axis=1) >= limits.max_depth
     at_limit |= depth[np.arange(len(depth)), axis] >= max_axis_depth(fit.cells.dim)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, UInt8
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import HEADER_SIZE, decode, file_size
+from plr_jax.plr._file import HEADER_SIZE, decode, encode, file_size
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import LARGEST, StoredPlanes
 from plr_jax.plr._stack import TableStack
@@ -131,9 +131,7 @@ class PLR:
 
 
 def plr_from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold: fill unreachable leaves from their neighbors, then build the tables.
-
-    Every PLR comes into being here, so a loaded one equals the one that was saved, bit for bit.
+    """The PLR that a file's bytes hold.
 
     Args:
         data: What :meth:`PLR.to_bytes` gave.
@@ -142,7 +140,17 @@ def plr_from_bytes(data: bytes) -> PLR:
         ValueError: If the bytes are not those of a PLR file of a version this release reads, or its planes are
             beyond 32-bit floats.
     """
-    domain, cells, planes = decode(data)
+    return _assemble(data, *decode(data))
+
+
+def plr_of_leaves(domain: Box, cells: Cells, planes: StoredPlanes) -> PLR:
+    """The PLR of these leaves, in any order: the one that its file gives, bit for bit, without reading it."""
+    data, order = encode(domain, cells, planes)
+    return _assemble(data, domain, cells[order], planes[order])
+
+
+def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> PLR:
+    """Fill unreachable leaves from their neighbors, and build the tables. Every PLR comes into being here."""
     center, half = planes.decode()
     lo, hi = cells.boxes(domain)
     corner = table_corners(domain)[0]

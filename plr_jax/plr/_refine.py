@@ -10,11 +10,11 @@ from jaxtyping import Float
 from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
 from plr_jax.plr._faces import Faces
-from plr_jax.plr._file import encode, size_in_bytes
+from plr_jax.plr._file import size_in_bytes
 from plr_jax.plr._losses import Loss, Penalty, squared
 from plr_jax.plr._minimize import Samples, minimize, pose
 from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, encode_planes
-from plr_jax.plr._plr import PLR, plr_from_bytes
+from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr._refinement import Refinement, Stage, measure_errors, measure_jumps
 
 _CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share
@@ -181,7 +181,7 @@ def _encode(plr: PLR, plane: Float[np.ndarray, "padded terms"], max_bytes: int |
 
 
 def _with_planes(plr: PLR, planes: StoredPlanes) -> PLR:
-    return plr_from_bytes(encode(plr.domain, plr.cells, planes))
+    return plr_of_leaves(plr.domain, plr.cells, planes)
 
 
 def _conformal_shift(plr: PLR, samples: Samples, share: float) -> float:

@@ -93,14 +93,14 @@ class Frame(IntEnum):
     """Rows of ``Tables.frame``: the domain in 32-bit floats.
 
     ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
-    over its width. ``LO_FRACTION`` is ``LO_REST`` over the width, so that cells far from the origin stay in place.
+    over its width. ``START`` is one minus ``LO_REST`` over the width: cells far from the origin so stay in place.
     """
 
     LO = 0
     HI = 1
     LO_REST = 2
     HI_REST = 3
-    LO_FRACTION = 4
+    START = 4
     SCALE = 5
 
 
@@ -109,11 +109,11 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
     Points outside the domain, and NaN, get some leaf.
     """
-    place = [_place(tables, x, axis) for axis in range(tables.dim)]
+    words = [jax.lax.bitcast_convert_type(place(tables, x, axis), jnp.uint32) for axis in range(tables.dim)]
     mask, right = tables.bits
-    index = reduce(jnp.bitwise_or, [_shift_right(p & mask[axis], right[axis]) for axis, p in enumerate(place)])
+    index = reduce(jnp.bitwise_or, [_shift_right(word & mask[axis], right[axis]) for axis, word in enumerate(words)])
     if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, place, index)
+        index = _index_in_block(tables.blocks, words, index)
     return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
@@ -186,7 +186,7 @@ def _frame(domain: Box) -> Float[np.ndarray, "6 dim"]:
     frame = np.empty((len(Frame), domain.dim), np.float32)
     frame[Frame.LO], frame[Frame.HI] = lo, hi
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
-    frame[Frame.LO_FRACTION], frame[Frame.SCALE] = (domain.lo - lo) / domain.width, 1 / domain.width
+    frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
 
 
@@ -206,23 +206,20 @@ def _coefficient(tables: Tables, leaf: UInt32[Array, "*batch"], term: int) -> Fl
     return gather(tables.planes, leaf * np.uint32(tables.dim + 1) + np.uint32(term))
 
 
-def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
-    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
+def place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Float[Array, "*batch"]:
+    """A point's place along an axis: one plus its fraction of the domain's width, a 32-bit float from 1 to below 2.
 
-    Those are the fraction bits of the float between 1 and 2. The largest place is for the upper edge, which belongs
-    to the last cell.
+    Its lower 23 bits are the fraction in units of ``2**-23``, of which the first are the slot. The last place is for
+    the upper edge, which belongs to the last cell.
     """
-    lo, fraction_of_lo, scale = (
-        tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.LO_FRACTION, Frame.SCALE)
-    )
-    fraction = ((x[..., axis] - lo) * scale - fraction_of_lo).astype(jnp.float32)
-    last = np.float32(1 - 2.0**-_FRACTION_BITS)
-    fraction = jnp.where(fraction < last, fraction, last)
-    return jax.lax.bitcast_convert_type(fraction + np.float32(1), jnp.uint32)
+    lo, start, scale = (tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE))
+    placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
+    last = np.float32(2 - 2.0**-_FRACTION_BITS)
+    return jnp.where(placed < last, placed, last)
 
 
 def _index_in_block(
-    blocks: Blocks, place: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
 ) -> UInt32[Array, "*batch"]:
     """Index into ``leaf_of_slot`` of points in given blocks."""
     index = start = jnp.zeros_like(block)
@@ -231,7 +228,9 @@ def _index_in_block(
         word = gather(table, block)
         for slot in range(axes):
             bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = place[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(_WORD_BITS - 1))) - np.uint32(1))
+            within = places[axis] & (
+                (np.uint32(1) << (blocks.shift[axis] & np.uint32(_WORD_BITS - 1))) - np.uint32(1)
+            )
             index = (index << bits) | _shift_right(within, blocks.shift[axis] - bits)
             axis += 1
         if number == 0:

@@ -199,3 +199,17 @@ def test_strict_promotion(plr, x):
     with jax.numpy_dtype_promotion("strict"):
         plr(x)
         jax.vmap(jax.value_and_grad(plr))(jnp.asarray(x))
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(order):
+    """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
+    plr = construct_continuous(lambda x: np.hypot(x[:, 0] - 0.3, x[:, 1] - 0.7), SQUARE, max_leaves=60, order=order)
+    lo, _ = plr.leaf_boxes
+    rng = np.random.default_rng(0)
+    borders = np.unique(lo[:, 0])[1:].repeat(50)
+    x = np.column_stack([borders, rng.random(len(borders))]).astype(np.float32)
+    at_border = plr(x)
+    for _ in range(4):
+        x[:, 0] = np.nextafter(x[:, 0], np.float32(0))
+        np.testing.assert_allclose(plr(x), at_border, atol=1e-5)

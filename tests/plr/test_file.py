@@ -2,6 +2,7 @@ import contextlib
 import struct
 import zlib
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given
@@ -30,7 +31,7 @@ def test_encode_and_decode_are_inverse(seed, dim, num_splits, bits):
     center[0] = 1.0
     planes = encode_planes(center, rng.normal(size=(len(cells), dim)), bits)
     domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5)
-    data = encode(domain, cells, planes)
+    data, _ = encode(domain, cells, planes)
     assert len(data) == size_in_bytes(cells, planes)
     order = levels_of(cells)[1]
     again_domain, again_cells, again_planes = decode(data)
@@ -133,3 +134,11 @@ def test_load_says_what_is_wrong(data, change, message, tmp_path):
 def test_a_missing_file_is_an_os_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         load(tmp_path / "none.plr")
+
+
+@pytest.mark.parametrize("options", [{"max_leaves": 60}, {"max_bytes": 700}], ids=["floats", "integers"])
+def test_what_is_built_equals_what_its_file_holds_bit_for_bit(options):
+    plr = construct(walled, Box((0, 0), (1, 1)), **options)
+    again = from_bytes(plr.to_bytes())
+    for mine, theirs in zip(jax.tree_util.tree_leaves(plr), jax.tree_util.tree_leaves(again), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
