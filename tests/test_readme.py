@@ -19,10 +19,10 @@ COMMANDS = [
 
 
 def test_the_readme_has_code():
-    assert len(PYTHON) == 3 and len(COMMANDS) == 5
+    assert len(PYTHON) == 4 and len(COMMANDS) == 5
 
 
-@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map", "several robots"])
+@pytest.mark.parametrize("code", PYTHON, ids=["first", "own map", "several robots", "gradient"])
 def test_python_blocks_run(code, tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=120)
 
