@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments._results import run
+from experiments.benchmarks._timing import interleaved
 from plr_jax import (
     PLR,
     Box,
