@@ -11,6 +11,7 @@ from plr_jax.scenes._movingai import read_scen as read_scen
 from plr_jax.scenes._perturbed import perturbed as perturbed
 from plr_jax.scenes._polygons import read_polygons as read_polygons
 from plr_jax.scenes._published import cross as cross
+from plr_jax.scenes._published import floor_plan as floor_plan
 from plr_jax.scenes._published import four_rooms as four_rooms
 from plr_jax.scenes._published import maze as maze
 from plr_jax.scenes._published import single_door as single_door

@@ -1,6 +1,6 @@
 """The published scenes: the problems that the experiments are about.
 
-The scenes of teams are scene files in the folder ``published`` beside this module.
+The floor plan and the scenes of teams are scene files in the folder ``published`` beside this module.
 """
 
 from collections.abc import Sequence
@@ -49,6 +49,18 @@ def thin_maze() -> Problem:
         The problem: start and goal as in :func:`maze`.
     """
     return _point_problem(_THIN_MAZE)
+
+
+def floor_plan() -> Problem:
+    """A point robot on a furnished floor of offices, 24 m x 15 m, from the lounge to the kitchen.
+
+    Eleven rooms along a hallway and a lobby, walls 0.16 m thick, doors 0.8 to 1.4 m wide, more than 200 corners in
+    all. Several loops of rooms and doors lead most of the way.
+
+    Returns:
+        The problem: start (23.2, 11.6), goal (1.2, 1.2).
+    """
+    return load(_FOLDER / "floor_plan.json")
 
 
 def single_door() -> Problem:
