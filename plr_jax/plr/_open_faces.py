@@ -6,6 +6,7 @@ from jaxtyping import Bool, Float
 from plr_jax._box import Box
 from plr_jax._types import DistanceFn
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._fit import call_oracle
 from plr_jax.plr._nodal_tree import Faces, face_points
 from plr_jax.plr._pattern import sample_pattern
 
@@ -47,8 +48,8 @@ class FaceTests:
         x = face_points(cells, faces, w)
         across = _BESIDE * np.eye(self._domain.dim)[faces.axis][:, None]
         sides = [self._domain.lo + self._domain.width * (x + sign * across) for sign in (-1, 1)]
-        distance = self._distance_fn(np.concatenate(sides).reshape(-1, self._domain.dim))
-        below, above = np.isfinite(np.asarray(distance)).reshape(2, *x.shape[:2])
+        distance = call_oracle(self._distance_fn, np.concatenate(sides).reshape(-1, self._domain.dim))
+        below, above = np.isfinite(distance).reshape(2, *x.shape[:2])
         return np.any(below & above, axis=1)
 
 

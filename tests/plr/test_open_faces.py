@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from plr_helpers import cone, walled
 
 from plr_jax._box import Box
@@ -51,3 +52,8 @@ def test_intervals_and_boxes():
     for dim in (1, 3):
         cells, faces = grid(1, dim)
         assert FaceTests(cone, Box(np.zeros(dim), np.ones(dim))).are_free(cells, faces).all()
+
+
+def test_a_distance_function_that_fails_beside_a_face_is_named():
+    with pytest.raises(ValueError, match="distance_fn must return numbers, or inf"):
+        FaceTests(lambda x: np.full(len(x), np.nan), SQUARE).are_free(*grid(1))
