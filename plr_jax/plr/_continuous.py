@@ -6,7 +6,7 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, Num, UInt8, UInt32
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
@@ -16,9 +16,20 @@ from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
 from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._plr import as_array, require_real
-from plr_jax.plr._tables import LEAF_SIZES, Frame, Tables, build_tables, gather, lookup, padded_size, place
+from plr_jax.plr._tables import (
+    LEAF_SIZES,
+    Frame,
+    Tables,
+    build_tables,
+    gather,
+    lookup,
+    outside_domain,
+    padded_size,
+    place,
+)
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
+_HALF, _UPPER_HALF = np.uint32(16), np.uint32(0xFFFF0000)  # of a 32-bit word
 
 
 @jax.tree_util.register_dataclass
@@ -34,8 +45,9 @@ class ContinuousPLR:
     It is a pytree of arrays, as a :class:`PLR` is, and answers under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
 
     Attributes:
-        tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: for every axis
-            how many of such cells span the domain, then coefficients by powers of the coordinates in the cell.
+        tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: how many of such
+            cells span the domain along each axis, two axes a number, then coefficients by powers of the coordinates
+            in the cell.
         file: The bytes of the file, padded with zeros to a power of two.
         order: Order of continuity.
     """
@@ -145,9 +157,8 @@ def continuous_from_bytes(data: bytes) -> ContinuousPLR:
     domain, order, partition, space, values = decode(data)
     leaves = partition.tree.leaves
     numbers = (numbers_of_leaves(order, space) @ values.decode()).reshape(len(leaves), -1)
-    rows = np.concatenate(
-        [np.ldexp(1.0, leaves.depth), _coefficients(order, leaves, partition, numbers)], axis=1, dtype=np.float32
-    )
+    coefficients = _coefficients(order, leaves, partition, numbers).astype(np.float32)
+    rows = np.concatenate([_packed_counts(leaves), coefficients], axis=1)
     padded_rows = np.zeros((padded_size(len(rows), LEAF_SIZES), rows.shape[1]), np.float32)
     padded_rows[: len(rows)] = rows
     nothing = np.zeros((len(leaves), leaves.dim)), np.zeros(len(leaves))
@@ -182,6 +193,26 @@ def _coefficients(
     return coefficients
 
 
+def _packed_counts(leaves: Cells) -> Float[np.ndarray, "leaves pairs"]:
+    """How many of each leaf's cells span the domain, two axes a 32-bit word: of a power of two the upper half tells all.
+
+    The first axis of a pair is in the upper half, so no word looks like a NaN.
+    """
+    upper = np.ldexp(np.float32(1), leaves.depth).view(np.uint32) & _UPPER_HALF
+    if leaves.dim % 2:
+        upper = np.pad(upper, [(0, 0), (0, 1)])
+    return (upper[:, ::2] | upper[:, 1::2] >> _HALF).view(np.float32)
+
+
+def _counts(tables: Tables, row: UInt32[Array, "*batch"]) -> list[Float[Array, "*batch"]]:
+    """What :func:`_packed_counts` packed, of the leaf whose numbers start at ``row``."""
+    counts = []
+    for pair in range((tables.dim + 1) // 2):
+        word = jax.lax.bitcast_convert_type(gather(tables.planes, row + np.uint32(pair)), jnp.uint32)
+        counts += [word & _UPPER_HALF, word << _HALF]
+    return [jax.lax.bitcast_convert_type(bits, jnp.float32) for bits in counts[: tables.dim]]
+
+
 def _mean_planes(
     order: int, numbers: Float[np.ndarray, "leaves terms"], dim: int
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
@@ -198,23 +229,28 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
     require_real(x)
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-    row = lookup(tables, jax.lax.stop_gradient(x)) * np.uint32(tables.dim + _POWERS[order] ** tables.dim)
-    frame = tables.frame.astype(x.dtype)
-    outside, beyond, t = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype), []
-    for axis in range(tables.dim):
-        above = x[..., axis] - frame[Frame.LO, axis]
-        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
-            below = frame[Frame.HI, axis] - x[..., axis]
-            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
-        else:
-            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
-        beyond += jnp.abs(above)  # NaN if any coordinate is
-        u = above * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
-        placed = place(tables, jax.lax.stop_gradient(x), axis).astype(x.dtype) - 1
-        t.append(_fraction_of_cell(u, placed, gather(tables.planes, row + np.uint32(axis)).astype(x.dtype)))
-    t = [jnp.where(outside, jnp.zeros_like(along), along) for along in t]  # of inf, no gradient is a number
-    value = _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t)
-    return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
+    outside, answer = outside_domain(tables, x)
+    still, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
+    pairs = (tables.dim + 1) // 2
+    row = lookup(tables, still) * np.uint32(pairs + _POWERS[order] ** tables.dim)
+    t = []
+    for axis, count in enumerate(_counts(tables, row)):
+        u = (x[..., axis] - frame[Frame.LO, axis]) * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
+        placed = place(tables, still, axis).astype(x.dtype) - 1
+        t.append(_zero_if_differentiated(_fraction_of_cell(u, placed, count.astype(x.dtype)), outside))
+    return jnp.where(outside, answer, _polynomial(_POWERS[order], tables.planes, row + np.uint32(pairs), t))
+
+
+@jax.custom_jvp
+def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Coordinates, where differentiated zero outside the domain: of inf, no gradient is a number, not even times zero."""
+    return t
+
+
+@_zero_if_differentiated.defjvp
+def _zero_with_tangent(primals, tangents):
+    t, outside = primals
+    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
 def _fraction_of_cell(

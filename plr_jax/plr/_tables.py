@@ -14,7 +14,7 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer, Num, UInt16, UInt32
+from jaxtyping import Array, Bool, Float, Int, Integer, Num, UInt16, UInt32
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
@@ -120,20 +120,29 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's plane at each point; ``inf`` outside the closed domain, NaN for NaN."""
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-    leaf = lookup(tables, jax.lax.stop_gradient(x))
-    frame = tables.frame.astype(x.dtype)
-    value, outside = _coefficient(tables, leaf, 0).astype(x.dtype), jnp.zeros(x.shape[:-1], bool)
-    beyond = jnp.full(x.shape[:-1], jnp.inf, x.dtype)
+    leaf, corner = lookup(tables, jax.lax.stop_gradient(x)), tables.frame[Frame.LO].astype(x.dtype)
+    value = _coefficient(tables, leaf, 0).astype(x.dtype)
+    for axis in range(tables.dim):
+        value += _coefficient(tables, leaf, 1 + axis).astype(x.dtype) * (x[..., axis] - corner[axis])
+    outside, answer = outside_domain(tables, x)
+    return jnp.where(outside, answer, value)
+
+
+def outside_domain(
+    tables: Tables, x: Float[Array, "*batch dim"]
+) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
+    """Whether each point is outside the closed domain, NaN not being so, and the answer there: ``inf``, NaN for NaN."""
+    x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
+    outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):
         above = x[..., axis] - frame[Frame.LO, axis]
-        value += _coefficient(tables, leaf, 1 + axis).astype(x.dtype) * above
-        beyond += jnp.abs(above)  # NaN if any coordinate is
+        answer += jnp.abs(above)  # NaN if any coordinate is
         if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
         else:
             outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
-    return jnp.where(outside, jax.lax.stop_gradient(beyond), value)
+    return outside, answer
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
