@@ -194,9 +194,9 @@ def _coefficients(
 
 
 def _packed_counts(leaves: Cells) -> Float[np.ndarray, "leaves pairs"]:
-    """How many of each leaf's cells span the domain, two axes a 32-bit word: of a power of two the upper half tells all.
+    """How many of each leaf's cells span the domain, two axes a 32-bit word.
 
-    The first axis of a pair is in the upper half, so no word looks like a NaN.
+    The upper half of a power of two tells it all. The first axis of a pair is in it, so no word looks like a NaN.
     """
     upper = np.ldexp(np.float32(1), leaves.depth).view(np.uint32) & _UPPER_HALF
     if leaves.dim % 2:
@@ -243,7 +243,7 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
 
 @jax.custom_jvp
 def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Coordinates, where differentiated zero outside the domain: of inf, no gradient is a number, not even times zero."""
+    """The coordinates, but zero outside the domain where differentiated: zero times a gradient at inf is NaN."""
     return t
 
 

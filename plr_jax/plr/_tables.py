@@ -131,7 +131,7 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
 def outside_domain(
     tables: Tables, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Whether each point is outside the closed domain, NaN not being so, and the answer there: ``inf``, NaN for NaN."""
+    """Whether each point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):
