@@ -29,7 +29,7 @@ from plr_jax.plr._tables import (
 )
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
-_HALF, _UPPER_HALF = np.uint32(16), np.uint32(0xFFFF0000)  # of a 32-bit word
+_EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 
 
 @jax.tree_util.register_dataclass
@@ -45,9 +45,8 @@ class ContinuousPLR:
     It is a pytree of arrays, as a :class:`PLR` is, and answers under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
 
     Attributes:
-        tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: how many of such
-            cells span the domain along each axis, two axes a number, then coefficients by powers of the coordinates
-            in the cell.
+        tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: for every axis
+            the number of its cell (see ``_cell_numbers``), then coefficients by powers of the coordinates in the cell.
         file: The bytes of the file, padded with zeros to a power of two.
         order: Order of continuity.
     """
@@ -158,7 +157,7 @@ def continuous_from_bytes(data: bytes) -> ContinuousPLR:
     leaves = partition.tree.leaves
     numbers = (numbers_of_leaves(order, space) @ values.decode()).reshape(len(leaves), -1)
     coefficients = _coefficients(order, leaves, partition, numbers).astype(np.float32)
-    rows = np.concatenate([_packed_counts(leaves), coefficients], axis=1)
+    rows = np.concatenate([_cell_numbers(leaves), coefficients], axis=1)
     padded_rows = np.zeros((padded_size(len(rows), LEAF_SIZES), rows.shape[1]), np.float32)
     padded_rows[: len(rows)] = rows
     nothing = np.zeros((len(leaves), leaves.dim)), np.zeros(len(leaves))
@@ -193,24 +192,12 @@ def _coefficients(
     return coefficients
 
 
-def _packed_counts(leaves: Cells) -> Float[np.ndarray, "leaves pairs"]:
-    """How many of each leaf's cells span the domain, two axes a 32-bit word.
+def _cell_numbers(leaves: Cells) -> Float[np.ndarray, "leaves dim"]:
+    """Number of every leaf's interval along each axis: 1 is the domain, the halves of ``i`` are ``2i`` and ``2i + 1``.
 
-    The upper half of a power of two tells it all. The first axis of a pair is in it, so no word looks like a NaN.
+    As a 32-bit float, its exponent says how many such intervals span the domain.
     """
-    upper = np.ldexp(np.float32(1), leaves.depth).view(np.uint32) & _UPPER_HALF
-    if leaves.dim % 2:
-        upper = np.pad(upper, [(0, 0), (0, 1)])
-    return (upper[:, ::2] | upper[:, 1::2] >> _HALF).view(np.float32)
-
-
-def _counts(tables: Tables, row: UInt32[Array, "*batch"]) -> list[Float[Array, "*batch"]]:
-    """What :func:`_packed_counts` packed, of the leaf whose numbers start at ``row``."""
-    counts = []
-    for pair in range((tables.dim + 1) // 2):
-        word = jax.lax.bitcast_convert_type(gather(tables.planes, row + np.uint32(pair)), jnp.uint32)
-        counts += [word & _UPPER_HALF, word << _HALF]
-    return [jax.lax.bitcast_convert_type(bits, jnp.float32) for bits in counts[: tables.dim]]
+    return (np.ldexp(1.0, leaves.depth) + leaves.position).astype(np.float32)
 
 
 def _mean_planes(
@@ -230,15 +217,13 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
     require_real(x)
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     outside, answer = outside_domain(tables, x)
-    still, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
-    pairs = (tables.dim + 1) // 2
-    row = lookup(tables, still) * np.uint32(pairs + _POWERS[order] ** tables.dim)
-    t = []
-    for axis, count in enumerate(_counts(tables, row)):
+    frame, t = tables.frame.astype(x.dtype), []
+    row = lookup(tables, jax.lax.stop_gradient(x)) * np.uint32(tables.dim + _POWERS[order] ** tables.dim)
+    for axis in range(tables.dim):
         u = (x[..., axis] - frame[Frame.LO, axis]) * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
-        placed = place(tables, still, axis).astype(x.dtype) - 1
-        t.append(_zero_if_differentiated(_fraction_of_cell(u, placed, count.astype(x.dtype)), outside))
-    return jnp.where(outside, answer, _polynomial(_POWERS[order], tables.planes, row + np.uint32(pairs), t))
+        along = _coordinate_in_cell(u, gather(tables.planes, row + np.uint32(axis)))
+        t.append(_zero_if_differentiated(along, outside))
+    return jnp.where(outside, answer, _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t))
 
 
 @jax.custom_jvp
@@ -253,15 +238,15 @@ def _zero_with_tangent(primals, tangents):
     return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
-def _fraction_of_cell(
-    u: Float[Array, "*batch"], placed: Float[Array, "*batch"], count: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
-    """Coordinate in a cell, from 0 to 1, of a point at ``u`` of the domain, which ``count`` such cells span.
+def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Coordinate, from 0 to 1, in the interval of that number, of a point at ``u`` of the domain.
 
-    The cell is the one that the lookup found, which rounds ``u`` to ``placed``: beside a border ``u`` may lie in the
-    one before. Products and the difference are exact, so both leaves at a face see the same point.
+    Where the lookup rounds a point across a border, the coordinate is beyond 0 or 1 by as much. Products and the
+    difference are exact, so both leaves at a face see the same point.
     """
-    return u * count - jnp.floor(placed * count)
+    exponent = jax.lax.bitcast_convert_type(number, jnp.uint32) & _EXPONENT
+    count = jax.lax.bitcast_convert_type(exponent, jnp.float32)
+    return u * count.astype(u.dtype) - (number - count).astype(u.dtype)
 
 
 def _polynomial(
