@@ -25,7 +25,6 @@ from plr_jax.plr._tables import (
     lookup,
     outside_domain,
     padded_size,
-    place,
 )
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
@@ -46,7 +45,7 @@ class ContinuousPLR:
 
     Attributes:
         tables: What a query reads, derived from ``file`` alone. ``tables.planes`` has a row a leaf: for every axis
-            the number of its cell (see ``_cell_numbers``), then coefficients by powers of the coordinates in the cell.
+            the number of its cell (see ``_cell_numbers``), then coefficients by powers of the coordinates in it.
         file: The bytes of the file, padded with zeros to a power of two.
         order: Order of continuity.
     """
@@ -193,7 +192,7 @@ def _coefficients(
 
 
 def _cell_numbers(leaves: Cells) -> Float[np.ndarray, "leaves dim"]:
-    """Number of every leaf's interval along each axis: 1 is the domain, the halves of ``i`` are ``2i`` and ``2i + 1``.
+    """Number of each leaf's interval along each axis: 1 is the domain, the halves of ``i`` are ``2i`` and ``2i + 1``.
 
     As a 32-bit float, its exponent says how many such intervals span the domain.
     """
