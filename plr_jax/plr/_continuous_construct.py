@@ -14,7 +14,7 @@ from plr_jax.plr._construct import ConstructionInterrupted
 from plr_jax.plr._continuous import ContinuousPLR, continuous_from_bytes
 from plr_jax.plr._fit import CellFit, WeightFn, fit_cells
 from plr_jax.plr._limits import Limits, check_limits, check_memory
-from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER, numbers_of_leaves
+from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_file import Partition, StoredValues, encode
 from plr_jax.plr._nodal_fit import Samples, fit_values, residuals
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
@@ -27,7 +27,7 @@ _MOST_SPLIT = 0.5  # of the leaves in one round, before all are fitted again
 _ROUNDS_TO_END = 64  # a round splits at least one in so many leaves, while the limits allow
 # Between the largest error (0) and the mean error (1): a cell counts by its volume to this power.
 _VOLUME_POWER = 0.25
-# Rounding values to multiples of the mean error adds a few percent to it.
+# Values are rounded to multiples of this times the mean error: bits for leaves rather than for digits.
 _STEP_PER_MEAN_ERROR = 1.0
 _SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
 
@@ -208,8 +208,7 @@ class _Rounds:
         partition = Partition(tree, unreachable, faces, tied)
         space = partition.space()
         samples = self._samples(cells, value)
-        values = fit_values(self._order, space, samples)
-        numbers = (numbers_of_leaves(self._order, space) @ values).reshape(len(value), -1)
+        values, numbers = fit_values(self._order, space, samples)
         residual = residuals(self._order, numbers, samples)
         data = encode(self._domain, self._order, partition, space, _rounded(values, residual, samples))
         return _Fitted(replace(cells, residual=residual), value, data)

@@ -213,7 +213,8 @@ def _write_numbers(body: BitWriter, values: Int[np.ndarray, "n"]) -> None:
         return
     if values.max() >= _MAX_CODE:
         raise ValueError("The distances vary too much for their values to be stored; scale them or limit the domain.")
-    order = min(range(1 << _ORDER_BITS), key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
+    orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # beyond them each adds a bit
+    order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
     extra = _extra_bits(values, order)
     body.write(np.array([order]), _ORDER_BITS).write_unary(extra)
     body.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)

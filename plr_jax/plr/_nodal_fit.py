@@ -30,8 +30,13 @@ class Samples:
     weight: Float[np.ndarray, "leaves k"]
 
 
-def fit_values(order: int, space: NodalSpace, samples: Samples) -> Float[np.ndarray, "masters"]:
-    """Values of the masters with which the function of the given order errs least at the samples."""
+def fit_values(
+    order: int, space: NodalSpace, samples: Samples
+) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves terms"]]:
+    """Values of the masters with which the function of the given order errs least at the samples.
+
+    With them come the numbers of all leaves, see :func:`numbers_of_leaves`.
+    """
     from scipy.sparse import bsr_array, csc_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -54,7 +59,8 @@ def fit_values(order: int, space: NodalSpace, samples: Samples) -> Float[np.ndar
     factors = splu(
         csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
-    return mean + factors.solve(numbers.T @ moments)
+    values = mean + factors.solve(numbers.T @ moments)
+    return values, (numbers @ values).reshape(leaves, terms)
 
 
 def residuals(
