@@ -9,6 +9,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,27 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from experiments._results import run
-from plr_jax import PLR, Descent, VisibilityGraph, Workspace, construct, descend, metrics, plot, scenes
+from experiments._walks import downhill, measure_walks
+from plr_jax import (
+    PLR,
+    ContinuousPLR,
+    Descent,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    construct_continuous,
+    descend,
+    metrics,
+    plot,
+    scenes,
+)
 
 START_SEED = 1_000
+_KINDS: dict[str, Callable[..., PLR | ContinuousPLR]] = {
+    "plain": construct,
+    "order 0": partial(construct_continuous, order=0),
+    "order 1": partial(construct_continuous, order=1),
+}
 DRAWN = ("maze", "arena")
 NUM_DRAWN = 40
 NUM_ARROWS = 28
@@ -42,15 +61,23 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         distance = exact(starts)
         blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance)
         print(f"{name} without a field: {blind['reached']:.2%} reached, length over exact up to {_longest(blind)}")
-        rows = []
+        few = slice(num_starts // 10)  # the oracle is slow
+        walked = measure_walks(exact.directions, workspace, starts[few], goal, distance[few])
+        print(f"{name} along the exact directions: {_outcome(walked)}")
+        rows, plr = [], None
         for max_bytes in sizes:
-            plr = construct(exact, workspace.bounds, max_bytes=max_bytes, seed=seed)
-            row = _measure_descent(plr, workspace, starts, goal, distance)
-            row["gradient"] = _gradient(plr, exact, x)
-            row["finite_differences"] = _worst_finite_difference(plr)
-            rows.append({"bytes": plr.num_bytes, **row})
-            _say(name, rows[-1])
-        entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind, "rows": rows}
+            for kind, build in _KINDS.items():
+                field = build(exact, workspace.bounds, max_bytes=max_bytes, seed=seed)
+                row = _measure_descent(field, workspace, starts, goal, distance)
+                row["walks"] = measure_walks(downhill(field), workspace, starts, goal, distance)
+                row["gradient"] = _gradient(field, exact, x)
+                if isinstance(field, PLR):
+                    plr, row["finite_differences"] = field, _worst_finite_difference(field)
+                rows.append({"budget": max_bytes, "kind": kind, "bytes": field.num_bytes, **row})
+                _say(name, rows[-1])
+        assert plr is not None
+        entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind}
+        entry |= {"exact_directions": {"starts": len(starts[few]), "walks": walked}, "rows": rows}
         results.append({**entry, "picture": _picture(plr, workspace, goal, starts) if name in DRAWN else None})
     return {"starts": num_starts, "points": num_points, "maps": results}
 
@@ -109,7 +136,7 @@ def _count_crossings(descent: Descent, workspace: Workspace) -> int:
     return int(shapely.intersects(core, paths).sum())
 
 
-def _gradient(plr: PLR, exact: VisibilityGraph, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
+def _gradient(plr: PLR | ContinuousPLR, exact: VisibilityGraph, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
     report = metrics.gradient_report(
         plr,
         exact.directions,
@@ -162,15 +189,26 @@ def _longest(row: dict[str, Any]) -> str:
     return f"{row['ratio']['max']:.4f} (median {row['ratio']['median']:.4f})"
 
 
+def _outcome(walks: dict[str, Any]) -> str:
+    return (
+        f"{walks['reached']:.2%} of walks reach the goal, {walks['left_free_space']:.2%} leave free space, "
+        f"{walks['out_of_steps']:.2%} run out of steps"
+    )
+
+
 def _say(name: str, row: dict[str, Any]) -> None:
     ratio, gradient = row["ratio"], row["gradient"]
+    differences = f"; finite differences {row['finite_differences']:.1e}" if "finite_differences" in row else ""
     print(
-        f"{name} {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, length over "
-        f"exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
+        f"{name} {row['kind']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
+        f"length over exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
         f"{row['seconds']['median']:.3f} s; "
-        f"angle {gradient['angles'][0.5]:.2f} degrees (99 % {gradient['angles'][0.99]:.1f}), "
+        f"angle {gradient['angles'][0.5]:.2f} degrees (90 % {gradient['angles'][0.9]:.1f}, "
+        f"99 % {gradient['angles'][0.99]:.1f}), "
         f"{gradient['num_not_finite']} not finite, {gradient['num_zero']} zero, "
-        f"jumps up to {gradient['jumps']['max']:.2g}; finite differences {row['finite_differences']:.1e}"
+        f"jumps up to {gradient['jumps']['max']:.2g}{differences}\n"
+        f"  raw gradient: {_outcome(row['walks'])}",
+        flush=True,
     )
 
 
@@ -185,7 +223,8 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 
 
 def _draw_map(ax: Axes, entry: dict[str, Any]) -> None:
-    picture, row = entry["picture"], entry["rows"][-1]
+    picture = entry["picture"]
+    row = [row for row in entry["rows"] if row["kind"] == "plain"][-1]
     workspace = _workspace_of(picture["free_space"])
     plot.plot_workspace(workspace, ax)
     angle = np.radians(picture["degrees"])

@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 import plr_jax
-from plr_jax import scenes
+from plr_jax import ContinuousPLR, VisibilityGraph, construct_continuous, scenes
 from plr_jax.cli import app
-from plr_jax.plr import load
+from plr_jax.plr import PLR, load
 
 runner = CliRunner()
 
@@ -29,10 +29,11 @@ def mistake(*arguments, **kwargs):
     return result.stderr
 
 
-@pytest.fixture(scope="module")
-def maze(tmp_path_factory):
-    path = tmp_path_factory.mktemp("plr") / "maze.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 600)
+@pytest.fixture(scope="module", params=["none", "value", "gradient"])
+def maze(request, tmp_path_factory):
+    """A file of each kind."""
+    path = tmp_path_factory.mktemp("plr") / f"{request.param}.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 600, "--continuity", request.param)
     assert result.exit_code == 0, result.output
     return path
 
@@ -74,18 +75,47 @@ def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):
     assert load(tmp_path / "maze.plr").depth <= 3
 
 
+@pytest.mark.parametrize("continuity, order", [("value", 0), ("gradient", 1)])
+def test_build_makes_continuous_functions(continuity, order, tmp_path):
+    path = tmp_path / "out.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 700, "--max-leaves", 30, "--continuity", continuity)
+    assert result.exit_code == 0, result.output
+    plr, workspace = load(path), scenes.maze().workspace
+    assert isinstance(plr, ContinuousPLR) and plr.order == order
+    assert path.stat().st_size <= 700 and plr.num_leaves <= 30
+    expected = construct_continuous(
+        VisibilityGraph(workspace, scenes.maze().goals[0]),
+        workspace.bounds,
+        order=order,
+        max_bytes=700,
+        max_leaves=30,
+    )
+    assert path.read_bytes() == expected.to_bytes()
+    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves} leaves, depth {plr.depth}" in result.stdout
+
+
+def test_build_knows_the_floor_plan(tmp_path):
+    path = tmp_path / "out.plr"
+    assert run("build", "floor_plan", "-o", path, "--max-leaves", 4).exit_code == 0
+    assert load(path).domain == scenes.floor_plan().workspace.bounds
+
+
 def test_build_explains_mistakes(tmp_path):
     (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
     (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
     out = ("-o", tmp_path / "out.plr")
-    assert "must be a scene (maze, thin_maze) or a file" in mistake("build", "mace", *out)
+    assert "must be a scene (maze, thin_maze, floor_plan) or a file" in mistake("build", "mace", *out)
     assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
     assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
     assert "--goal must be two numbers X,Y" in mistake("build", "maze", "--goal", "1;2", *out)
     assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
     assert "goal [0.5, 0.45] lies in an obstacle" in mistake("build", "maze", "--goal", "0.5,0.45", *out)
     assert "goal [1.5, 0.5] lies outside the bounds" in mistake("build", "maze", "--goal", "1.5,0.5", *out)
-    assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", *out)
+    for continuity in ("none", "value", "gradient"):
+        assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", "--continuity", continuity, *out)
+    assert "--max-depth is for --continuity none, not for value: give --max-bytes" in mistake(
+        "build", "maze", "--continuity", "value", "--max-depth", "5", *out
+    )
     assert not (tmp_path / "out.plr").exists()
 
 
@@ -127,6 +157,12 @@ def test_info_says_what_is_in_the_file(maze):
     result = run("info", maze)
     plr = load(maze)
     assert result.exit_code == 0
+    kind = {
+        "none": "a plane a leaf",
+        "value": "continuous, wherever one can walk",
+        "gradient": "continuous, and so is its gradient, wherever one can walk",
+    }[maze.stem]
+    assert f"kind       {kind}\n" in result.stdout
     assert "[0.0, 0.0] to [1.0, 1.0] (2-D)" in result.stdout
     assert f"{plr.num_leaves:,}, of which 0 unreachable" in result.stdout
     assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
@@ -135,6 +171,9 @@ def test_info_says_what_is_in_the_file(maze):
 @pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])
 def test_plot_writes_pictures(kind, maze, tmp_path):
     path = tmp_path / "picture.png"
+    if kind == "surface" and not isinstance(load(maze), PLR):
+        assert "draw --kind distance or cells" in mistake("plot", maze, "--kind", kind, "-o", path)
+        return
     result = run("plot", maze, "--map", "maze", "--kind", kind, "-o", path)
     assert result.exit_code == 0, result.output
     assert path.read_bytes().startswith(b"\x89PNG")
@@ -170,20 +209,21 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         assert word in result.stdout
 
 
-def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, monkeypatch):
+@pytest.mark.parametrize("continuity, last_call", [("none", 3), ("value", 6)])
+def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(continuity, last_call, tmp_path, monkeypatch):
     calls = []
 
     def interrupt_later(self, x):
         calls.append(len(x))
-        if len(calls) == 3:
+        if len(calls) == last_call:
             raise KeyboardInterrupt
         return np.hypot(*x.T)
 
     monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
-    result = run("build", "maze", "-o", tmp_path / "out.plr")
+    result = run("build", "maze", "-o", tmp_path / "out.plr", "--continuity", continuity)
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
-    assert len(calls) == 3
+    assert len(calls) == last_call
     assert plr_jax.load(tmp_path / "out.plr").num_leaves > 1
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from plr_jax._problem import Problem
     from plr_jax._workspace import Workspace
 
-SCENES = ("maze", "thin_maze")
+SCENES = ("maze", "thin_maze", "floor_plan")
 TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)
 _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 

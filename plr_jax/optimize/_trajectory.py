@@ -1,29 +1,36 @@
 """Shorten and smooth paths by the gradient of their cost, and return only what an independent check finds valid."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
+from tqdm import tqdm
 
 from plr_jax._problem import Problem, path_cost
-from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
+from plr_jax.optimize._arguments import as_paths, check_options, differentiable
 from plr_jax.optimize._clearance import bodies_of, walls_of
 from plr_jax.optimize._retime import retimed, subdivided, unwrapped
-from plr_jax.optimize._waypoints import Aims, Scene, move_waypoints
+from plr_jax.optimize._waypoints import Aims, Scene, advance, begin, moves_of
 
 _MARGIN = 1e-4  # of the extent
 _MARGINS = (1.0, 4.0)  # tried in turn, where the first leaves a path that is not valid
 _FEWEST_MOTIONS = 64
 _HALVINGS = 6
+_ITERATIONS_AT_ONCE = 50  # between them, Ctrl-C is heard
 
 Path = Float[np.ndarray, "rows robots dof"]
 Paths = Float[np.ndarray, "guesses rows robots dof"]
+Guesses = Float[np.ndarray, "guesses starts rows robots dof"]
+
+
+class OptimizationInterrupted(UserWarning):
+    """Ctrl-C ended an optimization early; what it returns is the best found so far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +44,7 @@ class OptimizedPaths:
         costs: Their costs, whether they are valid or not.
         valid: Which of them :func:`plr_jax.validate` finds valid.
         history: Loss of each of them in every iteration, in units of the workspace's extent; the margin narrows and
-            the guide fades as it goes, so that it need not fall.
+            the guide fades as it goes, so that it need not fall. NaN in iterations that an interrupt left out.
     """
 
     path: Path | None
@@ -63,8 +70,12 @@ def optimize_paths(
 
     A valid path stays valid and never becomes costlier: what descent makes of it is put through
     :func:`plr_jax.validate`; failing that, the largest step found towards it that is; failing that, the path is
-    returned as it was. Paths that are not valid, such as straight lines through obstacles, are initial guesses: they
-    often become valid, and ``valid`` says which did.
+    returned as it was. Paths that are not valid, such as straight lines through obstacles, are initial guesses, and
+    ``valid`` says which became valid. That is for a robot that passes by a few obstacles. A guess stays in its
+    homotopy class, and a motion that goes all the way through a wall is in none that is free: of guesses with four
+    random way points in :func:`plr_jax.scenes.maze` none became valid, and one in eight under a guide. Among many
+    walls start from valid paths: that of ``bl_plan``, or for a point that of :func:`plr_jax.descend`, which also
+    joins way points of your own, leg by leg.
 
     Waiting costs nothing, so a team's path is cheapest if the robots meet where there is room. Descent finds such
     times only near those of the path. Retimings start it from the same motions at other times, at random, and the
@@ -87,7 +98,9 @@ def optimize_paths(
 
     Returns:
         The optimized paths, of ``2**k + 1`` rows, at least 65 and at least as many as given; begin and end exact.
-        The same whether optimized in a batch or one by one, up to rounding in 32 bits.
+        The same whether optimized in a batch or one by one, up to rounding in 32 bits. If interrupted (Ctrl-C), the
+        best found so far, with an ``OptimizationInterrupted`` warning: valid paths are valid and no costlier then,
+        too.
 
     Raises:
         ValueError: If the paths have another shape, are not finite, or do not begin at the starts and end at the
@@ -98,20 +111,21 @@ def optimize_paths(
         Zucker et al., CHOMP: Covariant Hamiltonian optimization for motion planning, IJRR 32, 2013, for descent on
         whole paths in a smooth basis; the paper asks for optimal trajectories in its conclusion.
     """
-    given = _as_paths(problem, paths)
-    _check_options(num_retimings, num_iterations, margin, smoothness)
-    scene, fns = _scene(problem), _differentiable(problem, distance_fns)
+    given = as_paths(problem, paths)
+    check_options(num_retimings, num_iterations, margin, smoothness)
+    scene, fns = _scene(problem), differentiable(problem, distance_fns)
     width = float(scene.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
     guesses = _retimings(given, num_retimings if len(problem.robots) > 1 else 0, seed)
-    best = [_Outcome(path, _cost_if_valid(problem, path), np.zeros(num_iterations)) for path in given]
-    for factor in _MARGINS:
-        aims = Aims(jnp.float32(factor * width / scene.scale), jnp.float32(smoothness), fns)
-        moved, losses = _moved(scene, guesses, aims, num_iterations)
-        outcomes = [_better(problem, *each) for each in zip(best, moved, losses, strict=True)]
-        best, spoiled = [outcome for outcome, _ in outcomes], any(spoiled for _, spoiled in outcomes)
-        if not spoiled:
-            break
+    best = [_Outcome(path, _cost_if_valid(problem, path), np.full(num_iterations, np.nan)) for path in given]
+    try:
+        for factor in _MARGINS:
+            aims = Aims(jnp.float32(factor * width / scene.scale), jnp.float32(smoothness), fns)
+            if not _improve(problem, scene, guesses, aims, best, num_iterations):
+                break
+    except KeyboardInterrupt:
+        message = "Interrupted: the paths are the best found so far."
+        warnings.warn(message, OptimizationInterrupted, stacklevel=2)
     return _result(problem, best)
 
 
@@ -161,22 +175,63 @@ def _result(problem: Problem, outcomes: Sequence[_Outcome]) -> OptimizedPaths:
     )
 
 
-def _moved(
-    scene: Scene, guesses: Float[np.ndarray, "guesses starts rows robots dof"], aims: Aims, num_iterations: int
-) -> tuple[Float[np.ndarray, "guesses starts rows robots dof"], Float[np.ndarray, "guesses starts iterations"]]:
-    """Where descent takes paths, and its losses; the batch is padded to a power of two."""
+def _improve(
+    problem: Problem, scene: Scene, guesses: Guesses, aims: Aims, best: list[_Outcome], num_iterations: int
+) -> bool:
+    """Put what descent makes of the guesses into ``best`` where it is better; whether collisions spoiled any.
+
+    An interrupted descent counts as far as it came, before the interrupt goes on.
+    """
+    moved, losses, interrupt = _descended(scene, guesses, aims, num_iterations)
+    spoiled = []
+    for k in range(len(best)):
+        best[k], bad = _better(problem, best[k], moved[k], losses[k])
+        spoiled.append(bad)
+    if interrupt is not None:
+        raise interrupt
+    return any(spoiled)
+
+
+def _descended(
+    scene: Scene, guesses: Guesses, aims: Aims, num_iterations: int
+) -> tuple[Guesses, Float[np.ndarray, "guesses starts iterations"], KeyboardInterrupt | None]:
+    """Where descent takes paths, its losses, and what interrupted it."""
     flat = guesses.reshape(-1, *guesses.shape[2:])
-    padded = np.concatenate([flat, np.repeat(flat[:1], (1 << (len(flat) - 1).bit_length()) - len(flat), axis=0)])
+    start = _scaled(scene, flat)
+    losses, done = np.full((len(start), num_iterations), np.nan), 0
+    descent, interrupt = begin(start), None
+    with tqdm(total=num_iterations, desc="optimize", unit=" steps", delay=2, leave=False, disable=None) as bar:
+        try:
+            for progress in _parts(num_iterations):
+                descent, loss = advance(scene, start, aims, descent, jnp.asarray(progress))
+                count = int((progress <= 1).sum())
+                losses[:, done : done + count] = loss[:, :count]
+                done += count
+                bar.update(count)
+        except KeyboardInterrupt as error:
+            interrupt = error
+    moves = np.array(moves_of(scene, start, descent)[: len(flat)], np.float64)
+    moves[..., :2] *= float(scene.scale)
+    return guesses + moves.reshape(guesses.shape), losses[: len(flat)].reshape(*guesses.shape[:2], -1), interrupt
+
+
+def _scaled(scene: Scene, paths: Paths) -> Float[Array, "padded rows robots dof"]:
+    """Paths as they are optimized, padded to a power of two of them."""
+    padded = np.concatenate([paths, np.repeat(paths[:1], (1 << (len(paths) - 1).bit_length()) - len(paths), axis=0)])
     start = np.stack([unwrapped(path) for path in padded])
     start[..., :2] = (start[..., :2] - np.asarray(scene.origin, np.float64)) / float(scene.scale)
-    moves, losses = move_waypoints(scene, jnp.asarray(start, jnp.float32), aims, num_iterations)
-    moves = np.array(moves[: len(flat)], np.float64)
-    moves[..., :2] *= float(scene.scale)
-    shape = guesses.shape[:2]
-    return guesses + moves.reshape(guesses.shape), np.array(losses[: len(flat)], np.float64).reshape(*shape, -1)
+    return jnp.asarray(start, jnp.float32)
 
 
-def _retimings(given: Paths, num_retimings: int, seed: int) -> Float[np.ndarray, "guesses starts rows robots dof"]:
+def _parts(num_iterations: int) -> Float[np.ndarray, "parts iterations"]:
+    """Progress of the iterations in parts of one length, padded by more than 1."""
+    count = -(-num_iterations // _ITERATIONS_AT_ONCE)
+    progress = np.full(count * -(-num_iterations // count), 2.0, np.float32)
+    progress[:num_iterations] = np.linspace(0.0, 1.0, num_iterations)
+    return progress.reshape(count, -1)
+
+
+def _retimings(given: Paths, num_retimings: int, seed: int) -> Guesses:
     """Each path and its retimings, at the same times for every path."""
     keys = [(seed, k) for k in range(num_retimings)]
     return np.stack([[path, *(retimed(path, np.random.default_rng(key)) for key in keys)] for path in given])
@@ -204,57 +259,3 @@ def _scene(problem: Problem) -> Scene:
 def _cost_if_valid(problem: Problem, path: Path) -> float:
     report = validate(problem, path)
     return report.cost if report.valid else np.inf
-
-
-def _differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tuple[Any, ...]:
-    """The distance functions as pytrees, after a trial."""
-    fns = () if distance_fns is None else tuple(distance_fns)
-    if fns and len(fns) != len(problem.robots):
-        raise ValueError(f"distance_fns must be one a robot, {len(problem.robots)}, got {len(fns)}.")
-    for i, fn in enumerate(fns):
-        points = jax.ShapeDtypeStruct((2, getattr(fn, "dim", problem.dof)), jnp.float32)
-        try:
-            shape = jax.eval_shape(fn, points).shape
-        except (TypeError, AttributeError, ValueError, jax.errors.JAXTypeError) as error:
-            raise ValueError(f"distance_fns[{i}] must be a function that JAX can trace, such as a PLR.") from error
-        if shape != (2,):
-            raise ValueError(
-                f"distance_fns[{i}] must take points (n, dim) to distances (n,), got {shape} for 2 points."
-            )
-    return tuple(jax.tree_util.Partial(fn) if jax.tree.leaves(fn) == [fn] else fn for fn in fns)
-
-
-def _as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses steps robots dof"]:
-    """The given paths as a batch, checked."""
-    shape = f"(steps, robots, dof) or (guesses, steps, robots, dof) with (robots, dof) = {problem.starts.shape}"
-    try:
-        batch = np.array(paths, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"Paths must be numbers of shape {shape}.") from None
-    batch = batch[None] if batch.ndim == 3 else batch
-    if batch.ndim != 4 or batch.shape[2:] != problem.starts.shape or 0 in batch.shape:
-        raise ValueError(f"Paths must have shape {shape}, at least one guess of one step, got {np.shape(paths)}.")
-    if not np.isfinite(batch).all():
-        raise ValueError(f"Paths must be finite; path {np.argwhere(~np.isfinite(batch))[0, 0]} is not.")
-    for row, wanted, name in ((0, problem.starts, "starts"), (-1, problem.goals, "goals")):
-        for i, robot in enumerate(problem.robots):
-            dof = 3 if isinstance(robot, RectangleRobot) else 2
-            off = np.flatnonzero((batch[:, row, i, :dof] != wanted[i, :dof]).any(axis=1))
-            if off.size:
-                raise ValueError(
-                    f"Path {off[0]} must have the problem's {name} as its {'first' if row == 0 else 'last'} row, got "
-                    f"{batch[off[0], row, i, :dof].tolist()} for robot {i}, not {wanted[i, :dof].tolist()}."
-                )
-    return batch
-
-
-def _check_options(
-    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int
-) -> None:
-    for name, value, least in (("num_retimings", num_retimings, 0), ("num_iterations", num_iterations, 1)):
-        if value < least:
-            raise ValueError(f"{name} must be at least {least}, got {value!r}.")
-    if margin is not None and not (np.isfinite(margin) and margin > 0):
-        raise ValueError(f"margin must be positive and finite, got {margin!r}.")
-    if not (np.isfinite(smoothness) and smoothness >= 0):
-        raise ValueError(f"smoothness must be finite and at least 0, got {smoothness!r}.")

@@ -7,7 +7,6 @@ Way points move by hat functions of all widths, from half the path to a single r
 quickly as details do. Lengths are shares of the workspace's extent, which suits 32-bit floats.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -63,48 +62,80 @@ class Aims(NamedTuple):
     distance_fns: tuple[Any, ...]
 
 
-@partial(jax.jit, static_argnames="num_iterations")
-def move_waypoints(
-    scene: Scene, paths: Float[Array, "batch rows robots dof"], aims: Aims, num_iterations: int
-) -> tuple[Float[Array, "batch rows robots dof"], Float[Array, "batch iterations"]]:
-    """Descend from every path of a batch.
+class Descent(NamedTuple):
+    """How far the descent of each path of a batch has come.
+
+    Args:
+        weights: By how much each hat function moves the path, in shares of the extent.
+        moments: What Adam remembers.
+    """
+
+    weights: Float[Array, "batch hats robots dof"]
+    moments: Any
+
+
+def begin(paths: Float[Array, "batch rows robots dof"]) -> Descent:
+    """Descents that have not moved their paths yet; these have ``2**k + 1`` rows."""
+    weights = jnp.zeros((len(paths), _hats(paths.shape[1]).shape[1], *paths.shape[2:]))
+    return Descent(weights, jax.vmap(_adam().init)(weights))
+
+
+@jax.jit
+def advance(
+    scene: Scene,
+    paths: Float[Array, "batch rows robots dof"],
+    aims: Aims,
+    descent: Descent,
+    progress: Float[Array, "iterations"],
+) -> tuple[Descent, Float[Array, "batch iterations"]]:
+    """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
 
     Args:
         scene: Where.
-        paths: The paths, headings unwrapped, of ``2**k + 1`` rows; first and last rows stay.
+        paths: The paths as they were at first, headings unwrapped; their first and last rows stay.
         aims: What is asked of them.
-        num_iterations: Steps of the descent.
+        descent: How far the descents have come.
+        progress: Progress of each iteration, from 0 at the first of all to 1 at the last; beyond 1, nothing is done.
 
     Returns:
-        By how much each way point has moved, and the loss in every step.
+        How far they have come then, and the loss in every step.
     """
-    return jax.vmap(lambda path: _descended(scene, path, aims, num_iterations))(paths)
+    return jax.vmap(lambda path, descent: _advanced(scene, path, aims, descent, progress))(paths, descent)
 
 
-def _descended(scene: Scene, path: Path, aims: Aims, num_iterations: int) -> tuple[Path, Float[Array, "iterations"]]:
-    """Adam on the weights of the hat functions, its steps and the margin smaller and smaller."""
+@jax.jit
+def moves_of(scene: Scene, paths: Float[Array, "batch rows robots dof"], descent: Descent) -> Float[Array, "..."]:
+    """By how much each way point has moved, of the shape of the paths."""
+    return jax.vmap(lambda path, weights: _moves(scene, path, weights))(paths, descent.weights)
+
+
+def _advanced(
+    scene: Scene, path: Path, aims: Aims, descent: Descent, progress: Float[Array, "iterations"]
+) -> tuple[Descent, Float[Array, "iterations"]]:
+    adam, (first, last) = _adam(), _RATES
+
+    def step(descent: Descent, progress: Float[Array, ""]) -> tuple[Descent, Float[Array, ""]]:
+        weights, moments = descent
+        loss, gradient = jax.value_and_grad(
+            lambda weights: _loss(scene, path + _moves(scene, path, weights), aims, progress)
+        )(weights)
+        update, moments = adam.update(gradient, moments)
+        rate = first * (last / first) ** progress
+        after = Descent(weights - rate * update, moments)
+        return jax.tree.map(lambda new, old: jnp.where(progress <= 1, new, old), after, descent), loss
+
+    return jax.lax.scan(step, descent, progress)
+
+
+def _moves(scene: Scene, path: Path, weights: Float[Array, "hats robots dof"]) -> Path:
+    unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / scene.lever[:, None])
+    return jnp.tensordot(jnp.asarray(_hats(len(path))), weights, 1) * unit
+
+
+def _adam() -> Any:
     import optax
 
-    progress = jnp.linspace(0.0, 1.0, num_iterations)
-    first, last = _RATES
-    optimizer = optax.adam(optax.exponential_decay(first, num_iterations, last / first))
-    hats = jnp.asarray(_hats(len(path)))
-    unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / scene.lever[:, None])
-
-    def moves(weights: Float[Array, "hats robots dof"]) -> Path:
-        return jnp.tensordot(hats, weights, 1) * unit
-
-    def step(state: Any, progress: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
-        weights, moments = state
-        loss, gradient = jax.value_and_grad(lambda weights: _loss(scene, path + moves(weights), aims, progress))(
-            weights
-        )
-        update, moments = optimizer.update(gradient, moments)
-        return (weights + update, moments), loss
-
-    weights = jnp.zeros((hats.shape[1], *path.shape[1:]))
-    (weights, _), losses = jax.lax.scan(step, (weights, optimizer.init(weights)), progress)
-    return moves(weights), losses
+    return optax.scale_by_adam()
 
 
 def _loss(scene: Scene, path: Path, aims: Aims, progress: Float[Array, ""]) -> Float[Array, ""]:

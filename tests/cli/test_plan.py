@@ -181,7 +181,8 @@ def test_robots_that_have_arrived_need_no_way(tmp_path):
 
 def test_scenes_and_files_are_read(tmp_path):
     sizes = {name: len(read_problem(name, None).robots) for name in TEAM_SCENES}
-    assert sizes == {"single_door": 1, "four_rooms": 4, "cross": 2, "tangle": 2, "maze": 1, "thin_maze": 1}
+    points = {"maze": 1, "thin_maze": 1, "floor_plan": 1}
+    assert sizes == {"single_door": 1, "four_rooms": 4, "cross": 2, "tangle": 2, **points}
     assert [len(read_problem("four_rooms", n).robots) for n in (2, 3, 8)] == [2, 3, 8]
     assert len(read_problem("cross", 3).robots) == 3
     (tmp_path / "a.yaml").write_text(YAML)

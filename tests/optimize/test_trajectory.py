@@ -1,5 +1,8 @@
 """Optimized paths: short where the shortest is known, never invalid, never costlier."""
 
+import itertools
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,10 +17,13 @@ from plr_jax import (
     VisibilityGraph,
     Workspace,
     construct,
+    descend,
     path_cost,
+    scenes,
     validate,
 )
-from plr_jax.optimize._trajectory import optimize_paths
+from plr_jax.optimize import OptimizationInterrupted, optimize_paths
+from plr_jax.optimize import _trajectory as trajectory
 
 ROOM = Workspace(((0, 0), (10, 10)))
 BOX = Workspace(((0, 0), (10, 10)), [[(4, 3), (6, 3), (6, 7), (4, 7)]])
@@ -175,6 +181,65 @@ def test_of_a_batch_the_cheapest_valid_path_is_returned():
     result = checked(problem, optimize_paths(problem, np.stack([above, below])))
     assert result.valid.all() and result.costs[1] < result.costs[0]
     np.testing.assert_array_equal(result.path, result.paths[1])
+
+
+def interrupt_after(calls, name, monkeypatch):
+    """Ctrl-C in place of a call of a function of the module, after some."""
+    function, made = getattr(trajectory, name), []
+
+    def interrupted(*arguments):
+        made.append(arguments)
+        if len(made) == calls + 1:
+            raise KeyboardInterrupt
+        return function(*arguments)
+
+    monkeypatch.setattr(trajectory, name, interrupted)
+
+
+@pytest.mark.parametrize("calls", [0, 1, 3])
+def test_an_interrupted_descent_gives_valid_paths_as_far_as_it_came(calls, monkeypatch):
+    whole = optimize_paths(SWAP, detour(), **QUICK)
+    interrupt_after(calls, "advance", monkeypatch)
+    with pytest.warns(OptimizationInterrupted, match="best found so far"):
+        result = optimize_paths(SWAP, detour(), **QUICK)
+    done = 50 * calls
+    np.testing.assert_array_equal(result.history[0, done:], np.nan)
+    assert np.isfinite(result.history[0, :done]).all()
+    result = checked(SWAP, replace(result, history=result.history[:, :done]))
+    before = path_cost(SWAP, detour())
+    assert result.valid.all()
+    assert whole.cost < result.cost <= before * (1 + 1e-12)
+
+
+def test_interrupted_between_two_paths_the_second_stays_as_it_was(monkeypatch):
+    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]]])
+    interrupt_after(1, "_better", monkeypatch)
+    with pytest.warns(OptimizationInterrupted):
+        result = optimize_paths(SWAP, paths, **QUICK)
+    assert result.valid.all() and result.costs[0] < 0.9 * path_cost(SWAP, paths[0])
+    assert result.costs[1] == pytest.approx(path_cost(SWAP, paths[1]), rel=1e-12)
+
+
+def test_where_walls_are_many_way_points_are_joined_by_descents_first():
+    problem = scenes.maze()
+    points = [problem.starts[0], *problem.workspace.sample_free(3, seed=1), problem.goals[0]]
+    crossing = np.stack(points)[:, None]
+    assert not checked(problem, optimize_paths(problem, crossing, **QUICK)).valid.any()
+    legs = [
+        descend(lambda x: np.zeros(len(x)), problem.workspace, a[None], b).paths[0]
+        for a, b in itertools.pairwise(points)
+    ]
+    joined = np.concatenate([problem.starts, *(leg[1:] for leg in legs)])[:, None]
+    result = checked(problem, optimize_paths(problem, joined, **QUICK))
+    assert result.valid.all() and result.cost < 0.95 * path_cost(problem, joined)
+
+
+@pytest.mark.parametrize("num_iterations", [1, 7, 50, 51, 130])
+def test_iterations_in_parts_are_all_of_them(num_iterations):
+    parts = trajectory._parts(num_iterations)
+    progress = parts[parts <= 1]
+    np.testing.assert_allclose(progress, np.linspace(0, 1, num_iterations), rtol=1e-6)
+    assert parts.size - num_iterations < len(parts) and parts.shape[1] <= 50
 
 
 @pytest.mark.parametrize(
