@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from plr_jax._workspace import Workspace as Workspace
     from plr_jax.optimize import Descent as Descent
     from plr_jax.optimize import DescentStatus as DescentStatus
+    from plr_jax.optimize import OptimizationInterrupted as OptimizationInterrupted
     from plr_jax.optimize import OptimizedPaths as OptimizedPaths
     from plr_jax.optimize import descend as descend
     from plr_jax.optimize import optimize_paths as optimize_paths
@@ -83,6 +84,7 @@ _HOME = {
     "Workspace": "_workspace",
     "Descent": "optimize",
     "DescentStatus": "optimize",
+    "OptimizationInterrupted": "optimize",
     "OptimizedPaths": "optimize",
     "descend": "optimize",
     "optimize_paths": "optimize",
