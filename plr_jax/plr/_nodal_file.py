@@ -39,7 +39,7 @@ from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import read_tree, write_tree
 from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_space import NodalSpace, nodal_space
-from plr_jax.plr._nodal_tree import Faces, Tree, shared_faces, tree_of
+from plr_jax.plr._nodal_tree import SharedFaces, Tree, shared_faces, tree_of
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._tree import cells_of, levels_of
 
@@ -65,7 +65,7 @@ class Partition:
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
-    faces: Faces
+    faces: SharedFaces
     tied: Bool[np.ndarray, "faces"]
 
     def space(self) -> NodalSpace:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr._nodal_tree import Faces, Tree, corner_bits, face_points, parents_of_corners
+from plr_jax.plr._nodal_tree import SharedFaces, Tree, corner_bits, face_points, parents_of_corners
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -66,7 +66,7 @@ class _Agreement:
     t: Float[np.ndarray, "2 points dim"]
 
 
-def nodal_space(tree: Tree, tied: Faces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
+def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
     """The continuous functions on a partition.
 
     Args:
@@ -123,7 +123,7 @@ def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
     return step
 
 
-def _agreement(tree: Tree, tied: Faces) -> _Agreement:
+def _agreement(tree: Tree, tied: SharedFaces) -> _Agreement:
     cells, leaf, t = tree.leaves, [], []
     bits = corner_bits(cells.dim)
     for axis in range(cells.dim):

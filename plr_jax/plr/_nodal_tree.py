@@ -40,7 +40,7 @@ class Tree:
 
 
 @dataclass(frozen=True, eq=False)
-class Faces:
+class SharedFaces:
     """Pieces of faces that two leaves share: what they have in common of the upper face of one, the lower of another.
 
     Attributes:
@@ -56,8 +56,8 @@ class Faces:
     def __len__(self) -> int:
         return len(self.axis)
 
-    def __getitem__(self, index) -> "Faces":
-        return Faces(self.lower[index], self.upper[index], self.axis[index])
+    def __getitem__(self, index) -> "SharedFaces":
+        return SharedFaces(self.lower[index], self.upper[index], self.axis[index])
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
@@ -92,7 +92,7 @@ def _nodes_of(nodes: Cells, child: Int[np.ndarray, "nodes"], leaves: Cells) -> I
     return found
 
 
-def shared_faces(tree: Tree) -> Faces:
+def shared_faces(tree: Tree) -> SharedFaces:
     """All pairs of leaves that share a piece of a face, sorted by the lower leaf, then the upper.
 
     The halves of a split share a face. A pair of nodes that do is replaced by pairs of a node and a child that do,
@@ -112,7 +112,7 @@ def shared_faces(tree: Tree) -> Faces:
     lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)
     lower, upper = leaf_of_node[lower], leaf_of_node[upper]
     order = np.lexsort((upper, lower))
-    return Faces(lower[order], upper[order], axis[order])
+    return SharedFaces(lower[order], upper[order], axis[order])
 
 
 def _descend(tree: Tree, pairs: Int[np.ndarray, "3 pairs"], side: int) -> Int[np.ndarray, "3 children"]:
@@ -138,7 +138,7 @@ def _overlap(
     return tree.cells.position[a, axis] >> (depth_a - common) == tree.cells.position[b, axis] >> (depth_b - common)
 
 
-def face_points(cells: Cells, faces: Faces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
+def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
     """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size

@@ -7,7 +7,7 @@ from plr_jax._box import Box
 from plr_jax._types import DistanceFn
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._fit import call_oracle
-from plr_jax.plr._nodal_tree import Faces, face_points
+from plr_jax.plr._nodal_tree import SharedFaces, face_points
 from plr_jax.plr._pattern import sample_pattern
 
 _NUM_POINTS = 32
@@ -27,7 +27,7 @@ class FaceTests:
         self._domain = domain
         self._known: dict[bytes, bool] = {}
 
-    def are_free(self, cells: Cells, faces: Faces) -> Bool[np.ndarray, "faces"]:
+    def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
         """Whether each face is free."""
         geometry = np.concatenate(
             [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
@@ -43,7 +43,9 @@ class FaceTests:
         self._known |= {keys[index]: bool(is_free) for index, is_free in zip(new, free, strict=True)}
         return np.array([self._known[key] for key in keys], bool)
 
-    def _is_crossed(self, cells: Cells, faces: Faces, w: Float[np.ndarray, "k dim"]) -> Bool[np.ndarray, "faces"]:
+    def _is_crossed(
+        self, cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]
+    ) -> Bool[np.ndarray, "faces"]:
         """Whether at one of the points or more both sides can be reached."""
         x = face_points(cells, faces, w)
         across = _BESIDE * np.eye(self._domain.dim)[faces.axis][:, None]
