@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._types import DistanceFn
 from plr_jax.plr._fit import call_oracle
+from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
 from plr_jax.plr._plr import PLR
-from plr_jax.plr._tables import lookup
 
 _SAME = 1e-6  # of a leaf's width
 
@@ -53,13 +52,13 @@ class Faces:
 def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:
     """Sample the free faces of a PLR's partition.
 
-    Every face of every leaf is sampled alike, so where small leaves meet a large one each has its points. A face
-    is free where the goal can be reached from it: a wall through it, or along it, has no points.
+    Each piece of a face that two leaves share is sampled alike, so where small leaves meet a large one each has its
+    points. A face is free where the goal can be reached from it: a wall through it, or along it, has no points.
 
     Args:
         plr: The PLR whose partition is meant.
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` where it cannot be reached.
-        num_samples: Points on each face of a leaf, before those are left out that are not free; at least 1.
+        num_samples: Points on each such piece, before those are left out that are not free; at least 1.
         seed: Seed of the points. The same seed gives the same points.
 
     Returns:
@@ -73,9 +72,13 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
         raise ValueError(f"num_samples must be an integer >= 1, got {num_samples!r}.")
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
-    x, leaves = _face_points(plr, np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim)))
-    kept = ~plr.planes.unreachable[leaves].any(axis=1)
-    x, leaves = x[kept], leaves[kept]
+    tree = tree_of(plr.cells)
+    faces = shared_faces(tree)
+    pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
+    kept = ~plr.planes.unreachable[pairs].any(axis=1)
+    w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))
+    points = plr.domain.lo + plr.domain.width * face_points(tree.leaves, faces[kept], w)
+    x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
     return Faces(x, leaves, _local(plr, x, leaves))
@@ -85,36 +88,3 @@ def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2
     """Coordinates of each point in both of its leaves."""
     lo, hi = plr.leaf_boxes
     return (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]
-
-
-def _face_points(
-    plr: PLR, fraction: Float[np.ndarray, "k dim"]
-) -> tuple[Float[np.ndarray, "m dim"], Int[np.ndarray, "m 2"]]:
-    """Points on all faces of all leaves but those on the domain's boundary, and the leaves below and above.
-
-    The leaf across a face is looked up half a smallest cell beyond it, where no rounding matters.
-    """
-    (lo, hi), depth = plr.leaf_boxes, plr.cells.depth.max(axis=0)
-    inside = lo[:, None] + fraction * (hi - lo)[:, None]
-    own = np.broadcast_to(np.arange(len(lo))[:, None], inside.shape[:2])
-    points, pairs = [], []
-    for axis in range(plr.dim):
-        step = 0.5 * np.ldexp(plr.domain.width[axis], -int(depth[axis]))
-        for side, edge, end in ((-1, lo, plr.domain.lo), (1, hi, plr.domain.hi)):
-            inner = edge[:, axis] != end[axis]
-            x, leaf = inside[inner].copy(), own[inner]
-            x[:, :, axis] = edge[inner, axis, None]
-            beyond = x.copy()
-            beyond[:, :, axis] += side * step
-            across = leaf_of(plr, beyond)
-            points.append(x.reshape(-1, plr.dim))
-            pairs.append(np.stack([leaf, across][::side], axis=2).reshape(-1, 2))
-    return np.concatenate(points), np.concatenate(pairs)
-
-
-def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    """Index of the leaf that answers for each point."""
-    return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
-
-
-_lookup = jax.jit(lookup)

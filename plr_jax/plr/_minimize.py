@@ -20,10 +20,9 @@ from jaxtyping import Array, Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr._faces import leaf_of
 from plr_jax.plr._fit import solve_planes
 from plr_jax.plr._losses import Loss, Penalty, Planes
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, leaf_of
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 STEPS_AT_ONCE = 50  # between two chances to interrupt

@@ -20,6 +20,7 @@ class Tree:
         child: Lower child of each node, the upper one following it; -1 for a leaf.
         node_of_leaf: Node of each leaf, leaves in the order of the tree's traversal.
         level_start: First node of each level, and the number of nodes.
+        order: Index of each leaf among the cells that the tree was made for.
     """
 
     cells: Cells
@@ -27,6 +28,7 @@ class Tree:
     child: Int[np.ndarray, "nodes"]
     node_of_leaf: Int[np.ndarray, "leaves"]
     level_start: Int[np.ndarray, "levels_plus_one"]
+    order: Int[np.ndarray, "leaves"]
 
     @property
     def leaves(self) -> Cells:
@@ -79,7 +81,7 @@ def tree_of(cells: Cells) -> Tree:
         child[split] = start + len(level.inner) + 2 * np.arange(len(split))
         nodes = nodes[level.inner].split(level.axis)
     all_cells = parts[0].append(*parts[1:])
-    return Tree(all_cells, axis, child, _nodes_of(all_cells, child, cells[order]), level_start)
+    return Tree(all_cells, axis, child, _nodes_of(all_cells, child, cells[order]), level_start, order)
 
 
 def _nodes_of(nodes: Cells, child: Int[np.ndarray, "nodes"], leaves: Cells) -> Int[np.ndarray, "leaves"]:

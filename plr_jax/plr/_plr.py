@@ -7,7 +7,7 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
@@ -16,7 +16,7 @@ from plr_jax.plr._file import HEADER_SIZE, decode, encode, file_size
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import LARGEST, StoredPlanes
 from plr_jax.plr._stack import TableStack
-from plr_jax.plr._tables import Frame, Tables, build_tables, evaluate_tables, table_corners
+from plr_jax.plr._tables import Frame, Tables, build_tables, evaluate_tables, lookup, table_corners
 
 
 @jax.tree_util.register_dataclass
@@ -215,3 +215,11 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     require_real(x)  # which JAX cannot even be shown
     return x
+
+
+def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
+    """Index of the leaf that answers for each point."""
+    return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
+
+
+_lookup = jax.jit(lookup)

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr._faces import Faces, leaf_of
+from plr_jax.plr._faces import Faces
 from plr_jax.plr._losses import Loss
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, leaf_of
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ def test_leaves_are_the_cells_in_one_order(seed, dim):
     shuffled = cells[np.random.default_rng(seed).permutation(len(cells))]
     leaves, again = tree_of(cells).leaves, tree_of(shuffled).leaves
     np.testing.assert_array_equal(again.position, leaves.position)
+    np.testing.assert_array_equal(shuffled[tree_of(shuffled).order].position, leaves.position)
     rows = np.concatenate([leaves.depth, leaves.position], axis=1).tolist()
     assert sorted(rows) == sorted(np.concatenate([cells.depth, cells.position], axis=1).tolist())
 
