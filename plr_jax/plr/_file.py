@@ -27,77 +27,40 @@ rounding has moved by at most ``(1 + dim) * step / 2`` (see ``_planes.py``). Unr
 neighbors after reading (see ``_neighbors.py``).
 """
 
-import struct
-import zlib
-
 import numpy as np
 from jaxtyping import Int
 
 from plr_jax._box import Box
 from plr_jax.plr._bits import BitReader, BitWriter
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._framing import HEADER_SIZE as HEADER_SIZE
+from plr_jax.plr._framing import FileKind, frame, framed_size, read_span, unframe, write_span
+from plr_jax.plr._framing import file_size as file_size
 from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, unreachable_code
 from plr_jax.plr._tree import MAX_DEPTH, Level, cells_of, levels_of
 
-MAGIC = b"PLR\n"
-VERSION = 1
-_HEADER = struct.Struct("<4sBBBBII")
-HEADER_SIZE = _HEADER.size
-_SPAN = struct.Struct("<ff")
-_CRC = struct.Struct("<I")
+KIND = FileKind(b"PLR\n", 1, "a PLR file")
 _WIDTH_BITS = 6
 
 
 def encode(domain: Box, cells: Cells, planes: StoredPlanes) -> tuple[bytes, Int[np.ndarray, "leaves"]]:
     """The bytes of a file that holds these leaves, and the order in which it has them, that of the tree."""
     levels, order = levels_of(cells)
-    corners = np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes()
-    span = _SPAN.pack(planes.offset, planes.step)
     body = BitWriter()
     write_tree(body, levels, domain.dim)
     _write_planes(body, cells.depth[order], planes[order])
-    rest = corners + span + body.to_bytes()
-    size = _HEADER.size + len(rest) + _CRC.size
-    data = _HEADER.pack(MAGIC, VERSION, domain.dim, planes.bits, 0, len(cells), size) + rest
-    return data + _CRC.pack(zlib.crc32(data)), order
-
-
-def file_size(data: bytes) -> int:
-    """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
-    return _HEADER.unpack_from(data)[-1]
+    content = write_span(domain, planes.offset, planes.step) + body.to_bytes()
+    return frame(KIND, domain.dim, planes.bits, len(cells), content), order
 
 
 def decode(data: bytes) -> tuple[Box, Cells, StoredPlanes]:
     """Domain, leaves and planes of a file's bytes; raises ``ValueError`` saying what is wrong with them."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise ValueError("it does not start like a PLR file")
-    if len(data) < _HEADER.size + _CRC.size:
-        raise ValueError("the data end too early")
-    _, version, dim, bits, _, num_leaves, size = _HEADER.unpack_from(data)
-    if version != VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; update plr_jax")
-    if len(data) != size:
-        raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
-    (crc,) = _CRC.unpack(data[-_CRC.size :])
-    if zlib.crc32(data[: -_CRC.size]) != crc:
-        raise ValueError("its checksum does not match: the file is corrupt")
-    return _decode_checked(data[_HEADER.size : -_CRC.size], dim, bits, num_leaves)
-
-
-def _decode_checked(data: bytes, dim: int, bits: int, num_leaves: int) -> tuple[Box, Cells, StoredPlanes]:
+    dim, bits, num_leaves, content = unframe(KIND, data)
     if dim == 0 or not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {dim} axes and {bits}-bit values")
-    if len(data) < 16 * dim + _SPAN.size:
-        raise ValueError("the data end too early")
-    corners = np.frombuffer(data[: 16 * dim], "<f8").astype(np.float64)
-    domain = Box(corners[:dim], corners[dim:])
-    offset, step = _SPAN.unpack_from(data, 16 * dim)
-    if not (np.isfinite(offset) and 0 < step < np.inf):
-        raise ValueError(f"it states a step of {step} from {offset}")
-    body = BitReader(data[16 * dim + _SPAN.size :])
-    cells = cells_of(read_tree(body, dim), dim)
-    if len(cells) != num_leaves:
-        raise ValueError(f"its tree has {len(cells)} leaves, its header states {num_leaves}")
+    domain, offset, step, rest = read_span(content, dim)
+    body = BitReader(rest)
+    cells = read_leaves(body, dim, num_leaves)
     planes = _read_planes(body, cells.depth, bits, offset, step)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
@@ -111,8 +74,15 @@ def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
         body.write(level.axis, _axis_bits(dim))
 
 
-def read_tree(body: BitReader, dim: int) -> list[Level]:
-    """The levels of the tree that comes next; raises ``ValueError`` if it is none."""
+def read_leaves(body: BitReader, dim: int, num_leaves: int) -> Cells:
+    """The leaves of the tree that comes next; raises ``ValueError`` if it is none with so many."""
+    cells = cells_of(_read_tree(body, dim), dim)
+    if len(cells) != num_leaves:
+        raise ValueError(f"its tree has {len(cells)} leaves, its header states {num_leaves}")
+    return cells
+
+
+def _read_tree(body: BitReader, dim: int) -> list[Level]:
     levels, num_nodes = [], 1
     while num_nodes:
         if len(levels) > MAX_DEPTH:
@@ -163,4 +133,4 @@ def size_in_bytes(cells: Cells, planes: StoredPlanes) -> int:
     bits = 2 * leaves - 1 + (leaves - 1) * _axis_bits(dim) + leaves * planes.bits
     for axis, widths in enumerate(planes.widths(cells.depth)):
         bits += _WIDTH_BITS * len(widths) + widths[cells.depth[stored, axis]].sum()
-    return int(_HEADER.size + 16 * dim + _SPAN.size - (-bits // 8) + _CRC.size)
+    return framed_size(dim, int(bits))

@@ -26,8 +26,6 @@ them in unary how many bits each has beyond the order, then these and as many mo
 is twice its absolute value, minus one if it is positive.
 """
 
-import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,19 +34,17 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._box import Box
 from plr_jax.plr._bits import BitReader, BitWriter
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import read_tree, write_tree
+from plr_jax.plr._file import read_leaves, write_tree
+from plr_jax.plr._framing import HEADER_SIZE as HEADER_SIZE
+from plr_jax.plr._framing import FileKind, frame, read_span, unframe, write_span
+from plr_jax.plr._framing import file_size as file_size
 from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_space import NodalSpace, nodal_space
 from plr_jax.plr._nodal_tree import SharedFaces, Tree, shared_faces, tree_of
 from plr_jax.plr._planes import LARGEST
-from plr_jax.plr._tree import cells_of, levels_of
+from plr_jax.plr._tree import levels_of
 
-MAGIC = b"CPL\n"
-VERSION = 1
-_HEADER = struct.Struct("<4sBBBBII")
-HEADER_SIZE = _HEADER.size
-_SPAN = struct.Struct("<ff")
-_CRC = struct.Struct("<I")
+KIND = FileKind(b"CPL\n", 1, "the file of a continuous PLR")
 _COUNT_BITS, _ORDER_BITS = 32, 5
 _MAX_CODE = 2**40
 
@@ -108,51 +104,18 @@ def encode(domain: Box, order: int, partition: Partition, space: NodalSpace, val
     surprise = values.code - _rounded(space.prediction @ values.code.astype(float))
     for level in _level_slices(space.level):
         _write_numbers(body, _unsigned(surprise[level]))
-    corners = np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes()
-    rest = corners + _SPAN.pack(values.offset, values.step) + body.to_bytes()
-    size = _HEADER.size + len(rest) + _CRC.size
-    data = _HEADER.pack(MAGIC, VERSION, domain.dim, order, 0, len(partition.unreachable), size) + rest
-    return data + _CRC.pack(zlib.crc32(data))
-
-
-def file_size(data: bytes) -> int:
-    """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
-    return _HEADER.unpack_from(data)[-1]
+    content = write_span(domain, values.offset, values.step) + body.to_bytes()
+    return frame(KIND, domain.dim, order, len(partition.unreachable), content)
 
 
 def decode(data: bytes) -> tuple[Box, int, Partition, NodalSpace, StoredValues]:
     """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise ValueError("it does not start like the file of a continuous PLR")
-    if len(data) < _HEADER.size + _CRC.size:
-        raise ValueError("the data end too early")
-    _, version, dim, order, _, num_leaves, size = _HEADER.unpack_from(data)
-    if version != VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; update plr_jax")
-    if len(data) != size:
-        raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
-    (crc,) = _CRC.unpack(data[-_CRC.size :])
-    if zlib.crc32(data[: -_CRC.size]) != crc:
-        raise ValueError("its checksum does not match: the file is corrupt")
+    dim, order, num_leaves, content = unframe(KIND, data)
     if order >= len(MAX_DIM_OF_ORDER) or not 1 <= dim <= MAX_DIM_OF_ORDER[order]:
         raise ValueError(f"it states {dim} axes and continuity of order {order}")
-    return _decode_checked(data[_HEADER.size : -_CRC.size], dim, order, num_leaves)
-
-
-def _decode_checked(
-    data: bytes, dim: int, order: int, num_leaves: int
-) -> tuple[Box, int, Partition, NodalSpace, StoredValues]:
-    if len(data) < 16 * dim + _SPAN.size:
-        raise ValueError("the data end too early")
-    corners = np.frombuffer(data[: 16 * dim], "<f8").astype(np.float64)
-    offset, step = _SPAN.unpack_from(data, 16 * dim)
-    if not (np.isfinite(offset) and 0 < step < np.inf):
-        raise ValueError(f"it states a step of {step} from {offset}")
-    body = BitReader(data[16 * dim + _SPAN.size :])
-    cells = cells_of(read_tree(body, dim), dim)
-    if len(cells) != num_leaves:
-        raise ValueError(f"its tree has {len(cells)} leaves, its header states {num_leaves}")
-    partition = _read_partition(body, cells)
+    domain, offset, step, rest = read_span(content, dim)
+    body = BitReader(rest)
+    partition = _read_partition(body, read_leaves(body, dim, num_leaves))
     space = partition.space()
     code = np.zeros(len(space.masters), np.int64)
     for level in _level_slices(space.level):
@@ -160,7 +123,7 @@ def _decode_checked(
         code[level] = surprise + _rounded(space.prediction[level] @ code.astype(float))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Box(corners[:dim], corners[dim:]), order, partition, space, StoredValues(offset, step, code)
+    return domain, order, partition, space, StoredValues(offset, step, code)
 
 
 def _read_partition(body: BitReader, cells: Cells) -> Partition:

@@ -19,7 +19,7 @@ def from_bytes(data: bytes) -> PLR | ContinuousPLR:
         ValueError: If the bytes are not those of a PLR file of a version this release reads, or its distances are
             beyond 32-bit floats.
     """
-    return continuous_from_bytes(data) if data.startswith(_nodal_file.MAGIC) else plr_from_bytes(data)
+    return continuous_from_bytes(data) if data.startswith(_nodal_file.KIND.magic) else plr_from_bytes(data)
 
 
 def save(plr: PLR | ContinuousPLR, path: str | os.PathLike) -> None:

@@ -24,6 +24,12 @@ def walled(x):
     return np.where(in_wall, np.inf, value)
 
 
+def three_leaves():
+    """The lower half of a square along x, and the two quarters above it."""
+    halves = Cells.root(2).split(np.array([0]))
+    return halves[[0]].append(halves[[1]].split(np.array([1])))
+
+
 def leaf_by_search(plr, x):
     """Index of the leaf that holds each point, by comparing it with every leaf's box."""
     lo, hi = plr.leaf_boxes

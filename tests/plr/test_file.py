@@ -1,4 +1,5 @@
 import contextlib
+import hashlib
 import struct
 import zlib
 
@@ -7,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plr_helpers import random_partition, walled
+from plr_helpers import random_partition, three_leaves, walled
 
 from plr_jax._box import Box
 from plr_jax.plr import construct, from_bytes, load, save
 from plr_jax.plr._file import decode, encode, size_in_bytes
-from plr_jax.plr._planes import encode_planes
+from plr_jax.plr._planes import StoredPlanes, encode_planes
 from plr_jax.plr._tree import levels_of
 
 SQUARE = Box((0, 0), (1, 1))
@@ -69,6 +70,12 @@ def test_saving_leaves_no_other_files_and_replaces(tmp_path):
         save(construct(walled, SQUARE, max_leaves=leaves), tmp_path / "a.plr")
     assert [path.name for path in tmp_path.iterdir()] == ["a.plr"]
     assert load(tmp_path / "a.plr").num_leaves == 8
+
+
+def test_the_format_stays_as_it_is():
+    planes = StoredPlanes(8, 0.5, 0.25, np.array([7, 255, 2]), np.array([[3, -2], [0, 0], [-5, 1]]))
+    data, _ = encode(Box((-1, 0), (1, 3)), three_leaves(), planes)
+    assert hashlib.sha256(data).hexdigest() == "a53e2916719ff77ebb7a40406a0d97a2734505034fe96e18a95bd89461458bad"
 
 
 def reseal(data):

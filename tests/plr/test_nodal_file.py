@@ -1,3 +1,4 @@
+import hashlib
 import struct
 import zlib
 
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import random_partition
+from plr_helpers import random_partition, three_leaves
 
 from plr_jax._box import Box
 from plr_jax.plr import construct
@@ -73,6 +74,14 @@ def test_a_set_beyond_its_size_is_refused():
     _write_set(body, np.ones(5, bool))
     with pytest.raises(ValueError, match="member 4 of 4"):
         _read_set(BitReader(body.to_bytes()), 4)
+
+
+def test_the_format_stays_as_it_is():
+    tree = tree_of(three_leaves())
+    partition = Partition(tree, np.zeros(3, bool), shared_faces(tree), np.array([True, False, True]))
+    values = StoredValues(0.5, 0.25, 3 * np.arange(8) ** 2 - 7)
+    data = encode(Box((-1, 0), (1, 3)), 0, partition, partition.space(), values)
+    assert hashlib.sha256(data).hexdigest() == "edf061e51a457e1a345fd57a383ba0c6bb7ab2bb05a5fd04411514d64bd3a9fb"
 
 
 def resigned(data):

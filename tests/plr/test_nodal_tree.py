@@ -1,17 +1,14 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import random_partition
+from plr_helpers import random_partition, three_leaves
 
 from plr_jax._box import Box
-from plr_jax.plr._cells import Cells
 from plr_jax.plr._nodal_tree import corner_bits, face_points, parents_of_corners, shared_faces, tree_of
 
 
 def test_a_tree_of_three_leaves():
-    halves = Cells.root(2).split(np.array([0]))
-    cells = halves[[0]].append(halves[[1]].split(np.array([1])))
-    tree = tree_of(cells)
+    tree = tree_of(three_leaves())
     np.testing.assert_array_equal(tree.child, [1, -1, 3, -1, -1])
     np.testing.assert_array_equal(tree.node_of_leaf, [1, 3, 4])
     faces = shared_faces(tree)
