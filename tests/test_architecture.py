@@ -11,6 +11,7 @@ LAYER_0 = [
     "_arrays",
     "_atomic",
     "_box",
+    "_partition",
     "_geometry",
     "_polygons",
     "_workspace",

@@ -1,13 +1,11 @@
 """What happens between the leaves of a partition: jumps at their faces, and walks down the gradient out of them."""
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._box import Box
-from plr_jax._types import ArrayLike
+from plr_jax._partition import Partition
 from plr_jax._workspace import Workspace
 
 ValuesAndGradients = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]]
@@ -16,17 +14,6 @@ _POINTS_A_FACE = 8
 _ASIDE = 2.0**-20  # of the domain: eight times what a query in 32-bit floats resolves
 _STEPS_A_SIDE = 4
 _SIDES_WALKED = 4
-
-
-@runtime_checkable
-class Partition(Protocol):
-    """A function that is one piece in each of many boxes, such as a PLR."""
-
-    @property
-    def domain(self) -> Box: ...
-    @property
-    def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 def face_jumps(

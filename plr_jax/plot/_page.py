@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from plr_jax._box import Box
+from plr_jax._partition import Partition
 from plr_jax._types import ArrayLike
 
 INK = "#262626"
@@ -20,17 +21,6 @@ DISTANCE_LABEL = "distance to the goal (workspace units)"
 FONT_SIZE = 9
 _PANEL = 4.2  # inches along the longer side of the plotted box
 _DPI = 200
-
-
-@runtime_checkable
-class Partition(Protocol):
-    """What a picture needs of a PLR."""
-
-    @property
-    def domain(self) -> Box: ...
-    @property
-    def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

@@ -9,6 +9,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
+from plr_jax._partition import Partition
 from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
 from plr_jax.plot._page import (
@@ -16,7 +17,6 @@ from plr_jax.plot._page import (
     DISTANCE_LABEL,
     FONT_SIZE,
     INK,
-    Partition,
     add_colorbar,
     cell_corners,
     dressed_axes,
