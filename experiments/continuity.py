@@ -6,7 +6,6 @@ largest distance, of the gradient as the length of the difference. Queries of a 
 take turns; medians are reported.
 """
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,23 +17,15 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments._results import run
+from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
-from plr_jax import (
-    PLR,
-    Box,
-    ContinuousPLR,
-    VisibilityGraph,
-    Workspace,
-    construct,
-    construct_continuous,
-    metrics,
-    scenes,
-)
+from plr_jax import PLR, Box, ContinuousPLR, VisibilityGraph, Workspace, construct, construct_continuous, metrics
 from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
 
 POINT_SEED, FACE_SEED = 1_000, 3_000
 BESIDE = 2.0**-22
 POINTS_A_FACE = 8
+_MAPS = ("maze", "thin_maze", "arena")
 
 Points = Float[np.ndarray, "n 2"]
 
@@ -42,14 +33,7 @@ Points = Float[np.ndarray, "n 2"]
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     num_points, num_runs = (5_000, 3) if smoke else (1_000_000, 15)
     budgets = [512] if smoke else [2_048, 6_144, 30_720]
-    problems = {"maze": scenes.maze()} if smoke else {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
-    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in problems.items()}
-    data = os.environ.get("PLR_JAX_DATA")
-    if data and not smoke:
-        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
-        maps["arena"] = (arena, np.array([1.0, 11.0]))
-    elif not smoke:
-        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
+    maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     rows = []
     for name, (workspace, goal) in maps.items():
         exact = VisibilityGraph(workspace, goal)

@@ -6,7 +6,6 @@ is zero everywhere shows what descent does without one.
 """
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable
 from functools import partial
@@ -24,6 +23,7 @@ from matplotlib.figure import Figure
 
 from experiments._results import run
 from experiments._walks import downhill, measure_walks
+from experiments.benchmarks._maps import load_maps
 from plr_jax import (
     PLR,
     ContinuousPLR,
@@ -35,10 +35,11 @@ from plr_jax import (
     descend,
     metrics,
     plot,
-    scenes,
 )
 
 START_SEED = 1_000
+SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384, 30_720]}
+"""Bytes of the PLRs of each map; the last is drawn."""
 _KINDS: dict[str, Callable[..., PLR | ContinuousPLR]] = {
     "plain": construct,
     "order 0": partial(construct_continuous, order=0),
@@ -53,8 +54,9 @@ _ARROW_COLOR = "#0072B2"
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     num_starts, num_points = (200, 500) if smoke else (10_000, 100_000)
+    sizes = {"maze": [1024]} if smoke else SIZES
     results = []
-    for name, (workspace, goal, sizes) in _maps(smoke).items():
+    for name, (workspace, goal) in load_maps(sizes).items():
         exact = VisibilityGraph(workspace, goal)
         starts = workspace.sample_free(num_starts, START_SEED + seed)
         x = workspace.sample_free(num_points, 2 * START_SEED + seed)
@@ -65,7 +67,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         walked = measure_walks(exact.directions, workspace, starts[few], goal, distance[few])
         print(f"{name} along the exact directions: {_outcome(walked)}")
         rows, plr = [], None
-        for max_bytes in sizes:
+        for max_bytes in sizes[name]:
             for kind, build in _KINDS.items():
                 field = build(exact, workspace.bounds, max_bytes=max_bytes, seed=seed)
                 row = _measure_descent(field, workspace, starts, goal, distance)
@@ -80,22 +82,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         entry |= {"exact_directions": {"starts": len(starts[few]), "walks": walked}, "rows": rows}
         results.append({**entry, "picture": _picture(plr, workspace, goal, starts) if name in DRAWN else None})
     return {"starts": num_starts, "points": num_points, "maps": results}
-
-
-def _maps(smoke: bool) -> dict[str, tuple[Workspace, Float[np.ndarray, "2"], list[int]]]:
-    """Workspace, goal and sizes in bytes of each map; the last size is drawn."""
-    maze, thin = scenes.maze(), scenes.thin_maze()
-    maps = {"maze": (maze.workspace, maze.goals[0], [1024] if smoke else [2048, 6144])}
-    if smoke:
-        return maps
-    maps["thin_maze"] = (thin.workspace, thin.goals[0], [2048, 6144])
-    data = os.environ.get("PLR_JAX_DATA")
-    if data is None:
-        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
-    else:
-        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
-        maps["arena"] = (arena, np.array([1.0, 11.0]), [6_144, 16_384, 30_720])
-    return maps
 
 
 def _measure_descent(

@@ -11,7 +11,6 @@ All are measured over the same random free points against the exact distance. Wh
   coefficients), a fraction of the text that LightGBM saves; the results file has the bytes of that text too.
 """
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -26,9 +25,11 @@ from scipy.ndimage import distance_transform_edt
 from tqdm import tqdm
 
 from experiments._results import run
-from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics, scenes
+from experiments.benchmarks._maps import load_maps
+from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
+_MAPS = ("maze", "thin_maze", "arena")
 _PACKED_BYTES_A_LEAF, _PACKED_BYTES_OF_STUMP = 17, 13
 _NUM_TREES = (1, 2, 4)
 _PLRS = {
@@ -51,14 +52,7 @@ Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     budgets = [512, 1024] if smoke else [512 * 2**doubling for doubling in range(7)]
     num_points = 2_000 if smoke else 500_000
-    problems = {"maze": scenes.maze()} if smoke else {"maze": scenes.maze(), "thin_maze": scenes.thin_maze()}
-    maps = {name: (problem.workspace, problem.goals[0]) for name, problem in problems.items()}
-    data = os.environ.get("PLR_JAX_DATA")
-    if data and not smoke:
-        arena = scenes.read_polygons(Path(data) / "polyanya_arena" / "arena_polygons.json")
-        maps["arena"] = (arena, np.array([1.0, 11.0]))
-    elif not smoke:
-        print("arena: skipped, PLR_JAX_DATA names no folder of maps")
+    maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     curves = {
         name: _measure_map(workspace, goal, budgets, num_points, seed) for name, (workspace, goal) in maps.items()
     }

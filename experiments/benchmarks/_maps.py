@@ -1,6 +1,7 @@
-"""The maps of the benchmark, by name: scenes of the package, and published maps where ``PLR_JAX_DATA`` has them."""
+"""The maps of experiments, by name: scenes of the package, and published maps where ``PLR_JAX_DATA`` has them."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -30,3 +31,9 @@ def load_map(name: str) -> Map | None:
         return None
     workspace = scenes.read_polygons(path)
     return workspace, workspace.sample_free(1, seed=0)[0] if goal is None else np.array(goal)
+
+
+def load_maps(names: Iterable[str]) -> dict[str, Map]:
+    """Maps by name, without published ones whose data are absent, which is said."""
+    maps = {name: load_map(name) for name in names}
+    return {name: found for name, found in maps.items() if found is not None}
