@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-import lightgbm
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -26,12 +25,11 @@ from tqdm import tqdm
 
 from experiments._results import run
 from experiments.benchmarks._maps import load_maps
+from experiments.benchmarks._trees import NUM_TREES, leaves_that_fit, train_linear_trees
 from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena")
-_PACKED_BYTES_A_LEAF, _PACKED_BYTES_OF_STUMP = 17, 13
-_NUM_TREES = (1, 2, 4)
 _PLRS = {
     f"PLR, {rule}, {coefficients}": {"split": split, "coefficient_bits": bits}
     for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
@@ -94,7 +92,11 @@ def _measure_map(
         grid = bilinear_grid(workspace, exact, budget)
         record("bilinear grid", 4 * grid.values.size, grid)
         x_train = workspace.sample_free(num_samples, TRAINING_SEED + seed)
-        trees = [linear_trees(x_train, exact(x_train), budget, number, seed) for number in _NUM_TREES]
+        at_train = exact(x_train)
+        trees = [
+            train_linear_trees(x_train, at_train, leaves_that_fit(budget, number), number, seed)
+            for number in NUM_TREES
+        ]
         best = min(trees, key=lambda booster: np.abs(booster.predict(x) - distance).mean())
         record("LightGBM linear trees", budget, best.predict)
         curves["LightGBM linear trees"][-1]["bytes_as_saved"] = len(best.model_to_string())
@@ -111,28 +113,6 @@ def bilinear_grid(workspace: Workspace, exact: VisibilityGraph, num_bytes: int) 
     spacing = bounds.width / (shape - 1)
     _, nearest = cast(tuple, distance_transform_edt(~np.isfinite(values), spacing, return_indices=True))
     return RegularGridInterpolator(axes, values[tuple(nearest)].astype(np.float32))
-
-
-def linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], num_bytes: int, num_trees: int, seed: int
-) -> lightgbm.Booster:
-    """A stump, then boosted trees with a plane in every leaf, of so many packed bytes together."""
-    leaves = max(2, (num_bytes - _PACKED_BYTES_OF_STUMP) // _PACKED_BYTES_A_LEAF // num_trees)
-    parameters = {
-        "objective": "l2",
-        "linear_tree": True,
-        "learning_rate": 1.0,
-        "min_data_in_leaf": 8,
-        "max_bin": 1023,
-        "linear_lambda": 1e-6,
-        "seed": seed,
-        "deterministic": True,
-        "num_threads": 2,
-        "verbosity": -1,
-    }
-    data = lightgbm.Dataset(x, distance, free_raw_data=False)
-    stump = lightgbm.train({**parameters, "num_leaves": 2}, data, num_boost_round=1)
-    return lightgbm.train({**parameters, "num_leaves": leaves}, data, num_boost_round=num_trees, init_model=stump)
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
