@@ -23,6 +23,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 from tqdm import tqdm
 
+from experiments._figures import label_ends
 from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._trees import NUM_TREES, leaves_that_fit, train_linear_trees
@@ -127,8 +128,12 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
         axes[1, column].set_xlabel("bytes")
     axes[0, 0].set_ylabel("mean error (workspace units)", fontsize=9)
     axes[1, 0].set_ylabel("largest error (workspace units)", fontsize=9)
+    last = {name: next(reversed(curves.values()))[name][-1] for name in _STYLES}
     for row, error in enumerate(("mean", "max")):
-        _label_ends(axes[row, -1], next(reversed(curves.values())), error)
+        ends = [
+            (label, last[name]["bytes"], last[name][error], color) for name, (color, *_, label) in _STYLES.items()
+        ]
+        label_ends(axes[row, -1], ends, _LABEL_HEIGHT)
     path = output / "error_curve.png"
     figure.savefig(path, dpi=150)
     return [path]
@@ -143,26 +148,6 @@ def _draw_curves(ax: Axes, contenders: dict[str, list[dict[str, Any]]], error: s
     ax.set_xticks([512, 2048, 8192, 32768], ["512", "2,048", "8,192", "32,768"])
     ax.minorticks_off()
     ax.spines[["top", "right"]].set_visible(False)
-
-
-def _label_ends(ax: Axes, contenders: dict[str, list[dict[str, Any]]], error: str) -> None:
-    """Name every line where it ends, with labels moved apart that would overlap."""
-    ends = sorted((contenders[name][-1][error], name) for name in _STYLES)
-    lo, hi = np.log(ax.get_ylim())
-    height = -np.inf
-    for value, name in ends:
-        height = max((np.log(value) - lo) / (hi - lo), height + _LABEL_HEIGHT)
-        color, _, _, label = _STYLES[name]
-        ax.annotate(
-            label,
-            (contenders[name][-1]["bytes"], value),
-            (1.06, height),
-            textcoords="axes fraction",
-            color=color,
-            va="center",
-            fontsize=9,
-            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
-        )
 
 
 if __name__ == "__main__":

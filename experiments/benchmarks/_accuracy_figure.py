@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from experiments._figures import label_ends
 
 # interpax's linear answers are those of the bilinear grid.
 _STYLES = {
@@ -33,7 +34,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
         ax.set_title(name.replace("_", " "), fontsize=11)
         ax.set_xlabel("bytes")
     panels[0].set_ylabel("mean error (workspace units)")
-    _label_ends(panels[-1], list(maps.values())[-1])
+    label_ends(panels[-1], _ends(list(maps.values())[-1]), _LABEL_HEIGHT)
     path = output / "benchmark_accuracy.png"
     figure.savefig(path, dpi=150)
     return [path]
@@ -51,22 +52,8 @@ def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def _label_ends(ax: Axes, rows: list[dict[str, Any]]) -> None:
-    """Name every line where it ends, with labels moved apart that would overlap."""
+def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
+    """Label, end and color of each line."""
     most = max(row["budget"] for row in rows)
     last = [row for row in rows if row["budget"] == most and row["contender"] in _STYLES and row["free"]["mean"]]
-    lo, hi = np.log(ax.get_ylim())
-    height = -np.inf
-    for row in sorted(last, key=lambda row: row["free"]["mean"]):
-        height = max((np.log(row["free"]["mean"]) - lo) / (hi - lo), height + _LABEL_HEIGHT)
-        color = _STYLES[row["contender"]][0]
-        ax.annotate(
-            row["contender"],
-            (row["bytes"], row["free"]["mean"]),
-            (1.06, height),
-            textcoords="axes fraction",
-            color=color,
-            va="center",
-            fontsize=9,
-            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
-        )
+    return [(row["contender"], row["bytes"], row["free"]["mean"], _STYLES[row["contender"]][0]) for row in last]
