@@ -31,18 +31,11 @@ def run(name: str, purpose: str, compute: Compute, draw: Draw, renew: Renew | No
         draw: Takes the results as read back and the output folder; gives the files it wrote.
         renew: Takes results and the name of a part; gives results with that part measured again.
     """
-    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
-    parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
-    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
-    parser.add_argument("--draw", action="store_true", help="compute nothing; draw from the results file")
+    parser = command_line(name, purpose)
     if renew is not None:
         parser.add_argument("--only", metavar="PART", help="measure one part again, and keep the others as they are")
-    parser.add_argument(
-        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
-    )
     arguments = parser.parse_args()
-    # The smallest setting must never replace results that are committed.
-    output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
+    output = output_folder(arguments)
     if not arguments.draw:
         if renew is not None and arguments.only is not None:
             results = renew(read(output, name)["results"], arguments.only)
@@ -52,6 +45,23 @@ def run(name: str, purpose: str, compute: Compute, draw: Draw, renew: Renew | No
         print(f"wrote {write(output, name, {**record, 'results': results})}")
     for path in draw(read(output, name)["results"], output):
         print(f"wrote {path}")
+
+
+def command_line(name: str, purpose: str | None) -> argparse.ArgumentParser:
+    """The options that every experiment has."""
+    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
+    parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
+    parser.add_argument("--draw", action="store_true", help="compute nothing; draw from the results file")
+    parser.add_argument(
+        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
+    )
+    return parser
+
+
+def output_folder(arguments: argparse.Namespace) -> Path:
+    """Where results go. The smallest setting must never replace results that are committed."""
+    return arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
 
 
 def environment() -> dict[str, Any]:

@@ -5,11 +5,9 @@ measures sections again and keeps the others as they are. What a section compare
 ``experiments/benchmarks/``.
 """
 
-import argparse
-import tempfile
 from pathlib import Path
 
-from experiments._results import RESULTS, environment, read, write
+from experiments._results import command_line, environment, output_folder, read, write
 from experiments.benchmarks import (
     _accuracy,
     _cold_start,
@@ -37,17 +35,10 @@ SECTIONS = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m experiments.benchmark", description=__doc__)
-    parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
-    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
+    parser = command_line(NAME, __doc__)
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="sections to measure")
-    parser.add_argument("--draw", action="store_true", help="compute nothing; draw from the results file")
-    parser.add_argument(
-        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
-    )
     arguments = parser.parse_args()
-    # The smallest setting must never replace results that are committed.
-    output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
+    output = output_folder(arguments)
     if not arguments.draw:
         for section in arguments.only:
             print(f"== {section}", flush=True)
