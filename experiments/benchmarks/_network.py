@@ -28,8 +28,7 @@ def train_network(
     """A network of rectified linear units whose weights fill so many bytes.
 
     Adam with a cosine schedule minimizes the mean error over batches of the samples, both scaled to a variance of
-    about one. Of what was tried (sine and Gaussian units, a sine layer first, two or three hidden layers) this is
-    about the most accurate for its bytes, and the fastest to query.
+    about one. Another architecture, or longer training, may be more accurate for its bytes.
 
     Args:
         x: Samples.
