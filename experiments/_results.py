@@ -14,7 +14,20 @@ import numpy as np
 
 RESULTS = Path(__file__).parent / "results"
 
-_PACKAGES = ("plr-jax", "jax", "numpy", "scipy", "shapely", "lightgbm", "matplotlib")
+_PACKAGES = (
+    "plr-jax",
+    "jax",
+    "numpy",
+    "scipy",
+    "shapely",
+    "optax",
+    "matplotlib",
+    "interpax",
+    "lightgbm",
+    "numba",
+    "ompl",
+    "scikit-fmm",
+)
 
 Compute = Callable[[int, bool], dict[str, Any]]
 Draw = Callable[[dict[str, Any], Path], list[Path]]

@@ -1,4 +1,4 @@
-"""One library of exact distances on one map: a task comes in as JSON, seconds and distances go out as JSON.
+"""One library of exact distances on one map: a task comes in as JSON, what it took and found goes out as JSON.
 
 Run by the Python of an environment of their own, which needs neither this project nor JAX::
 
@@ -14,6 +14,7 @@ import pickle
 import statistics
 import sys
 import time
+from importlib.metadata import version
 
 
 def main():
@@ -35,7 +36,7 @@ def main():
             break
     num_bytes = len(pickle.dumps(environment))
     report = {"prepare": seconds, "query": statistics.median(times), "bytes_pickled": num_bytes}
-    json.dump({**report, "distances": distances}, sys.stdout)
+    json.dump({**report, "version": version(task["rival"]), "distances": distances}, sys.stdout)
 
 
 def extremitypathfinder(task):
