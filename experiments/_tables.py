@@ -1,4 +1,4 @@
-"""Tables of runs as text: medians with their worst cases, and columns that line up."""
+"""Tables of runs as text: medians with their worst cases, and columns that line up, as text or in Markdown."""
 
 from typing import Any
 
@@ -31,3 +31,9 @@ def aligned(rows: list[list[str]], numbers: int) -> str:
         for pairs in (list(zip(row, widths, strict=True)) for row in rows)
     ]
     return "\n".join(line.rstrip() for line in [lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
+
+
+def markdown(rows: list[list[str]], numbers: int) -> str:
+    """A table in Markdown whose last columns hold numbers."""
+    rule = ["---"] * (len(rows[0]) - numbers) + ["--:"] * numbers
+    return "".join("| " + " | ".join(row) + " |\n" for row in [rows[0], rule, *rows[1:]])

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from experiments import _gradient_tables as gradients
 from experiments._results import RESULTS, read
-from experiments._tables import nodes_of, num_solved, spread
+from experiments._tables import markdown, nodes_of, num_solved, spread
 
 README = Path(__file__).parent.parent / "README.md"
 _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
@@ -212,12 +213,6 @@ def rounded(value: float) -> str:
     return f"{math.floor(value / scale + 1e-9) * scale:.6g}"
 
 
-def markdown(rows: list[list[str]], numbers: int) -> str:
-    """A table whose last columns hold numbers."""
-    rule = ["---"] * (len(rows[0]) - numbers) + ["--:"] * numbers
-    return "".join("| " + " | ".join(row) + " |\n" for row in [rows[0], rule, *rows[1:]])
-
-
 def results_of(name: str) -> dict[str, Any]:
     return read(RESULTS, name)["results"]
 
@@ -231,6 +226,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "table2": lambda: table2(results_of("table2"), results_of("race")),
     "heuristics": lambda: heuristics(results_of("table2")),
     "race": lambda: race(results_of("race")),
+    "continuity": lambda: gradients.continuity(results_of("continuity")),
+    "descent": lambda: gradients.descent(results_of("descent")),
+    "trajectory": lambda: gradients.trajectory(results_of("trajectory")),
+    "refinement": lambda: gradients.refinement(results_of("refinement")),
 }
 
 

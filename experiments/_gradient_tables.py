@@ -1,0 +1,98 @@
+"""The README's tables on gradients: what continuity costs, where gradients lead, what optimization gains."""
+
+from typing import Any
+
+from experiments._tables import markdown
+
+_SHOWN = 6_144  # bytes; the results have other sizes too
+
+
+def continuity(results: dict[str, Any]) -> str:
+    """Plain and continuous PLRs at equal bytes: error, jumps, and what they cost."""
+    rows = [["map", "PLR", "leaves", "mean error", "largest jump", "of the gradient", "ns a point", "built in s"]]
+    for row in results["rows"]:
+        if row["budget"] == _SHOWN:
+            rows.append(
+                [
+                    row["map"],
+                    row["kind"],
+                    f"{row['leaves']:,}",
+                    f"{row['mean']:.2g} ({row['max']:.2g})",
+                    f"{row['value_jump']:.1g}",
+                    f"{row['gradient_jump']:.1g}",
+                    f"{row['nanoseconds']:.1f} ({row['to_plain']:.1f} x)",
+                    f"{row['seconds']:.1f}",
+                ]
+            )
+    note = (
+        f"At {_SHOWN:,} bytes. In brackets the largest error, and the multiple of the plain PLR's time. Jumps are "
+        "over faces that one can step across, of the value as a share of the largest distance."
+    )
+    return markdown(rows, numbers=6) + f"\n{note}\n"
+
+
+def descent(results: dict[str, Any]) -> str:
+    """Where gradients point, where they lead alone, and where descent does."""
+    head = ["angle", "raw gradient reaches", "descent reaches", "crosses a wall", "length / exact", "s"]
+    rows = [["map", "PLR", *head]]
+    for each in results["maps"]:
+        for row in each["rows"]:
+            if row["budget"] == _SHOWN:
+                angles, ratio = row["gradient"]["angles"], row["ratio"]
+                rows.append(
+                    [
+                        each["map"],
+                        row["kind"],
+                        f"{angles['0.5']:.2g} ({angles['0.99']:.2g})",
+                        f"{row['walks']['reached']:.1%}",
+                        f"{row['reached']:.2%}",
+                        f"{row['crossings']}",
+                        f"{ratio['median']:.4f} ({ratio['max']:.4f})",
+                        f"{row['seconds']['median']:.2f}",
+                    ]
+                )
+    blind = ", ".join(f"{each['without_field']['reached']:.2%}" for each in results["maps"])
+    note = (
+        f"From {results['starts']:,} random starts, fields of {_SHOWN:,} bytes. Angles to the exact direction in "
+        "degrees: median, and in brackets 99 %. Lengths: median, and in brackets the largest. With a field that is "
+        f"zero everywhere, descent reaches the goal from {blind} of the starts."
+    )
+    return markdown(rows, numbers=len(head)) + f"\n{note}\n"
+
+
+def trajectory(results: dict[str, Any]) -> str:
+    """What optimization makes of BL's paths."""
+    rows = [["scene", "BL / bound", "optimized / bound", "valid, ends exact", "BL s", "optimized in s"]]
+    for row in results["rows"]:
+        rows.append(
+            [
+                row["scene"],
+                *(f"{row['cost_over_bound'][when]:.4f}" for when in ("before", "after")),
+                "yes" if row["valid"] and row["ends_exact"] else "no",
+                f"{row['seconds_plan']:.2f}",
+                f"{row['seconds']:.1f}",
+            ]
+        )
+    return markdown(rows, numbers=5) + (
+        "\nBound: the sum of the robots' exact distances, each alone, without turns. Seconds without compilation.\n"
+    )
+
+
+def refinement(results: dict[str, Any]) -> str:
+    """What losses and penalties make of the planes of one partition."""
+    rows = [["planes", "mean error", "largest", "too long in", "too long by at most", "rms of &#124;grad&#124; - 1"]]
+    largest = max(row["budget"] for row in results["rows"])
+    for row in results["rows"]:
+        if row["scene"] == "maze" and row["budget"] == largest:
+            rows.append(
+                [
+                    row["planes"],
+                    *(f"{row[name]:.2g}" for name in ("mean", "max")),
+                    f"{row['over']:.2%}",
+                    *(f"{row[name]:.2g}" for name in ("max_over", "eikonal_rms")),
+                ]
+            )
+    return markdown(rows, numbers=5) + (
+        f"\nThe maze, {largest:,} bytes, fitted to {results['training_points']:,} points, measured at "
+        f'{results["test_points"]:,} others. "lowered": the constructed planes less a constant.\n'
+    )
