@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-COMMITTED = ["fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"]
+COMMITTED = [
+    *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
+    *("continuity", "descent", "trajectory", "refinement"),
+]
 
 
 def experiment(name, *options):
@@ -76,6 +79,29 @@ def test_the_race_is_summed_up_as_by_hand(smoke):
         assert total["same_cost"]["at_least"] == (not times)
         assert total["same_cost"]["ratio"] == pytest.approx(min(times, default=trial["limit"]) / ours["seconds"])
         assert total["cost_5_percent_more"]["best"] <= total["same_cost"]["best"]
+
+
+def test_what_continuity_costs_and_buys(smoke):
+    rows = {row["kind"]: row for row in record_in(smoke("continuity"), "continuity")["results"]["rows"]}
+    assert rows["plain"]["value_jump"] > 1e-3
+    for kind in ("order 0", "order 1"):
+        assert rows[kind]["value_jump"] <= 1e-5
+        assert rows[kind]["bytes"] <= rows["plain"]["budget"] and rows[kind]["mean"] <= 1.2 * rows["plain"]["mean"]
+    assert rows["order 1"]["gradient_jump"] < 1e-2 < rows["order 0"]["gradient_jump"]
+
+
+def test_descents_reach_the_goal_and_cross_nothing(smoke):
+    (maze,) = record_in(smoke("descent"), "descent")["results"]["maps"]
+    for row in maze["rows"]:
+        assert row["reached"] == 1 and row["crossings"] == 0 and 1 - 1e-9 <= row["ratio"]["median"] <= 1.03
+        assert row["gradient"]["num_not_finite"] == row["gradient"]["num_zero"] == 0
+    assert maze["exact_directions"]["walks"]["reached"] > 0.95
+
+
+def test_trajectories_stay_valid_and_shorten(smoke):
+    for row in record_in(smoke("trajectory"), "trajectory")["results"]["rows"]:
+        assert row["valid"] and row["ends_exact"]
+        assert 1 <= row["cost_over_bound"]["after"] <= row["cost_over_bound"]["before"]
 
 
 def test_readme_tables_of_the_planner(smoke, tmp_path):
