@@ -244,7 +244,9 @@ def _rows(paths: Float[np.ndarray, "guesses steps robots dof"]) -> int:
 
 def _scene(problem: Problem) -> Scene:
     bounds = problem.workspace.bounds
-    origin, scale = (bounds.lo + bounds.hi) / 2, float(bounds.width.max())
+    # Rounded first: far from the origin, 32-bit floats would move the paths and leave the walls.
+    origin = ((bounds.lo + bounds.hi) / 2).astype(np.float32).astype(np.float64)
+    scale = float(bounds.width.max())
     lever = [robot.circumscribed_radius or scale for robot in problem.robots]
     return Scene(
         walls_of(problem.workspace, origin, scale),
