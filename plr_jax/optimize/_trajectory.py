@@ -94,7 +94,7 @@ def optimize_paths(
             It is met where there is room, and costs about its multiple by the turns of a path.
         smoothness: Weight, at least 0, of the squared second differences of the way points. A path that costs more
             than a valid one that was given is not returned, however smooth.
-        seed: Seed of the retimings.
+        seed: Seed of the retimings, at least 0.
 
     Returns:
         The optimized paths, of ``2**k + 1`` rows, at least 65 and at least as many as given; begin and end exact.
@@ -112,7 +112,7 @@ def optimize_paths(
         whole paths in a smooth basis; the paper asks for optimal trajectories in its conclusion.
     """
     given = as_paths(problem, paths)
-    check_options(num_retimings, num_iterations, margin, smoothness)
+    check_options(num_retimings, num_iterations, margin, smoothness, seed)
     scene, fns = _scene(problem), differentiable(problem, distance_fns)
     width = float(scene.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
