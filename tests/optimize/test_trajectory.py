@@ -43,7 +43,7 @@ def detour():
 
 def checked(problem, result):
     """The result, its claims verified."""
-    assert result.paths.shape[1:] == (result.paths.shape[1], *problem.starts.shape)
+    assert result.paths.shape[2:] == problem.starts.shape
     for path, cost, valid in zip(result.paths, result.costs, result.valid, strict=True):
         np.testing.assert_array_equal(path[[0, -1]], [problem.starts, problem.goals])
         assert cost == pytest.approx(path_cost(problem, path), rel=1e-12)
@@ -127,7 +127,7 @@ def test_robots_that_stay_where_they_are():
     assert result.valid.all() and result.cost == 0
 
 
-def test_wide_margins_are_kept_where_there_is_room_but_not_for_a_higher_cost():
+def test_wide_margins_are_kept_where_there_is_room():
     path = detour()
     result = checked(SWAP, optimize_paths(SWAP, path, margin=0.2, **QUICK))
     assert validate(SWAP, result.path).clearance > 0.15
@@ -142,7 +142,7 @@ def test_smoothness_makes_bends_wider():
 
 
 def test_a_batch_is_optimized_as_its_paths_are_one_by_one_and_again():
-    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]], detour()[:, ::-1, ::-1]][:2])
+    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]]])
     together = checked(SWAP, optimize_paths(SWAP, paths, **QUICK))
     again = optimize_paths(SWAP, paths, **QUICK)
     np.testing.assert_array_equal(together.paths, again.paths)

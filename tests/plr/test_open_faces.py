@@ -31,8 +31,8 @@ def test_faces_in_a_wall_are_not_free():
 
 def test_a_face_on_the_edge_of_a_wall_is_not_free():
     cells, faces = grid(1)
-    blocked = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
-    np.testing.assert_array_equal(blocked, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
+    free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
+    np.testing.assert_array_equal(free, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
 
 
 def test_a_face_is_tested_once():
