@@ -13,12 +13,12 @@ from plr_jax.plr._cells import Cells
 from plr_jax.plr._construct import ConstructionInterrupted
 from plr_jax.plr._continuous import ContinuousPLR, continuous_from_bytes
 from plr_jax.plr._fit import CellFit, WeightFn, fit_cells
+from plr_jax.plr._free_faces import FaceTests
 from plr_jax.plr._limits import Limits, check_limits, check_memory
 from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_file import Partition, StoredValues, encode
 from plr_jax.plr._nodal_fit import Samples, fit_values, residuals
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
-from plr_jax.plr._open_faces import FaceTests
 from plr_jax.plr._pattern import Pattern, sample_pattern
 from plr_jax.plr._split import best_axis, largest_error, max_axis_depth
 from plr_jax.plr._tree import MAX_DEPTH

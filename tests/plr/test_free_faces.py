@@ -4,8 +4,8 @@ from plr_helpers import cone, walled
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._free_faces import FaceTests
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
-from plr_jax.plr._open_faces import FaceTests
 
 SQUARE = Box((0, 0), (1, 1))
 
