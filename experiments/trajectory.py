@@ -43,7 +43,8 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
 
 def scene_row(name: str, seed: int, smoke: bool) -> dict[str, Any]:
     """A scene as published: BL's path, and the optimized one."""
-    problem, bound = SCENES[name](), lower_bound(SCENES[name]())
+    problem = SCENES[name]()
+    bound = lower_bound(problem)
     solution, path = solve(problem, PLR)
     path[[0, -1]] = problem.starts, problem.goals
     result, first = optimized(problem, path, seed, smoke)

@@ -118,6 +118,24 @@ def shorter_turn(
     return 2 * np.pi * (turns - np.ceil(turns - 0.5))
 
 
+def between(
+    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], t: Float[np.ndarray, "*#batch 1"]
+) -> Float[np.ndarray, "*batch dof"]:
+    """Configurations along straight motions, which turn the shorter way.
+
+    Args:
+        q0: Configurations at the start of the motions, of 2 coordinates or 3.
+        q1: Configurations at the end.
+        t: Share of each motion, from 0 to 1.
+
+    Returns:
+        The configurations; at 0 those at the start, at 1 those at the end but for rounding and whole turns.
+    """
+    change = q1 - q0
+    change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
+    return q0 + t * change
+
+
 def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
     """The set that a robot covers, less its rounding: a disc's is its center.
 

@@ -55,9 +55,9 @@ class Leaves:
         return jnp.array(self.height)[leaf] + (jnp.array(self.slope)[leaf] * x).sum(axis=-1)
 
 
-def report(distance_fn, directions=towards_goal, workspace=ROOM, goal=GOAL, x=None, **options):
+def report(approximation, directions=towards_goal, workspace=ROOM, goal=GOAL, x=None, **options):
     x = ROOM.sample_free(500, 0) if x is None else x
-    return metrics.gradient_report(distance_fn, directions, workspace, goal, x, **options)
+    return metrics.gradient_report(approximation, directions, workspace, goal, x, **options)
 
 
 # --- angles ----------------------------------------------------------------------------------------------
@@ -211,13 +211,13 @@ def test_gradients_are_finite_differences_inside_cells(maze):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (dict(distance_fn=lambda x: np.hypot(x[:, 0], x[:, 1])), "JAX cannot differentiate"),
-        (dict(distance_fn=lambda x: x), r"must give shape \(500,\), got \(500, 2\)"),
-        (dict(distance_fn=distance, directions=lambda x: x[:, 0]), "exact directions must have shape"),
-        (dict(distance_fn=distance, directions=lambda x: np.full_like(x, np.nan)), "none has both"),
-        (dict(distance_fn=distance, goal=(1, 2, 3)), "The goal must be one point"),
-        (dict(distance_fn=distance, x=np.zeros((3, 3))), "x must have shape"),
-        (dict(distance_fn=distance, x=np.empty((0, 2))), "Of 0 points none"),
+        (dict(approximation=lambda x: np.hypot(x[:, 0], x[:, 1])), "JAX cannot differentiate"),
+        (dict(approximation=lambda x: x), r"must give shape \(500,\), got \(500, 2\)"),
+        (dict(approximation=distance, directions=lambda x: x[:, 0]), "exact directions must have shape"),
+        (dict(approximation=distance, directions=lambda x: np.full_like(x, np.nan)), "none has both"),
+        (dict(approximation=distance, goal=(1, 2, 3)), "The goal must be one point"),
+        (dict(approximation=distance, x=np.zeros((3, 3))), "x must have shape"),
+        (dict(approximation=distance, x=np.empty((0, 2))), "Of 0 points none"),
     ],
 )
 def test_mistakes_are_explained(arguments, message):

@@ -95,7 +95,7 @@ class GradientReport:
 
 
 def gradient_report(
-    distance_fn: Callable[[ArrayLike], ArrayLike],
+    approximation: Callable[[ArrayLike], ArrayLike],
     directions: Directions,
     workspace: Workspace,
     goal: ArrayLike,
@@ -107,8 +107,8 @@ def gradient_report(
     """Measure where the gradient of a distance function points.
 
     Args:
-        distance_fn: What is judged: a PLR, or any function from points ``(n, 2)`` to ``(n,)`` distances that JAX can
-            differentiate. If it has ``leaf_boxes`` and a ``domain``, jumps and walks are reported too.
+        approximation: What is judged: a PLR, or any function from points ``(n, 2)`` to ``(n,)`` distances that JAX
+            can differentiate. If it has ``leaf_boxes`` and a ``domain``, jumps and walks are reported too.
         directions: The exact directions of travel, unit vectors ``(n, 2)``, zero at the goal and NaN where there is
             no way: ``VisibilityGraph(workspace, goal).directions``.
         workspace: The free space.
@@ -126,7 +126,7 @@ def gradient_report(
             function.
     """
     x, goal = as_points("x", x, 2), as_finite_point("The goal", goal, 2)
-    evaluate = _differentiated(distance_fn)
+    evaluate = _differentiated(approximation)
     exact = _directions_at(directions, x)
     directed = np.isfinite(exact).all(axis=1) & (exact != 0).any(axis=1)
     points = x[directed]
@@ -138,7 +138,7 @@ def gradient_report(
         raise ValueError(f"Of {len(x)} points none has both an exact direction and a gradient; give free points.")
     angle = _angles(-gradient[usable], exact[directed][usable])
     worst = int(np.argmax(angle))
-    leaves = distance_fn if isinstance(distance_fn, Partition) else None
+    leaves = approximation if isinstance(approximation, Partition) else None
     at_goal = np.zeros(len(points), bool) if leaves is None else _in_leaves_of(leaves, points, goal)
     return GradientReport(
         angles={q: float(np.quantile(angle, q)) for q in _QUANTILES},

@@ -56,11 +56,16 @@ def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses s
 
 
 def check_options(
-    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int
+    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int, seed: int
 ) -> None:
-    for name, value, least in (("num_retimings", num_retimings, 0), ("num_iterations", num_iterations, 1)):
-        if value < least:
-            raise ValueError(f"{name} must be at least {least}, got {value!r}.")
+    """Raise ``ValueError`` for an option out of its range."""
+    for name, value, least in (
+        ("num_retimings", num_retimings, 0),
+        ("num_iterations", num_iterations, 1),
+        ("seed", seed, 0),
+    ):
+        if not (isinstance(value, int | np.integer) and value >= least):
+            raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
     if margin is not None and not (np.isfinite(margin) and margin > 0):
         raise ValueError(f"margin must be positive and finite, got {margin!r}.")
     if not (np.isfinite(smoothness) and smoothness >= 0):

@@ -3,7 +3,7 @@
 A shortest path among polygons turns only at corners that stick out into free space. So these, and the goal, are the
 places worth looking ahead to: the way on from a point leads to the place in sight of least ``|x - y| + f(y)``. Steps
 taken so could run in circles where the field ``f`` has bumps. Therefore each corner is joined to the best two places
-that it sees, and Dijkstra's algorithm finds the ways to the goal along these joints. A start goes to the place in
+that it sees, and Dijkstra's algorithm finds the ways to the goal along these edges. A start goes to the place in
 sight of least ``|x - y|`` plus the length of the way from there, and on from corner to corner. The length that
 remains falls at every step, so a path comes to no place twice, and ends.
 """
@@ -75,7 +75,7 @@ def descend(
 ) -> Descent:
     """Follow a distance field from many starts to its goal, by lookahead to the corners in sight.
 
-    The field is asked once, at the corners of the workspace, whose joints it ranks; every leg of every path is tested
+    The field is asked once, at the corners of the workspace, whose edges it ranks; every leg of every path is tested
     for visibility. Corners that the field does not lead to the goal are joined to all that they see. So a start
     reaches the goal whenever there is a way, whatever the field; a good one saves tests, and its paths are the
     shortest but for places where it errs by more than the best ways on from a corner differ.
@@ -94,7 +94,7 @@ def descend(
         ValueError: If a shape is wrong, the goal is not free, or the field gives NaN or another number of values.
 
     References:
-        "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The joints are a part of the
+        "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
         visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
     """
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
@@ -127,23 +127,23 @@ def _ways_to_goal(
     workspace: Workspace, places: Places, field: Float[np.ndarray, "places"]
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
     """Length of a free way from each place to the goal, ``inf`` where there is none, and the next place on it."""
-    joints = _joints(workspace, places, field, np.arange(1, len(places)), _NUM_WAYS)
-    length, onward = _shortest(places, joints)
+    edges = _edges(workspace, places, field, np.arange(1, len(places)), _NUM_WAYS)
+    length, onward = _shortest(places, edges)
     lost = np.flatnonzero(~np.isfinite(length))
     if lost.size:
-        everything = _joints(workspace, places, np.zeros(len(places)), lost, len(places))
-        joints = _distinct(np.concatenate([joints, everything]))
-        length, onward = _shortest(places, joints)
-    return _pulled_tight(workspace, places, joints, length, onward)
+        everything = _edges(workspace, places, np.zeros(len(places)), lost, len(places))
+        edges = _distinct(np.concatenate([edges, everything]))
+        length, onward = _shortest(places, edges)
+    return _pulled_tight(workspace, places, edges, length, onward)
 
 
-def _joints(
+def _edges(
     workspace: Workspace,
     places: Places,
     field: Float[np.ndarray, "places"],
     corners: Int[np.ndarray, "corners"],
     count: int,
-) -> Int[np.ndarray, "joints 2"]:
+) -> Int[np.ndarray, "edges 2"]:
     """Pairs of one of some corners and a place it sees, for the ``count`` ways on that promise to be shortest."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
@@ -162,29 +162,29 @@ def _joints(
 def _pulled_tight(
     workspace: Workspace,
     places: Places,
-    joints: Int[np.ndarray, "joints 2"],
+    edges: Int[np.ndarray, "edges 2"],
     length: Float[np.ndarray, "places"],
     onward: Int[np.ndarray, "places"],
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
-    """The ways after joining places to the place after the next where they see it, until no new joint comes up."""
+    """The ways after joining places to the place after the next where they see it, until no new edge comes up."""
     tried = np.full(len(places), -1)
     while True:
         after_next = onward[onward]
         place = np.flatnonzero((onward > 0) & (after_next != tried))
         pairs, tried = _distinct(np.stack([place, after_next[place]], axis=1)), after_next
         visible = workspace.is_visible(*places.points[pairs.T])
-        joined = _distinct(np.concatenate([joints, pairs[visible]]))
-        if len(joined) == len(joints):
+        joined = _distinct(np.concatenate([edges, pairs[visible]]))
+        if len(joined) == len(edges):
             return length, onward
-        joints = joined
-        length, onward = _shortest(places, joints)
+        edges = joined
+        length, onward = _shortest(places, edges)
 
 
 def _shortest(
-    places: Places, joints: Int[np.ndarray, "joints 2"]
+    places: Places, edges: Int[np.ndarray, "edges 2"]
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
-    """Length of the shortest way to the goal along joints, and the next place on it; the goal follows itself."""
-    length, onward = dijkstra(Graph(places.points, joints), 0)
+    """Length of the shortest way to the goal along edges, and the next place on it; the goal follows itself."""
+    length, onward = dijkstra(Graph(places.points, edges), 0)
     return length, np.maximum(onward, 0)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._robot import shorter_turn
+from plr_jax._robot import between, shorter_turn
 
 Path = Float[np.ndarray, "rows robots dof"]
 
@@ -29,7 +29,7 @@ def subdivided(problem: Problem, path: Float[np.ndarray, "steps robots dof"], ro
         count[np.argmax(cost / count)] += 1
     motion = np.repeat(np.arange(len(cost)), count)
     share = (np.arange(rows - 1) - np.repeat(np.cumsum(count) - count, count)) / count[motion]
-    return np.concatenate([path[motion] + share[:, None, None] * _changes(path)[motion], path[-1:]])
+    return np.concatenate([between(path[motion], path[motion + 1], share[:, None, None]), path[-1:]])
 
 
 def retimed(path: Path, rng: np.random.Generator) -> Path:

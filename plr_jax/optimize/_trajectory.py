@@ -15,7 +15,7 @@ from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
 from plr_jax.optimize._arguments import as_paths, check_options, differentiable
 from plr_jax.optimize._clearance import bodies_of, walls_of
-from plr_jax.optimize._retime import retimed, subdivided, unwrapped
+from plr_jax.optimize._retime import Path, retimed, subdivided, unwrapped
 from plr_jax.optimize._waypoints import Aims, Scene, advance, begin, moves_of
 
 _MARGIN = 1e-4  # of the extent
@@ -24,9 +24,8 @@ _FEWEST_MOTIONS = 64
 _HALVINGS = 6
 _ITERATIONS_AT_ONCE = 50  # between them, Ctrl-C is heard
 
-Path = Float[np.ndarray, "rows robots dof"]
 Paths = Float[np.ndarray, "guesses rows robots dof"]
-Guesses = Float[np.ndarray, "guesses starts rows robots dof"]
+Retimings = Float[np.ndarray, "guesses retimings rows robots dof"]
 
 
 class OptimizationInterrupted(UserWarning):
@@ -94,7 +93,7 @@ def optimize_paths(
             It is met where there is room, and costs about its multiple by the turns of a path.
         smoothness: Weight, at least 0, of the squared second differences of the way points. A path that costs more
             than a valid one that was given is not returned, however smooth.
-        seed: Seed of the retimings.
+        seed: Seed of the retimings, at least 0.
 
     Returns:
         The optimized paths, of ``2**k + 1`` rows, at least 65 and at least as many as given; begin and end exact.
@@ -112,7 +111,7 @@ def optimize_paths(
         whole paths in a smooth basis; the paper asks for optimal trajectories in its conclusion.
     """
     given = as_paths(problem, paths)
-    check_options(num_retimings, num_iterations, margin, smoothness)
+    check_options(num_retimings, num_iterations, margin, smoothness, seed)
     scene, fns = _scene(problem), differentiable(problem, distance_fns)
     width = float(scene.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
@@ -138,7 +137,10 @@ class _Outcome(NamedTuple):
 
 
 def _better(
-    problem: Problem, before: _Outcome, moved: Paths, losses: Float[np.ndarray, "guesses iterations"]
+    problem: Problem,
+    before: _Outcome,
+    moved: Float[np.ndarray, "retimings rows robots dof"],
+    losses: Float[np.ndarray, "retimings iterations"],
 ) -> tuple[_Outcome, bool]:
     """What is to be kept of several descents from one path, and whether none of the cheaper ones was valid.
 
@@ -176,7 +178,7 @@ def _result(problem: Problem, outcomes: Sequence[_Outcome]) -> OptimizedPaths:
 
 
 def _improve(
-    problem: Problem, scene: Scene, guesses: Guesses, aims: Aims, best: list[_Outcome], num_iterations: int
+    problem: Problem, scene: Scene, guesses: Retimings, aims: Aims, best: list[_Outcome], num_iterations: int
 ) -> bool:
     """Put what descent makes of the guesses into ``best`` where it is better; whether collisions spoiled any.
 
@@ -193,8 +195,8 @@ def _improve(
 
 
 def _descended(
-    scene: Scene, guesses: Guesses, aims: Aims, num_iterations: int
-) -> tuple[Guesses, Float[np.ndarray, "guesses starts iterations"], KeyboardInterrupt | None]:
+    scene: Scene, guesses: Retimings, aims: Aims, num_iterations: int
+) -> tuple[Retimings, Float[np.ndarray, "guesses retimings iterations"], KeyboardInterrupt | None]:
     """Where descent takes paths, its losses, and what interrupted it."""
     flat = guesses.reshape(-1, *guesses.shape[2:])
     start = _scaled(scene, flat)
@@ -231,7 +233,7 @@ def _parts(num_iterations: int) -> Float[np.ndarray, "parts iterations"]:
     return progress.reshape(count, -1)
 
 
-def _retimings(given: Paths, num_retimings: int, seed: int) -> Guesses:
+def _retimings(given: Paths, num_retimings: int, seed: int) -> Retimings:
     """Each path and its retimings, at the same times for every path."""
     keys = [(seed, k) for k in range(num_retimings)]
     return np.stack([[path, *(retimed(path, np.random.default_rng(key)) for key in keys)] for path in given])
@@ -244,7 +246,9 @@ def _rows(paths: Float[np.ndarray, "guesses steps robots dof"]) -> int:
 
 def _scene(problem: Problem) -> Scene:
     bounds = problem.workspace.bounds
-    origin, scale = (bounds.lo + bounds.hi) / 2, float(bounds.width.max())
+    # Rounded first: far from the origin, 32-bit floats would move the paths and leave the walls.
+    origin = ((bounds.lo + bounds.hi) / 2).astype(np.float32).astype(np.float64)
+    scale = float(bounds.width.max())
     lever = [robot.circumscribed_radius or scale for robot in problem.robots]
     return Scene(
         walls_of(problem.workspace, origin, scale),

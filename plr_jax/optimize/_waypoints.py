@@ -62,7 +62,7 @@ class Aims(NamedTuple):
     distance_fns: tuple[Any, ...]
 
 
-class Descent(NamedTuple):
+class State(NamedTuple):
     """How far the descent of each path of a batch has come.
 
     Args:
@@ -74,10 +74,10 @@ class Descent(NamedTuple):
     moments: Any
 
 
-def begin(paths: Float[Array, "batch rows robots dof"]) -> Descent:
+def begin(paths: Float[Array, "batch rows robots dof"]) -> State:
     """Descents that have not moved their paths yet; these have ``2**k + 1`` rows."""
     weights = jnp.zeros((len(paths), _hats(paths.shape[1]).shape[1], *paths.shape[2:]))
-    return Descent(weights, jax.vmap(_adam().init)(weights))
+    return State(weights, jax.vmap(_adam().init)(weights))
 
 
 @jax.jit
@@ -85,9 +85,9 @@ def advance(
     scene: Scene,
     paths: Float[Array, "batch rows robots dof"],
     aims: Aims,
-    descent: Descent,
+    descent: State,
     progress: Float[Array, "iterations"],
-) -> tuple[Descent, Float[Array, "batch iterations"]]:
+) -> tuple[State, Float[Array, "batch iterations"]]:
     """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
 
     Args:
@@ -104,24 +104,24 @@ def advance(
 
 
 @jax.jit
-def moves_of(scene: Scene, paths: Float[Array, "batch rows robots dof"], descent: Descent) -> Float[Array, "..."]:
+def moves_of(scene: Scene, paths: Float[Array, "batch rows robots dof"], descent: State) -> Float[Array, "..."]:
     """By how much each way point has moved, of the shape of the paths."""
     return jax.vmap(lambda path, weights: _moves(scene, path, weights))(paths, descent.weights)
 
 
 def _advanced(
-    scene: Scene, path: Path, aims: Aims, descent: Descent, progress: Float[Array, "iterations"]
-) -> tuple[Descent, Float[Array, "iterations"]]:
+    scene: Scene, path: Path, aims: Aims, descent: State, progress: Float[Array, "iterations"]
+) -> tuple[State, Float[Array, "iterations"]]:
     adam, (first, last) = _adam(), _RATES
 
-    def step(descent: Descent, progress: Float[Array, ""]) -> tuple[Descent, Float[Array, ""]]:
+    def step(descent: State, progress: Float[Array, ""]) -> tuple[State, Float[Array, ""]]:
         weights, moments = descent
         loss, gradient = jax.value_and_grad(
             lambda weights: _loss(scene, path + _moves(scene, path, weights), aims, progress)
         )(weights)
         update, moments = adam.update(gradient, moments)
         rate = first * (last / first) ** progress
-        after = Descent(weights - rate * update, moments)
+        after = State(weights - rate * update, moments)
         return jax.tree.map(lambda new, old: jnp.where(progress <= 1, new, old), after, descent), loss
 
     return jax.lax.scan(step, descent, progress)

@@ -14,7 +14,7 @@ from plr_jax.planners._estimate import estimate_of
 from plr_jax.planners._lattice import Lattice, build_lattices, num_bytes, num_configurations
 from plr_jax.planners._options import BLOptions
 from plr_jax.planners._search import Effort, Search
-from plr_jax.planners._shorten import shorten, subdivided
+from plr_jax.planners._shorten import halved, shorten
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners._tube import bend
 
@@ -194,7 +194,7 @@ class _Run:
         for improved in (
             lambda path: shorten(self.problem, path, tests, deadline),
             lambda path: bend(self.problem, path, tests, step / 2, deadline) if self._bending_pays() else path,
-            lambda path: shorten(self.problem, subdivided(path), tests, deadline),
+            lambda path: shorten(self.problem, halved(path), tests, deadline),
         ):
             if np.isfinite(self.options.cost_factor) and self._is_good_enough():
                 return

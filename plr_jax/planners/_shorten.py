@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._collision import motions_apart
 from plr_jax._obstacles import MotionTest
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax._robot import shorter_turn
+from plr_jax._robot import between
 
 _LONGEST = 32  # steps that one shortcut spans at most
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
@@ -41,10 +41,10 @@ def shorten(
             return path
 
 
-def subdivided(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
+def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
     """The same path with a row in the middle of every motion."""
     finer = np.repeat(path, 2, axis=0)[:-1]
-    finer[1::2] = _between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
+    finer[1::2] = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
     return finer
 
 
@@ -94,17 +94,8 @@ def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarr
     result = q.copy()
     for begin, end in pairwise(rows):
         if end > begin + 1:
-            result[begin + 1 : end] = _between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
+            result[begin + 1 : end] = between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
     return result
-
-
-def _between(
-    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], t: Float[np.ndarray, "*#batch 1"]
-) -> Float[np.ndarray, "*batch dof"]:
-    """Configurations a share ``t`` along straight motions."""
-    change = q1 - q0
-    change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
-    return q0 + t * change
 
 
 def _apart(
@@ -126,7 +117,7 @@ def _apart(
         at = begin[rows][owner] + step
         q0, q1 = path[begin[rows], i][owner], path[end[rows], i][owner]
         share = count[owner, None]
-        a0, a1 = _between(q0, q1, step[:, None] / share), _between(q0, q1, (step[:, None] + 1) / share)
+        a0, a1 = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)
         clear = motions_apart(
             problem.robots[i], a0, a1, problem.robots[j], path[at, j], path[at + 1, j], problem.workspace.tolerance
         )

@@ -13,12 +13,12 @@ from plr_jax.plr._cells import Cells
 from plr_jax.plr._construct import ConstructionInterrupted
 from plr_jax.plr._continuous import ContinuousPLR, continuous_from_bytes
 from plr_jax.plr._fit import CellFit, WeightFn, fit_cells
+from plr_jax.plr._free_faces import FaceTests
 from plr_jax.plr._limits import Limits, check_limits, check_memory
 from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_file import Partition, StoredValues, encode
 from plr_jax.plr._nodal_fit import Samples, fit_values, residuals
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
-from plr_jax.plr._open_faces import FaceTests
 from plr_jax.plr._pattern import Pattern, sample_pattern
 from plr_jax.plr._split import best_axis, largest_error, max_axis_depth
 from plr_jax.plr._tree import MAX_DEPTH
@@ -199,8 +199,7 @@ class _Rounds:
 
     def _fitted(self, cells: CellFit, value: Float[np.ndarray, "leaves k"]) -> _Fitted:
         tree = tree_of(cells.cells)
-        order = _order_of(cells.cells, tree.leaves)
-        cells, value = _selected(cells, order), value[order]
+        cells, value = _selected(cells, tree.order), value[tree.order]
         faces = shared_faces(tree)
         tied = self._face_tests.are_free(tree.leaves, faces)
         unreachable = ~np.any(cells.reachable, axis=1)
@@ -234,14 +233,6 @@ def _sampled_values(cells: CellFit) -> Float[np.ndarray, "cells k"]:
     center = np.where(np.isfinite(cells.center), cells.center, 0.0)
     plane = center[:, None] + cells.half @ cells.pattern.u.T
     return np.where(cells.reachable, cells.residual + plane, 0.0)
-
-
-def _order_of(cells: Cells, wanted: Cells) -> Int[np.ndarray, "cells"]:
-    """Where in ``cells`` each of the same cells in another order is."""
-    order, rank = (np.lexsort((*part.depth.T, *part.position.T)) for part in (cells, wanted))
-    found = np.empty_like(order)
-    found[rank] = order
-    return found
 
 
 def _selected(cells: CellFit, index: Int[np.ndarray, "n"]) -> CellFit:

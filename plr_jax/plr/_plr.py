@@ -1,6 +1,6 @@
 """The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,7 +38,9 @@ class PLR:
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        return evaluate(self, x)
+        if not isinstance(x, jax.Array):
+            x = as_array(x)
+        return _evaluate(self.tables, x)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
@@ -52,9 +54,12 @@ class PLR:
             ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
 
         Raises:
-            ValueError: When called, if the robots are not as many as the PLRs, or a PLR has more dimensions than
-                there are coordinates.
+            ValueError: If one is not a plain PLR. When called, if the robots are not as many as the PLRs, or a PLR
+                has more dimensions than there are coordinates.
         """
+        for i, plr in enumerate(plrs):
+            if not isinstance(plr, PLR):
+                raise ValueError(f"Only plain PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
         return TableStack(tuple(plr.tables for plr in plrs))
 
     @cached_property
@@ -165,13 +170,13 @@ def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> P
     return PLR(build_tables(domain, cells, slope, at_corner), padded)
 
 
-def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
+def evaluate(plr: Callable[[ArrayLike], Float[Array, "*batch"]], x: ArrayLike) -> Float[Array, "*batch"]:
     """Approximate distance at each point: the plane of the leaf that holds it (Section III-A of the paper).
 
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is the leaf's slope.
 
     Args:
-        plr: The PLR.
+        plr: The PLR, plain or continuous (see :class:`ContinuousPLR` for what that one answers).
         x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in
             their own precision, at least 32 bits.
 
@@ -184,9 +189,7 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long.
     """
-    if not isinstance(x, jax.Array):
-        x = as_array(x)
-    return _evaluate(plr.tables, x)
+    return plr(x)
 
 
 @jax.jit

@@ -43,7 +43,7 @@ def detour():
 
 def checked(problem, result):
     """The result, its claims verified."""
-    assert result.paths.shape[1:] == (result.paths.shape[1], *problem.starts.shape)
+    assert result.paths.shape[2:] == problem.starts.shape
     for path, cost, valid in zip(result.paths, result.costs, result.valid, strict=True):
         np.testing.assert_array_equal(path[[0, -1]], [problem.starts, problem.goals])
         assert cost == pytest.approx(path_cost(problem, path), rel=1e-12)
@@ -127,7 +127,7 @@ def test_robots_that_stay_where_they_are():
     assert result.valid.all() and result.cost == 0
 
 
-def test_wide_margins_are_kept_where_there_is_room_but_not_for_a_higher_cost():
+def test_wide_margins_are_kept_where_there_is_room():
     path = detour()
     result = checked(SWAP, optimize_paths(SWAP, path, margin=0.2, **QUICK))
     assert validate(SWAP, result.path).clearance > 0.15
@@ -142,7 +142,7 @@ def test_smoothness_makes_bends_wider():
 
 
 def test_a_batch_is_optimized_as_its_paths_are_one_by_one_and_again():
-    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]], detour()[:, ::-1, ::-1]][:2])
+    paths = np.stack([detour(), detour() * [[[1]], [[0.9]], [[1.1]], [[1]]]])
     together = checked(SWAP, optimize_paths(SWAP, paths, **QUICK))
     again = optimize_paths(SWAP, paths, **QUICK)
     np.testing.assert_array_equal(together.paths, again.paths)
@@ -151,12 +151,16 @@ def test_a_batch_is_optimized_as_its_paths_are_one_by_one_and_again():
         assert alone.cost == pytest.approx(together.costs[k], rel=1e-3)
 
 
-def test_far_from_the_origin_paths_are_as_good():
-    shift = np.array([1e5, -3e5])
-    problem = Problem(Workspace((shift, shift + 10)), SWAP.robots, SWAP.starts + shift, SWAP.goals + shift)
-    near = optimize_paths(SWAP, detour(), **QUICK)
-    far = checked(problem, optimize_paths(problem, detour() + shift, **QUICK))
-    assert far.cost == pytest.approx(near.cost, rel=1e-3)
+@pytest.mark.parametrize("shift", [(1e5, -3e5), (500_000.4, 4_200_000.2)])
+def test_far_from_the_origin_paths_are_as_good(shift):
+    """Also where 32-bit floats do not hold the middle of the workspace: they are 0.5 apart at 4.2e6."""
+    ring = np.array([(4, 3), (6, 3), (6, 7), (4, 7)]) + shift
+    there = Workspace((shift, np.add(shift, 10)), [ring])
+    near = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
+    far = Problem(there, near.robots, near.starts + shift, near.goals + shift)
+    path = through(near, [[3, 1]], [[7, 1]])
+    cost = optimize_paths(near, path).cost
+    assert checked(far, optimize_paths(far, path + shift)).cost == pytest.approx(cost, rel=1e-3)
 
 
 def test_a_guide_brings_a_guess_around_a_wall():
@@ -262,8 +266,9 @@ def test_paths_that_are_none_of_the_problem(path, message):
 @pytest.mark.parametrize(
     "options, message",
     [
-        ({"num_retimings": -1}, "num_retimings must be at least 0"),
-        ({"num_iterations": 0}, "num_iterations must be at least 1"),
+        ({"num_retimings": -1}, "num_retimings must be an integer >= 0, got -1"),
+        ({"num_iterations": 0}, "num_iterations must be an integer >= 1, got 0"),
+        ({"seed": -1}, "seed must be an integer >= 0, got -1"),
         ({"margin": 0.0}, "margin must be positive"),
         ({"margin": np.nan}, "margin must be positive"),
         ({"smoothness": -1.0}, "smoothness must be finite and at least 0"),

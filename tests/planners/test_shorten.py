@@ -25,7 +25,7 @@ from plr_jax._problem import motion_costs
 from plr_jax.planners import straight_line
 from plr_jax.planners._estimate import estimate_of
 from plr_jax.planners._search import Search
-from plr_jax.planners._shorten import shorten, subdivided
+from plr_jax.planners._shorten import halved, shorten
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
 BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])
@@ -202,7 +202,7 @@ def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
     if len(path) == 1:
         return
     problem = Problem(workspace, robots, path[0], path[-1])
-    for before in (path, subdivided(path)):
+    for before in (path, halved(path)):
         short = shortened(problem, before)
         report = validate(problem, short)
         assert report.valid, report.message
@@ -218,7 +218,7 @@ def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
 def test_subdivision_keeps_the_cost_and_the_rows(seed, steps):
     rng = np.random.default_rng(seed)
     path = np.concatenate([rng.uniform(0, 9, (steps, 3, 2)), rng.uniform(-9, 9, (steps, 3, 1))], axis=2)
-    finer = subdivided(path)
+    finer = halved(path)
     assert finer.shape == (2 * steps - 1, 3, 3)
     np.testing.assert_array_equal(finer[::2], path)
     problem = Problem(
@@ -231,13 +231,13 @@ def test_subdivision_keeps_the_cost_and_the_rows(seed, steps):
 
 def test_the_middle_of_a_turn_across_the_half_turn():
     path = np.array([[(0.0, 0.0, 3.0)], [(1.0, 2.0, -3.0)]])
-    middle = subdivided(path)[1, 0]
+    middle = halved(path)[1, 0]
     np.testing.assert_allclose(middle[:2], (0.5, 1.0))
     assert np.cos(middle[2]) == pytest.approx(-1)
 
 
 def test_subdivision_keeps_validity():
     solution = bl_plan(BAR, straight_line(BAR), BLOptions(step=0.7))
-    finer = subdivided(solution.path)
+    finer = halved(solution.path)
     report = validate(BAR, finer)
     assert report.valid and report.cost == pytest.approx(solution.cost)

@@ -5,7 +5,7 @@ import pytest
 from plr_helpers import cone, leaf_by_search, walled
 
 from plr_jax._box import Box
-from plr_jax.plr import construct
+from plr_jax.plr import PLR, construct, evaluate
 from plr_jax.plr._continuous import _evaluate, continuous_from_bytes
 from plr_jax.plr._continuous_construct import construct_continuous
 from plr_jax.plr._nodal_basis import numbers_of_leaves
@@ -152,6 +152,15 @@ def test_jit_vmap_and_a_loop_agree(plr, x):
     np.testing.assert_allclose(jax.vmap(plr)(jnp.asarray(x)), plain, rtol=1e-6)
     np.testing.assert_allclose([plr(point) for point in x[:20]], plain[:20], rtol=1e-6)
     assert plr(x.reshape(10, 100, 2)).shape == (10, 100)
+
+
+def test_evaluate_is_calling(plr, x):
+    np.testing.assert_array_equal(evaluate(plr, x), plr(x))
+
+
+def test_it_is_not_stacked_as_if_it_had_planes(plr):
+    with pytest.raises(ValueError, match="Only plain PLRs can be stacked, that of robot 1 is ContinuousPLR"):
+        PLR.stack([construct(walled, SQUARE, max_leaves=4), plr])
 
 
 def test_a_second_one_of_its_size_class_compiles_nothing(x):

@@ -127,7 +127,6 @@ def test_the_eikonal_penalty_makes_slopes_of_norm_one(wall):
     assert after.refined.held_out.eikonal_rms < 0.1 * before.refined.held_out.eikonal_rms
     # Noise bends the planes, and a known norm of the slope bends them back.
     smooth, _ = refine(plr, x, noisy, penalties=[eikonal(0.01)])
-    print(_mean_error(smooth, x, distance), _mean_error(plain, x, distance))
     assert _mean_error(smooth, x, distance) < _mean_error(plain, x, distance)
 
 

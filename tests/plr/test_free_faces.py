@@ -4,8 +4,8 @@ from plr_helpers import cone, walled
 
 from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
+from plr_jax.plr._free_faces import FaceTests
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
-from plr_jax.plr._open_faces import FaceTests
 
 SQUARE = Box((0, 0), (1, 1))
 
@@ -31,8 +31,8 @@ def test_faces_in_a_wall_are_not_free():
 
 def test_a_face_on_the_edge_of_a_wall_is_not_free():
     cells, faces = grid(1)
-    blocked = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
-    np.testing.assert_array_equal(blocked, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
+    free = FaceTests(lambda x: np.where(x[:, 0] > 0.5, np.inf, 1.0), SQUARE).are_free(cells, faces)
+    np.testing.assert_array_equal(free, (faces.axis == 1) & (cells.position[faces.lower, 0] == 0))
 
 
 def test_a_face_is_tested_once():
