@@ -2,7 +2,8 @@
 
 Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
 (``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; or as the
-heuristic of ``bl_plan``, which plans for several robots at once).
+heuristic of ``bl_plan``, which plans for several robots at once). ``descend`` follows a distance function to its
+goal, and ``optimize_paths`` shortens paths.
 
 Names are loaded when they are first used: a program that only loads and queries a PLR imports neither Shapely nor
 NetworkX nor Matplotlib, nor the slow parts of SciPy.

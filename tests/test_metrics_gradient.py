@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plr_jax import VisibilityGraph, Workspace, construct, metrics, scenes
+from plr_jax import Euclidean, VisibilityGraph, Workspace, construct, metrics, scenes
 
 ROOM = Workspace(((0, 0), (8, 8)))
 GOAL = np.array([1.0, 3.0])
@@ -113,7 +113,8 @@ def test_a_zero_gradient_is_excused_in_the_leaf_of_the_goal_alone():
 
 def test_share_reached_counts_points_with_a_direction():
     x = np.array([[1.0, 3.0], [2, 3], [3, 3], [4, 3], [5, 3]])
-    assert report(distance, x=x, reaches=lambda x: x[:, 0] < 4.5).share_reached == 0.75
+    result = report(distance, x=x, reaches=lambda x: x[:, 0] < 4.5)
+    assert result.share_reached == 0.75 and "reaches the goal from 75.00%" in str(result)
 
 
 # --- leaves ----------------------------------------------------------------------------------------------
@@ -172,6 +173,7 @@ def test_a_plr_of_the_maze_points_the_way(maze):
     assert result.num_not_finite == result.num_zero == result.num_undirected == 0
     assert 0 < result.jumps.quantiles[0.5] < 1e-3 and result.jumps.max < 0.01
     assert result.walks.num_stalled <= 0.01 * result.walks.num_leaves
+    assert f"max {result.jumps.max:.3g}" in str(result) and f"{result.walks.num_leaves:,} leaves" in str(result)
     text = json.dumps(dataclasses.asdict(result))
     assert json.loads(text)["max_at"] == list(result.max_at)
     assert result == report(plr, exact.directions, workspace, exact.goal, x)
@@ -212,6 +214,7 @@ def test_gradients_are_finite_differences_inside_cells(maze):
     ("arguments", "message"),
     [
         (dict(approximation=lambda x: np.hypot(x[:, 0], x[:, 1])), "JAX cannot differentiate"),
+        (dict(approximation=Euclidean(GOAL)), "JAX cannot differentiate"),
         (dict(approximation=lambda x: x), r"must give shape \(500,\), got \(500, 2\)"),
         (dict(approximation=distance, directions=lambda x: x[:, 0]), "exact directions must have shape"),
         (dict(approximation=distance, directions=lambda x: np.full_like(x, np.nan)), "none has both"),

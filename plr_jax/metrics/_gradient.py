@@ -88,10 +88,20 @@ class GradientReport:
 
     def __str__(self) -> str:
         median, ninety, ninety_nine = (self.angles[q] for q in _QUANTILES)
-        return (
+        lines = [
             f"angle to the exact direction: median {median:.3g}, 90 % {ninety:.3g}, 99 % {ninety_nine:.3g}, "
             f"max {self.max_angle:.3g} degrees over {self.num_points - self.num_undirected:,} points"
-        )
+        ]
+        if self.num_zero or self.num_not_finite:
+            lines.append(f"no gradient: zero at {self.num_zero:,} points, not finite at {self.num_not_finite:,}")
+        if self.jumps is not None:
+            lines.append(f"jumps at free faces: median {self.jumps.quantiles[0.5]:.3g}, max {self.jumps.max:.3g}")
+        if self.walks is not None:
+            into_wall, stalled, leaves = self.walks.num_into_wall, self.walks.num_stalled, self.walks.num_leaves
+            lines.append(f"walks from {leaves:,} leaves: {into_wall:,} lead into a wall, {stalled:,} nowhere")
+        if self.share_reached is not None:
+            lines.append(f"descent reaches the goal from {self.share_reached:.2%}")
+        return "\n".join(lines)
 
 
 def gradient_report(
@@ -168,11 +178,11 @@ def _differentiated(distance_fn: Callable[[ArrayLike], ArrayLike]) -> ValuesAndG
     def evaluate(x: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
         try:
             (_, values), gradients = compiled(x)
-        except jax.errors.TracerArrayConversionError:
+        except (jax.errors.TracerArrayConversionError, ValueError) as error:
             raise ValueError(
-                "JAX cannot differentiate the distance function: it computes in NumPy. Give a PLR, or a function in "
-                "jax.numpy."
-            ) from None
+                "JAX cannot differentiate the distance function: perhaps it computes in NumPy, as an oracle does. "
+                "Give a PLR, or a function in jax.numpy."
+            ) from error
         if values.shape != (len(x),):
             raise ValueError(f"The distance function must give shape ({len(x)},), got {values.shape}.")
         return np.asarray(values, np.float64), np.asarray(gradients, np.float64)

@@ -19,6 +19,7 @@ from plr_jax._robot import DiscRobot, RectangleRobot, Robot
 from plr_jax._workspace import Workspace
 
 _TINY = 1e-12  # under square roots, so that they have a gradient at 0
+_POINT = 1e-18  # squared length to which a segment is a point; the gradient divides by its square, in 32 bits
 _FAR = 1e3  # where corners are that are near to nothing
 _SIGNS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], dtype=np.float32)
 
@@ -189,7 +190,7 @@ def _nearest(x: Float[Array, "*#batch 2"], segments: Float[Array, "*#batch 2 2"]
     """The points of segments that are nearest to points."""
     a, along = segments[..., 0, :], segments[..., 1, :] - segments[..., 0, :]
     squared = _squared(along)
-    t = ((x - a) * along).sum(axis=-1) / jnp.where(squared > 0, squared, 1.0)
+    t = ((x - a) * along).sum(axis=-1) / jnp.where(squared > _POINT, squared, 1.0)
     return a + jnp.clip(t, 0.0, 1.0)[..., None] * along
 
 

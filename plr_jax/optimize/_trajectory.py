@@ -36,7 +36,7 @@ class OptimizationInterrupted(UserWarning):
 class OptimizedPaths:
     """Paths after optimization.
 
-    Args:
+    Attributes:
         path: The cheapest valid path, in workspace units and radians; None if no path is valid.
         cost: Its cost, ``inf`` if there is none.
         paths: What became of each given path, all of as many rows.
@@ -52,6 +52,9 @@ class OptimizedPaths:
     costs: Float[np.ndarray, "guesses"]
     valid: Bool[np.ndarray, "guesses"]
     history: Float[np.ndarray, "guesses iterations"]
+
+    def __repr__(self) -> str:
+        return f"OptimizedPaths({int(self.valid.sum()):,} of {len(self.valid):,} valid, cost {self.cost:.4g})"
 
 
 def optimize_paths(

@@ -74,6 +74,10 @@ class VisibilityGraph:
         _assign(oracle, self.workspace, _free_goal(self.workspace, goal), self._corners)
         return oracle
 
+    def __repr__(self) -> str:
+        num_corners = len(self.graph.vertices) - 1
+        return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
+
     @property
     def dim(self) -> int:
         """Number of coordinates of a point: 2."""

@@ -9,6 +9,7 @@ from plr_jax.plr._faces import sample_faces as sample_faces
 from plr_jax.plr._fit import CellFit as CellFit
 from plr_jax.plr._fit import least_squares as least_squares
 from plr_jax.plr._fit import midrange as midrange
+from plr_jax.plr._losses import Planes as Planes
 from plr_jax.plr._losses import eikonal as eikonal
 from plr_jax.plr._losses import jumps as jumps
 from plr_jax.plr._losses import quantile as quantile

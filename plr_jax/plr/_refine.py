@@ -82,6 +82,7 @@ def refine(
         Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019, of which the added number is
         the simplest case. Kingma and Ba, "Adam", ICLR 2015.
     """
+    _check_functions(plr, loss, penalties)
     _check_numbers(num_steps, held_out, max_bytes, seed)
     samples, num_unreachable = _check_samples(plr, x, distance, weight)
     share = getattr(loss, "share", None)
@@ -115,6 +116,15 @@ def refine(
         objective=objective,
         shift=shift,
     )
+
+
+def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR, as construct builds, has planes to move, got {plr!r:.200}.")
+    if not callable(loss):
+        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {loss!r:.200}.")
+    if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):
+        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {penalties!r:.200}.")
 
 
 def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None, seed: int) -> None:

@@ -60,6 +60,9 @@ class Stage:
 class Refinement:
     """What :func:`refine` did. ``print`` shows it as a table.
 
+    Its columns are the size of the file; of the errors the mean loss, the mean and the largest; the share of points
+    that are over-estimated; and the root mean squares of ``|slope| - 1`` and of the jumps. No point is weighted.
+
     Attributes:
         given: The PLR that was given.
         least_squares: The same partition with each cell's own (weighted) least-squares plane.

@@ -56,6 +56,15 @@ def test_a_segment_past_a_corner(a, b, expected):
     assert float(found) == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.parametrize("exponent", range(-40, 0, 2))
+def test_a_body_that_all_but_rests_has_a_gradient(exponent):
+    """Rounding near the origin leaves motions so short that the square of their length is no 32-bit number."""
+    corners, a = of_scale(BOX).corners, jnp.zeros(2)
+    b = jnp.array([10.0**exponent, 0.0])
+    gradient = jax.grad(lambda ab: corner_clearance(corners, *ab))((a, b))
+    assert np.isfinite(gradient).all()
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
 def test_round_robots_in_motion_are_as_clear_as_dense_samples(seed):

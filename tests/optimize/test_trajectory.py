@@ -61,6 +61,7 @@ def test_in_an_empty_room_a_jagged_path_becomes_a_straight_line():
     rows = np.random.default_rng(0).uniform(0, 10, (12, 1, 2))
     result = checked(problem, optimize_paths(problem, through(problem, *rows)))
     assert result.cost == pytest.approx(np.hypot(8, 7), rel=1e-4)
+    assert repr(result) == "OptimizedPaths(1 of 1 valid, cost 10.63)"
 
 
 @pytest.mark.parametrize("robot, corner", [(PointRobot(), 0.0), (DiscRobot(0.5), 0.5)])

@@ -326,6 +326,10 @@ def test_another_goal_shares_the_corners():
     assert 0 < other.num_bytes < 10_000
 
 
+def test_repr_is_one_line_without_arrays():
+    assert repr(VisibilityGraph(WALL, (1, 1))) == "VisibilityGraph(goal=[1.0, 1.0], 2 corners, 2 edges)"
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

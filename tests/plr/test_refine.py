@@ -1,3 +1,5 @@
+import subprocess
+import sys
 import warnings
 
 import jax
@@ -364,6 +366,35 @@ def test_bad_arguments_are_named(wall, change, message):
     arguments = {"x": points(5, 0), "distance": np.ones(5), **change}
     with pytest.raises(ValueError, match=message):
         refine(wall[0], **arguments)
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (
+            "refine(construct_continuous(cone, box), x, cone(x))",
+            "Only a PLR, as construct builds, has planes to move",
+        ),
+        (
+            "refine(construct(cone, box), x, cone(x), loss='quantile')",
+            "such as squared or quantile(0.05), got 'quant",
+        ),
+        ("refine(construct(cone, box), x, cone(x), penalties=eikonal())", "list of functions, such as [eikonal()]"),
+    ],
+)
+def test_arguments_of_another_kind_are_named(call, message):
+    """Outside of these tests, where annotations are not enforced."""
+    code = f"""
+import numpy as np
+from plr_jax.plr import construct, construct_continuous, eikonal, refine
+x, box = np.random.default_rng(0).random((500, 2)), ([0, 0], [1, 1])
+cone = lambda x: np.hypot(*x.T)
+{call}
+"""
+    environment = {"PYTHONPATH": ":".join(sys.path)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert "ValueError" in done.stderr and message in done.stderr
 
 
 def test_bad_losses_and_penalties_are_named(wall, wall_faces):
