@@ -51,11 +51,19 @@ def descent(results: dict[str, Any]) -> str:
                         f"{row['seconds']['median']:.2f}",
                     ]
                 )
-    blind = ", ".join(f"{each['without_field']['reached']:.2%}" for each in results["maps"])
+    blind = ", ".join(
+        f"{each['map']} {each['without_field']['reached']:.2%}, {each['without_field']['ratio']['max']:.4f}"
+        for each in results["maps"]
+    )
+    rows_of_all = [row for each in results["maps"] for row in each["rows"]]
+    not_finite, zero = (sum(row["gradient"][f"num_{what}"] for row in rows_of_all) for what in ("not_finite", "zero"))
+    worst = max(row["finite_differences"] for row in rows_of_all)
     note = (
         f"From {results['starts']:,} random starts, fields of {_SHOWN:,} bytes. Angles to the exact direction in "
-        "degrees: median, and in brackets 99 %. Lengths: median, and in brackets the largest. With a field that is "
-        f"zero everywhere, descent reaches the goal from {blind} of the starts."
+        "degrees: median, and in brackets 99 %. Lengths: median, and in brackets the largest. With a field of zeros, "
+        f"starts that reach the goal, and the largest length: {blind}. Of {results['points']:,} free "
+        f"points a field, over all sizes, {not_finite} have no finite gradient and {zero} a zero one outside cells "
+        f"that hold the goal. Inside cells, gradients are finite differences to {worst:.0e} of their length."
     )
     return markdown(rows, numbers=len(head)) + f"\n{note}\n"
 

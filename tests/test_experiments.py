@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from experiments import _gradient_tables
+
 ROOT = Path(__file__).parent.parent
 COMMITTED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
@@ -119,6 +121,15 @@ def test_readme_tables_of_the_planner(smoke, tmp_path):
     line = next(line for line in text.splitlines() if line.startswith("| single door | 0.08 |"))
     assert f" {statistics.median(row['nodes']):,.0f} ({max(row['nodes']):,}) " in line
     assert f" {statistics.median(row['seconds']):.3f} ({max(row['seconds']):.3f}) " in line
+
+
+@pytest.mark.parametrize("name", ["continuity", "descent", "trajectory", "refinement"])
+def test_readme_tables_of_gradients(name, smoke, monkeypatch):
+    results = record_in(smoke(name), name)["results"]
+    rows = results["rows"] if "rows" in results else results["maps"][0]["rows"]
+    monkeypatch.setattr(_gradient_tables, "_SHOWN", rows[0].get("budget"))
+    lines = getattr(_gradient_tables, name)(results).splitlines()
+    assert len([line for line in lines if line.startswith("|")]) == 2 + len(rows)
 
 
 @pytest.mark.parametrize("name", [*COMMITTED, "benchmark"])  # whose sections have tests of their own
