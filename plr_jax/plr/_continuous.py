@@ -1,12 +1,12 @@
 """The continuous PLR: one number a corner in place of a plane a leaf, and no jump where nothing is in the way."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, UInt8, UInt32
+from jaxtyping import Array, Bool, Float, Num, UInt8
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
@@ -16,16 +16,7 @@ from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
 from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._plr import as_array, require_real
-from plr_jax.plr._tables import (
-    LEAF_SIZES,
-    Frame,
-    Tables,
-    build_tables,
-    gather,
-    lookup,
-    outside_domain,
-    padded_size,
-)
+from plr_jax.plr._tables import Frame, Tables, build_tables, lookup, number_of_leaf, outside_domain
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
@@ -155,12 +146,8 @@ def continuous_from_bytes(data: bytes) -> ContinuousPLR:
     domain, order, partition, space, values = decode(data)
     leaves = partition.tree.leaves
     numbers = (numbers_of_leaves(order, space) @ values.decode()).reshape(len(leaves), -1)
-    coefficients = _coefficients(order, leaves, partition, numbers).astype(np.float32)
-    rows = np.concatenate([_cell_numbers(leaves), coefficients], axis=1)
-    padded_rows = np.zeros((padded_size(len(rows), LEAF_SIZES), rows.shape[1]), np.float32)
-    padded_rows[: len(rows)] = rows
-    nothing = np.zeros((len(leaves), leaves.dim)), np.zeros(len(leaves))
-    tables = replace(build_tables(domain, leaves, *nothing), planes=jnp.asarray(padded_rows.ravel()))
+    coefficients = _coefficients(order, leaves, partition, numbers)
+    tables = build_tables(domain, leaves, np.concatenate([_cell_numbers(leaves), coefficients], axis=1))
     padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
     padded[: len(data)] = np.frombuffer(data, np.uint8)
     return ContinuousPLR(tables, padded, order)
@@ -196,7 +183,7 @@ def _cell_numbers(leaves: Cells) -> Float[np.ndarray, "leaves dim"]:
 
     As a 32-bit float, its exponent says how many such intervals span the domain.
     """
-    return (np.ldexp(1.0, leaves.depth) + leaves.position).astype(np.float32)
+    return np.ldexp(1.0, leaves.depth) + leaves.position
 
 
 def _mean_planes(
@@ -216,13 +203,14 @@ def _evaluate(order: int, tables: Tables, x: Num[Array, "..."]) -> Float[Array, 
     require_real(x)
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     outside, answer = outside_domain(tables, x)
-    frame, t = tables.frame.astype(x.dtype), []
-    row = lookup(tables, jax.lax.stop_gradient(x)) * np.uint32(tables.dim + _POWERS[order] ** tables.dim)
+    leaf, frame, t = lookup(tables, jax.lax.stop_gradient(x)), tables.frame.astype(x.dtype), []
+    count = tables.dim + _POWERS[order] ** tables.dim
     for axis in range(tables.dim):
         u = (x[..., axis] - frame[Frame.LO, axis]) * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
-        along = _coordinate_in_cell(u, gather(tables.planes, row + np.uint32(axis)))
+        along = _coordinate_in_cell(u, number_of_leaf(tables, leaf, axis, count))
         t.append(_zero_if_differentiated(along, outside))
-    return jnp.where(outside, answer, _polynomial(_POWERS[order], tables.planes, row + np.uint32(tables.dim), t))
+    coefficients = [number_of_leaf(tables, leaf, which, count) for which in range(tables.dim, count)]
+    return jnp.where(outside, answer, _polynomial(_POWERS[order], coefficients, t))
 
 
 @jax.custom_jvp
@@ -249,13 +237,14 @@ def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"
 
 
 def _polynomial(
-    powers: int, table: Float[Array, "numbers"], first: UInt32[Array, "*batch"], t: list[Float[Array, "*batch"]]
+    powers: int, coefficients: list[Float[Array, "*batch"]], t: list[Float[Array, "*batch"]]
 ) -> Float[Array, "*batch"]:
     """Horner's rule along the first coordinate, whose coefficients are polynomials of the others."""
     if not t:
-        return gather(table, first)
-    stride = np.uint32(powers ** (len(t) - 1))
-    terms = [_polynomial(powers, table, first + stride * np.uint32(power), t[1:]) for power in range(powers)]
+        return coefficients[0]
+    stride = len(coefficients) // powers
+    parts = [coefficients[power * stride : (power + 1) * stride] for power in range(powers)]
+    terms = [_polynomial(powers, part, t[1:]) for part in parts]
     total = terms[-1].astype(t[0].dtype)
     for term in reversed(terms[:-1]):
         total = total * t[0] + term

@@ -167,7 +167,7 @@ def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> P
     slope, at_corner = fill_unreachable(cells, planes.unreachable, slope, at_corner)
     padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
     padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return PLR(build_tables(domain, cells, slope, at_corner), padded)
+    return PLR(build_tables(domain, cells, np.column_stack([at_corner, slope])), padded)
 
 
 def evaluate(plr: Callable[[ArrayLike], Float[Array, "*batch"]], x: ArrayLike) -> Float[Array, "*batch"]:

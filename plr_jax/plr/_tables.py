@@ -28,7 +28,7 @@ _MAX_SLOTS = 2**28
 # Sizes of tables: few, so that a PLR of another goal finds its query compiled. Padding is never read.
 _SLOT_SIZES = (2**6, 2**10, 2**14, 2**18)
 LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
-_MAX_COLUMN_BYTES = 2**18  # half of a core's second-level cache, the other half is for slots
+_MAX_COLUMN_BYTES = 9 * 2**15  # as measured; about half of a core's second-level cache, the other half is for slots
 
 
 @jax.tree_util.register_dataclass
@@ -67,9 +67,10 @@ class Tables:
             mask, and how far right they belong in the index.
         blocks: Coarse level, or None for a flat table.
         leaf_of_slot: Leaf of each slot.
-        planes: Value of each leaf's plane at the domain's rounded lower corner, and its slopes. Small tables have one
-            row a coefficient, which takes the least arithmetic. Large ones are one array in which a leaf's
-            coefficients stand side by side, so that a query waits for one cache line and not for ``dim + 1``.
+        planes: What each leaf has; of a PLR the value of its plane at the domain's rounded lower corner, and its
+            slopes. Small tables have one row a number, which takes the least arithmetic. Large ones are one array in
+            which a leaf's numbers stand side by side, so that a query waits for a cache line or two and not for one a
+            number.
     """
 
     frame: Float[Array, "6 dim"]
@@ -121,9 +122,10 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     """Value of the leaf's plane at each point; ``inf`` outside the closed domain, NaN for NaN."""
     x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
     leaf, corner = lookup(tables, jax.lax.stop_gradient(x)), tables.frame[Frame.LO].astype(x.dtype)
-    value = _coefficient(tables, leaf, 0).astype(x.dtype)
+    terms = 1 + tables.dim
+    value = number_of_leaf(tables, leaf, 0, terms).astype(x.dtype)
     for axis in range(tables.dim):
-        value += _coefficient(tables, leaf, 1 + axis).astype(x.dtype) * (x[..., axis] - corner[axis])
+        value += number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype) * (x[..., axis] - corner[axis])
     outside, answer = outside_domain(tables, x)
     return jnp.where(outside, answer, value)
 
@@ -161,13 +163,12 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 
 
 def build_tables(
-    domain: Box,
-    cells: Cells,
-    slope: Float[np.ndarray, "leaves dim"],
-    intercept: Float[np.ndarray, "leaves"],
-    max_flat_bits: int = MAX_FLAT_BITS,
+    domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], max_flat_bits: int = MAX_FLAT_BITS
 ) -> Tables:
-    """Tables of a partition: leaf ``i`` is ``cells[i]``, its plane ``intercept[i]`` high at ``table_corners``."""
+    """Tables of a partition: leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
+
+    Of a PLR these are the height of its plane at ``table_corners`` and the plane's slopes.
+    """
     bits = cells.depth.max(axis=0)
     if bits.max() > _FRACTION_BITS:
         raise ValueError(f"A cell is split {bits.max()} times along one axis; a query resolves {_FRACTION_BITS}.")
@@ -184,7 +185,7 @@ def build_tables(
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
         leaf_of_slot=jnp.asarray(_padded(leaf_of_slot)),
-        planes=jnp.asarray(_lay_out(slope, intercept)),
+        planes=jnp.asarray(_lay_out(numbers)),
     )
 
 
@@ -200,19 +201,19 @@ def _frame(domain: Box) -> Float[np.ndarray, "6 dim"]:
 
 
 def _lay_out(
-    slope: Float[np.ndarray, "leaves dim"], intercept: Float[np.ndarray, "leaves"]
-) -> Float[np.ndarray, "terms padded"] | Float[np.ndarray, "coefficients"]:
-    """The planes as ``Tables.planes`` describes, padded with zeros."""
-    planes = np.zeros((padded_size(len(slope), LEAF_SIZES), 1 + slope.shape[1]), np.float32)
-    planes[: len(slope), 0], planes[: len(slope), 1:] = intercept, slope
-    return planes.ravel() if planes.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(planes.T)
+    numbers: Float[np.ndarray, "leaves count"],
+) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
+    """What a query reads of every leaf as ``Tables.planes`` describes, padded with zeros."""
+    padded = np.zeros((padded_size(len(numbers), LEAF_SIZES), numbers.shape[1]), np.float32)
+    padded[: len(numbers)] = numbers
+    return padded.ravel() if padded.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(padded.T)
 
 
-def _coefficient(tables: Tables, leaf: UInt32[Array, "*batch"], term: int) -> Float[Array, "*batch"]:
-    """A coefficient of each leaf's plane: its value at the corner (term 0) or its slope along axis ``term - 1``."""
+def number_of_leaf(tables: Tables, leaf: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
+    """One of the ``count`` numbers of each leaf that the tables were built of."""
     if tables.planes.ndim == 2:
-        return gather(tables.planes[term], leaf)
-    return gather(tables.planes, leaf * np.uint32(tables.dim + 1) + np.uint32(term))
+        return gather(tables.planes[which], leaf)
+    return gather(tables.planes, leaf * np.uint32(count) + np.uint32(which))
 
 
 def place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Float[Array, "*batch"]:

@@ -26,7 +26,7 @@ def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_sp
     bits = cells.depth.max(axis=0)
     assume(bits.max() <= 15 and bits.sum() <= 20)
     domain, planes = Box(np.zeros(dim), np.ones(dim)), np.zeros((len(cells), dim))
-    tables = build_tables(domain, cells, planes, planes[:, 0], max_flat_bits=flat_bits)
+    tables = build_tables(domain, cells, np.column_stack([planes[:, 0], planes]), max_flat_bits=flat_bits)
     assert (tables.blocks is None) == (flat_bits == 20)
     # Multiples of 2**-16 are exact, and many lie on cell borders.
     x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(200, dim)) / 2.0**16
@@ -35,7 +35,7 @@ def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_sp
 
 def test_edges_belong_to_the_first_and_last_cells():
     cells = random_partition(0, 2, 30)
-    tables = build_tables(Box((0, 0), (1, 1)), cells, np.zeros((31, 2)), np.zeros(31))
+    tables = build_tables(Box((0, 0), (1, 1)), cells, np.zeros((31, 3)))
     below_one = np.nextafter(np.float32(1), np.float32(0))
     for high in (np.float32(1), below_one):
         x = np.array([[0, 0], [high, 0], [0, high], [high, high]], np.float32)
