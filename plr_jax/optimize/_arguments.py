@@ -56,9 +56,13 @@ def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses s
 
 
 def check_options(
-    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int
+    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int, seed: int
 ) -> None:
-    for name, value, least in (("num_retimings", num_retimings, 0), ("num_iterations", num_iterations, 1)):
+    for name, value, least in (
+        ("num_retimings", num_retimings, 0),
+        ("num_iterations", num_iterations, 1),
+        ("seed", seed, 0),
+    ):
         if value < least:
             raise ValueError(f"{name} must be at least {least}, got {value!r}.")
     if margin is not None and not (np.isfinite(margin) and margin > 0):

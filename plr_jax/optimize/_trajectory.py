@@ -112,7 +112,7 @@ def optimize_paths(
         whole paths in a smooth basis; the paper asks for optimal trajectories in its conclusion.
     """
     given = as_paths(problem, paths)
-    check_options(num_retimings, num_iterations, margin, smoothness)
+    check_options(num_retimings, num_iterations, margin, smoothness, seed)
     scene, fns = _scene(problem), differentiable(problem, distance_fns)
     width = float(scene.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])

@@ -281,6 +281,7 @@ def test_paths_that_are_none_of_the_problem(path, message):
     [
         ({"num_retimings": -1}, "num_retimings must be at least 0"),
         ({"num_iterations": 0}, "num_iterations must be at least 1"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"margin": 0.0}, "margin must be positive"),
         ({"margin": np.nan}, "margin must be positive"),
         ({"smoothness": -1.0}, "smoothness must be finite and at least 0"),
