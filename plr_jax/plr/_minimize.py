@@ -86,11 +86,12 @@ def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"
     num_points = np.bincount(leaf[weight > 0], minlength=len(plane))
     enough = (num_points >= POINTS_A_COEFFICIENT * plane.shape[1]) & ~plr.planes.unreachable
     weight = weight * enough[leaf]
-    if not weight.sum() > 0:
+    if not weight.any():
         raise ValueError(
             f"No leaf of {plr} has {POINTS_A_COEFFICIENT * plane.shape[1]} points of positive weight and finite "
             "distance to be fitted to; give more points."
         )
+    weight /= weight.max()  # so that the sum does not overflow
     weight /= weight.sum()
     design = np.concatenate([np.ones((len(x), 1)), (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]], axis=1)
     sum_up = _sums(leaf, len(plane))

@@ -246,6 +246,12 @@ def test_points_of_large_weight_are_fitted_better(wall):
     assert np.mean(error[1] ** 2) < np.mean(error[0] ** 2)
 
 
+def test_huge_weights_are_weights(wall):
+    plr, x, distance = wall
+    huge, one = (refine(plr, x, distance, weight=np.full(len(x), w), num_steps=1)[0] for w in (1e308, 1.0))
+    assert huge.to_bytes() == one.to_bytes()
+
+
 def test_the_same_seed_gives_the_same_file_and_another_seed_another(wall):
     plr, x, distance = wall
     first, second, third = (
