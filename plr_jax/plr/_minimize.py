@@ -191,7 +191,7 @@ def _descend(
         objective *= jnp.maximum(start, _TINY)
         best = jnp.where(objective < least, z, best)
         update, adam = _adam().update(gradient, adam)
-        return (z - rate * jnp.asarray(update), adam, best, jnp.minimum(objective, least)), None
+        return (z - rate * jnp.asarray(update), adam, best, jnp.fmin(objective, least)), None
 
     def scaled(z: Float[Array, "leaves terms"]) -> Float[Array, ""]:
         return _objective(problem, loss, penalties, z) / jnp.maximum(start, _TINY)

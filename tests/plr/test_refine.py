@@ -252,6 +252,12 @@ def test_huge_weights_are_weights(wall):
     assert huge.to_bytes() == one.to_bytes()
 
 
+def test_a_loss_without_a_gradient_leaves_a_finite_objective(wall):
+    plr, x, distance = wall
+    _, report = refine(plr, x, distance, loss=lambda e: e**2 + jnp.sqrt(0 * e**2), num_steps=50)
+    assert report.objective[1] == report.objective[0]
+
+
 def test_the_same_seed_gives_the_same_file_and_another_seed_another(wall):
     plr, x, distance = wall
     first, second, third = (
