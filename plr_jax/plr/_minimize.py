@@ -121,7 +121,10 @@ def minimize(
         lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), problem
     )
     z = jnp.zeros(problem.plane.shape, jnp.float32)
-    start = _checked_start(problem, loss, penalties, z)
+    try:
+        start = _checked_start(problem, loss, penalties, z)
+    except jax.errors.TracerArrayConversionError:
+        raise ValueError("The loss or a penalty computes in NumPy; write it in jax.numpy.") from None
     total = -(-num_steps // STEPS_AT_ONCE) * STEPS_AT_ONCE
     rates = np.asarray(optax.cosine_decay_schedule(_FIRST_STEP, total)(np.arange(total)), np.float32)
     state, done = (z, _adam().init(z), z, jnp.float32(start)), 0

@@ -392,6 +392,7 @@ def test_bad_losses_and_penalties_are_named(wall, wall_faces):
         (jnp.sum, "one number an error"),
         (lambda e: e > 0, "one number an error"),
         (lambda e: e * jnp.nan, "must be finite, got nan"),
+        (lambda e: np.square(np.asarray(e)), "computes in NumPy"),
     ):
         with pytest.raises(ValueError, match=message):
             refine(plr, x, distance, loss=loss)
