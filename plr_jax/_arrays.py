@@ -73,6 +73,9 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 def _numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
     try:
-        return np.asarray(value, dtype=np.float64)
+        numbers = np.asarray(value)
+        if np.iscomplexobj(numbers):  # whose imaginary parts NumPy would drop
+            raise TypeError
+        return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None

@@ -40,6 +40,7 @@ def test_a_finite_point_is_kept_as_it_was_given():
         ("points", 2, r"x must be numbers of shape \(n, 2\), got 'points'"),
         ([[1, 2], [3]], 2, r"x must be numbers"),
         ([[1j, 2]], 2, r"x must be numbers"),
+        (np.array([[1j, 2]]), 2, r"x must be numbers"),
         ([[10**400, 2]], 2, r"x must be numbers"),
     ],
 )

@@ -160,7 +160,7 @@ def gradient_report(
         num_zero=int((zero & ~at_goal).sum()),
         jumps=None if leaves is None else _jump_report(leaves, evaluate, workspace, seed),
         walks=None if leaves is None else _walk_report(leaves, evaluate, workspace, goal, directions),
-        share_reached=None if reaches is None else float(np.mean(reaches(points))),
+        share_reached=None if reaches is None else _share_reached(reaches, points),
     )
 
 
@@ -195,6 +195,17 @@ def _directions_at(directions: Directions, x: Float[np.ndarray, "n 2"]) -> Float
     if exact.shape != x.shape:
         raise ValueError(f"The exact directions must have shape {x.shape}, got {exact.shape}.")
     return exact
+
+
+def _share_reached(
+    reaches: Callable[[Float[np.ndarray, "n 2"]], Bool[np.ndarray, "n"]], points: Float[np.ndarray, "n 2"]
+) -> float:
+    reached = np.asarray(reaches(points))
+    if reached.shape != (len(points),) or reached.dtype != bool:
+        raise ValueError(
+            f"reaches must give one bool a point, shape ({len(points)},), got {reached.shape} of {reached.dtype}."
+        )
+    return float(reached.mean())
 
 
 def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:

@@ -117,7 +117,7 @@ def _field_at(
     distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
 ) -> Float[np.ndarray, "places"]:
     """The field at the goal, where it is zero by definition, and at the corners."""
-    field = np.asarray(distance_fn(points), dtype=np.float64)
+    field = np.asarray(distance_fn(points.copy()), dtype=np.float64)  # a function may compute in place
     if field.shape != (len(points),):
         raise ValueError(f"The field must give one number a point, shape ({len(points)},), got {field.shape}.")
     if np.isnan(field).any():

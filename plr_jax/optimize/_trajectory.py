@@ -217,6 +217,7 @@ def _descended(
             interrupt = error
     moves = np.array(moves_of(scene, start, descent)[: len(flat)], np.float64)
     moves[..., :2] *= float(scene.scale)
+    moves[~np.isfinite(moves).all(axis=(1, 2, 3))] = 0.0  # of guesses so far out that 32-bit floats overflow
     return guesses + moves.reshape(guesses.shape), losses[: len(flat)].reshape(*guesses.shape[:2], -1), interrupt
 
 

@@ -173,12 +173,21 @@ def _lag(scene: Scene, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array
     """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):
-        q = path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin)
+        q = _pulled_where_it_can_be(path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin))
         cost = fn(q[:, : getattr(fn, "dim", q.shape[1])]) / scene.scale
         known = jnp.isfinite(cost) & jnp.isfinite(cost[0])
         off = jnp.where(known, cost - share * cost[0], 0.0)
         lag = lag + jnp.sqrt(off * off + _SMOOTHING).sum()
     return lag
+
+
+@jax.custom_vjp
+def _pulled_where_it_can_be(q: Float[Array, "rows dof"]) -> Float[Array, "rows dof"]:
+    """The configurations, but nothing pulls those where a distance has no gradient, as a norm at the goal itself."""
+    return q
+
+
+_pulled_where_it_can_be.defvjp(lambda q: (q, None), lambda _, pull: (jnp.where(jnp.isfinite(pull), pull, 0.0),))
 
 
 def _hinge(x: Float[Array, "*shape"], width: Float[Array, ""]) -> Float[Array, "*shape"]:

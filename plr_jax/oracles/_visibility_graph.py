@@ -144,7 +144,7 @@ class VisibilityGraph:
         """
         x = as_points("x", x, 2)
         distance, turn = self._first_turns(x)
-        leg = self.graph.vertices[turn] - x
+        leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
         # From a corner the path sets out towards the vertex after it.
         while (here := (length <= self.workspace.tolerance) & (turn > 0) & np.isfinite(distance)).any():

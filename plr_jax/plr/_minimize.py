@@ -86,11 +86,12 @@ def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"
     num_points = np.bincount(leaf[weight > 0], minlength=len(plane))
     enough = (num_points >= POINTS_A_COEFFICIENT * plane.shape[1]) & ~plr.planes.unreachable
     weight = weight * enough[leaf]
-    if not weight.sum() > 0:
+    if not weight.any():
         raise ValueError(
             f"No leaf of {plr} has {POINTS_A_COEFFICIENT * plane.shape[1]} points of positive weight and finite "
             "distance to be fitted to; give more points."
         )
+    weight /= weight.max()  # so that the sum does not overflow
     weight /= weight.sum()
     design = np.concatenate([np.ones((len(x), 1)), (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]], axis=1)
     sum_up = _sums(leaf, len(plane))
@@ -120,7 +121,10 @@ def minimize(
         lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), problem
     )
     z = jnp.zeros(problem.plane.shape, jnp.float32)
-    start = _checked_start(problem, loss, penalties, z)
+    try:
+        start = _checked_start(problem, loss, penalties, z)
+    except jax.errors.TracerArrayConversionError:
+        raise ValueError("The loss or a penalty computes in NumPy; write it in jax.numpy.") from None
     total = -(-num_steps // STEPS_AT_ONCE) * STEPS_AT_ONCE
     rates = np.asarray(optax.cosine_decay_schedule(_FIRST_STEP, total)(np.arange(total)), np.float32)
     state, done = (z, _adam().init(z), z, jnp.float32(start)), 0
@@ -190,7 +194,7 @@ def _descend(
         objective *= jnp.maximum(start, _TINY)
         best = jnp.where(objective < least, z, best)
         update, adam = _adam().update(gradient, adam)
-        return (z - rate * jnp.asarray(update), adam, best, jnp.minimum(objective, least)), None
+        return (z - rate * jnp.asarray(update), adam, best, jnp.fmin(objective, least)), None
 
     def scaled(z: Float[Array, "leaves terms"]) -> Float[Array, ""]:
         return _objective(problem, loss, penalties, z) / jnp.maximum(start, _TINY)

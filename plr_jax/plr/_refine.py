@@ -75,8 +75,9 @@ def refine(
 
     Raises:
         ValueError: If an argument has another shape or is out of its range, a point lies outside the domain, a
-            distance is NaN or ``-inf``, no leaf has enough points, the loss gives another shape or no finite
-            number, ``faces`` are those of another partition, or not even 4-bit coefficients fit into ``max_bytes``.
+            distance is NaN or ``-inf``, no leaf has enough points, the points kept apart are fewer than one over the
+            share of over-estimates, the loss gives another shape or no finite number, ``faces`` are those of another
+            partition, or not even 4-bit coefficients fit into ``max_bytes``.
 
     References:
         Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019, of which the added number is
@@ -89,6 +90,8 @@ def refine(
     training, measured, calibration = _set_aside(
         samples, float(held_out), 0.0 if share is None else _CALIBRATION, seed
     )
+    if share is not None:
+        _check_share(share, len(calibration.x))
     problem, enough = pose(plr, training)
     least_squares = _with_planes(plr, _encode(plr, problem.plane, max_bytes))
 
@@ -134,6 +137,17 @@ def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None,
             raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
     if not (isinstance(held_out, int | float | np.number) and 0 <= held_out < 1):
         raise ValueError(f"held_out must be a share of the points, from 0 to below 1, got {held_out!r}.")
+
+
+def _check_share(share: int | float, num_points: int) -> None:
+    """Whether so many points can set the height: even the largest of their errors is exceeded now and then."""
+    if not (isinstance(share, int | float | np.number) and 0 < share < 1):
+        raise ValueError(f"A loss's share of over-estimates must be between 0 and 1, got {share!r}.")
+    if np.ceil((num_points + 1) * (1 - share)) > num_points:
+        raise ValueError(
+            f"To over-estimate a share of {share:g} at most takes {np.ceil(1 / share) - 1:g} points to set the "
+            f"height by, here there are {num_points} (see refine): give more points, or ask for a larger share."
+        )
 
 
 def _check_samples(plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLike | None) -> tuple[Samples, int]:

@@ -147,6 +147,16 @@ def test_a_field_without_answers_does_no_harm():
     np.testing.assert_allclose(blind.lengths, VisibilityGraph(DOOR, goal)(starts), rtol=1e-12)
 
 
+def test_a_field_that_computes_in_place_moves_no_corner():
+    def in_place(x):
+        x -= (8, 2)
+        return np.hypot(*x.T)
+
+    starts = DOOR.sample_free(50, seed=0)
+    descent = descend(in_place, DOOR, starts, (8, 2))
+    np.testing.assert_array_equal(descent.vertices, descended(nothing_known, DOOR, starts, (8, 2)).vertices)
+
+
 def test_no_starts_and_no_corners():
     assert len(descended(nothing_known, DOOR, np.empty((0, 2)), (8, 2))) == 0
     assert descend(nothing_known, ROOM, np.empty((0, 2)), (8, 2)).vertices.shape[0] == 0

@@ -180,6 +180,23 @@ def test_a_guide_brings_a_guess_around_a_wall():
     assert not checked(problem, optimize_paths(problem, through(problem))).valid.any()
 
 
+def test_a_guide_without_a_gradient_at_the_goal_spoils_nothing():
+    problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
+    path = through(problem, [[3, 9]], [[7, 9]])
+
+    def straight(x):
+        return jnp.linalg.norm(x - problem.goals[0], axis=1)  # whose gradient at the goal is NaN
+
+    result = checked(problem, optimize_paths(problem, path, distance_fns=[straight], **QUICK))
+    assert result.cost < 0.95 * path_cost(problem, path)
+
+
+def test_a_guess_too_far_out_for_32_bits_stays_as_it_is():
+    far = through(SWAP, [[2, 1e30], [8, 2]])
+    result = optimize_paths(SWAP, far, **QUICK)
+    assert not result.valid.any() and np.isfinite(result.paths).all()
+
+
 def test_of_a_batch_the_cheapest_valid_path_is_returned():
     problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
     above, below = through(problem, [[3, 9]], [[7, 9]]), through(problem, [[3, 1]], [[7, 1]])

@@ -1,4 +1,5 @@
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -45,6 +46,12 @@ def test_as_the_shortest_path_and_the_gradient_have_it():
     inner = problem.workspace.is_visible(x, x + step * directions)
     np.testing.assert_allclose((oracle(x) - oracle(x + step * directions))[inner] / step, 1, atol=1e-6)
     assert inner.mean() > 0.9
+
+
+def test_infinitely_far_there_is_no_direction():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(VisibilityGraph(WALL, (8, 6)).directions([[np.inf, 0], [0, -np.inf], [1e308, 1]])).all()
 
 
 def test_other_shapes_are_refused():

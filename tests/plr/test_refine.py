@@ -13,7 +13,7 @@ from plr_jax import Box, VisibilityGraph, construct, cyclic_axis, from_bytes, lo
 from plr_jax.plr import _file
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._faces import sample_faces
-from plr_jax.plr._losses import eikonal, jumps, quantile, squared
+from plr_jax.plr._losses import Quantile, eikonal, jumps, quantile, squared
 from plr_jax.plr._nodal_tree import shared_faces, tree_of
 from plr_jax.plr._planes import encode_planes
 from plr_jax.plr._plr import plr_of_leaves
@@ -116,6 +116,13 @@ def test_the_shift_makes_up_for_what_rounding_did():
     refined, report = refine(plr, x, x[:, 0] + 2, loss=quantile(0.05))
     assert np.mean(np.asarray(refined(new), float) > new[:, 0] + 2) <= 0.06
     assert report.shift != 0
+
+
+@pytest.mark.parametrize(("share", "num_points"), [(1e-4, 2000), (0.05, 90)])
+def test_a_share_that_too_few_points_can_vouch_for_is_refused(share, num_points):
+    plr, x = construct(cone, UNIT, max_leaves=2), points(num_points, 0)
+    with pytest.raises(ValueError, match=r"takes .* points to set the height by, here there are"):
+        refine(plr, x, cone(x), loss=quantile(share), num_steps=1)
 
 
 def test_the_eikonal_penalty_makes_slopes_of_norm_one(wall):
@@ -238,6 +245,18 @@ def test_points_of_large_weight_are_fitted_better(wall):
         for w in (np.ones(len(x)), np.where(favored, 1000.0, 1.0))
     ]
     assert np.mean(error[1] ** 2) < np.mean(error[0] ** 2)
+
+
+def test_huge_weights_are_weights(wall):
+    plr, x, distance = wall
+    huge, one = (refine(plr, x, distance, weight=np.full(len(x), w), num_steps=1)[0] for w in (1e308, 1.0))
+    assert huge.to_bytes() == one.to_bytes()
+
+
+def test_a_loss_without_a_gradient_leaves_a_finite_objective(wall):
+    plr, x, distance = wall
+    _, report = refine(plr, x, distance, loss=lambda e: e**2 + jnp.sqrt(0 * e**2), num_steps=50)
+    assert report.objective[1] == report.objective[0]
 
 
 def test_the_same_seed_gives_the_same_file_and_another_seed_another(wall):
@@ -403,12 +422,15 @@ def test_bad_losses_and_penalties_are_named(wall, wall_faces):
         (jnp.sum, "one number an error"),
         (lambda e: e > 0, "one number an error"),
         (lambda e: e * jnp.nan, "must be finite, got nan"),
+        (lambda e: np.square(np.asarray(e)), "computes in NumPy"),
     ):
         with pytest.raises(ValueError, match=message):
             refine(plr, x, distance, loss=loss)
     with pytest.raises(ValueError, match="A penalty must return one number"):
         refine(plr, x, distance, penalties=[lambda planes: planes.center])
     for share in (0, 1, -0.1, np.nan):
+        with pytest.raises(ValueError, match="share of over-estimates must be between 0 and 1"):
+            refine(plr, x, distance, loss=Quantile(share))
         with pytest.raises(ValueError, match="between 0 and 1"):
             quantile(share)
     with pytest.raises(ValueError, match="weight of eikonal must be a finite number >= 0, got -1"):
