@@ -23,6 +23,7 @@ _MARGINS = (1.0, 4.0)  # tried in turn, where the first leaves a path that is no
 _FEWEST_MOTIONS = 64
 _HALVINGS = 6
 _ITERATIONS_AT_ONCE = 50  # between them, Ctrl-C is heard
+_GENTLE = 0.5  # progress at which the last descent begins, with small steps and hardly a wider margin
 
 Paths = Float[np.ndarray, "guesses rows robots dof"]
 Retimings = Float[np.ndarray, "guesses retimings rows robots dof"]
@@ -43,7 +44,8 @@ class OptimizedPaths:
         costs: Their costs, whether they are valid or not.
         valid: Which of them :func:`plr_jax.validate` finds valid.
         history: Loss of each of them in every iteration, in units of the workspace's extent; the margin narrows and
-            the guide fades as it goes, so that it need not fall. NaN in iterations that an interrupt left out.
+            the guide fades as it goes, so that it need not fall. That of the gentler descent at the end is not in it.
+            NaN in iterations that an interrupt left out.
     """
 
     path: Path | None
@@ -71,13 +73,15 @@ def optimize_paths(
     """Shorten paths by gradient descent on all their way points at once.
 
     A valid path stays valid and never becomes costlier: what descent makes of it is put through
-    :func:`plr_jax.validate`; failing that, the largest step found towards it that is; failing that, the path is
-    returned as it was. Paths that are not valid, such as straight lines through obstacles, are initial guesses, and
-    ``valid`` says which became valid. That is for a robot that passes by a few obstacles. A guess stays in its
-    homotopy class, and a motion that goes all the way through a wall is in none that is free: of guesses with four
-    random way points in :func:`plr_jax.scenes.maze` none became valid, and one in eight under a guide. Among many
-    walls start from valid paths: that of ``bl_plan``, or for a point that of :func:`plr_jax.descend`, which also
-    joins way points of your own, leg by leg.
+    :func:`plr_jax.validate`; failing that, the largest step found towards it that is; failing that, the path as it
+    was; and at last, what a gentler descent from there makes of it.
+
+    Paths that are not valid, such as straight lines through obstacles, are initial guesses, and ``valid`` says which
+    became valid. That is for a robot that passes by a few obstacles. A guess stays in its homotopy class, and a
+    motion that goes all the way through a wall is in none that is free: of guesses with four random way points in
+    :func:`plr_jax.scenes.maze` none became valid, and one in eight under a guide. Among many walls start from valid
+    paths: that of ``bl_plan``, or for a point that of :func:`plr_jax.descend`, which also joins way points of your
+    own, leg by leg.
 
     Waiting costs nothing, so a team's path is cheapest if the robots meet where there is room. Descent finds such
     times only near those of the path. Retimings start it from the same motions at other times, at random, and the
@@ -91,7 +95,7 @@ def optimize_paths(
             (n,)``. In the first iterations they draw way points to where the cost-to-go falls evenly along the path,
             which helps guesses that pass through obstacles. None: no guide.
         num_retimings: How many retimings of each path, at least 0; a single robot has none.
-        num_iterations: Steps of descent, at least 1.
+        num_iterations: Steps of each descent, at least 1.
         margin: Clearance below which there is a penalty, in workspace units, positive; None: 1e-4 of the extent.
             It is met where there is room, and costs about its multiple by the turns of a path.
         smoothness: Weight, at least 0, of the squared second differences of the way points. A path that costs more
@@ -120,11 +124,13 @@ def optimize_paths(
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
     guesses = _retimings(given, num_retimings if len(problem.robots) > 1 else 0, seed)
     best = [_Outcome(path, _cost_if_valid(problem, path), np.full(num_iterations, np.nan)) for path in given]
+    progress = np.linspace(0.0, 1.0, num_iterations, dtype=np.float32)
     try:
         for factor in _MARGINS:
             aims = Aims(jnp.float32(factor * width / scene.scale), jnp.float32(smoothness), fns)
-            if not _improve(problem, scene, guesses, aims, best, num_iterations):
+            if not _improve(problem, scene, guesses, aims, best, progress):
                 break
+        _polish(problem, scene, aims._replace(distance_fns=()), best, _GENTLE + (1 - _GENTLE) * progress)
     except KeyboardInterrupt:
         message = "Interrupted: the paths are the best found so far."
         warnings.warn(message, OptimizationInterrupted, stacklevel=2)
@@ -181,13 +187,18 @@ def _result(problem: Problem, outcomes: Sequence[_Outcome]) -> OptimizedPaths:
 
 
 def _improve(
-    problem: Problem, scene: Scene, guesses: Retimings, aims: Aims, best: list[_Outcome], num_iterations: int
+    problem: Problem,
+    scene: Scene,
+    guesses: Retimings,
+    aims: Aims,
+    best: list[_Outcome],
+    progress: Float[np.ndarray, "iterations"],
 ) -> bool:
     """Put what descent makes of the guesses into ``best`` where it is better; whether collisions spoiled any.
 
     An interrupted descent counts as far as it came, before the interrupt goes on.
     """
-    moved, losses, interrupt = _descended(scene, guesses, aims, num_iterations)
+    moved, losses, interrupt = _descended(scene, guesses, aims, progress)
     spoiled = []
     for k in range(len(best)):
         best[k], bad = _better(problem, best[k], moved[k], losses[k])
@@ -197,19 +208,34 @@ def _improve(
     return any(spoiled)
 
 
+def _polish(
+    problem: Problem, scene: Scene, aims: Aims, best: list[_Outcome], progress: Float[np.ndarray, "iterations"]
+) -> None:
+    """Descend once more from every valid path, gently: bold steps leave narrow places for others that cost more."""
+    valid = [k for k, outcome in enumerate(best) if np.isfinite(outcome.cost)]
+    if not valid:
+        return
+    polished = [best[k] for k in valid]
+    try:
+        _improve(problem, scene, np.stack([each.path for each in polished])[:, None], aims, polished, progress)
+    finally:
+        for k, outcome in zip(valid, polished, strict=True):
+            best[k] = outcome._replace(losses=best[k].losses)
+
+
 def _descended(
-    scene: Scene, guesses: Retimings, aims: Aims, num_iterations: int
+    scene: Scene, guesses: Retimings, aims: Aims, progress: Float[np.ndarray, "iterations"]
 ) -> tuple[Retimings, Float[np.ndarray, "guesses retimings iterations"], KeyboardInterrupt | None]:
     """Where descent takes paths, its losses, and what interrupted it."""
     flat = guesses.reshape(-1, *guesses.shape[2:])
     start = _scaled(scene, flat)
-    losses, done = np.full((len(start), num_iterations), np.nan), 0
+    losses, done = np.full((len(start), len(progress)), np.nan), 0
     descent, interrupt = begin(start), None
-    with tqdm(total=num_iterations, desc="optimize", unit=" steps", delay=2, leave=False, disable=None) as bar:
+    with tqdm(total=len(progress), desc="optimize", unit=" steps", delay=2, leave=False, disable=None) as bar:
         try:
-            for progress in _parts(num_iterations):
-                descent, loss = advance(scene, start, aims, descent, jnp.asarray(progress))
-                count = int((progress <= 1).sum())
+            for part in _parts(progress):
+                descent, loss = advance(scene, start, aims, descent, jnp.asarray(part))
+                count = int((part <= 1).sum())
                 losses[:, done : done + count] = loss[:, :count]
                 done += count
                 bar.update(count)
@@ -229,12 +255,12 @@ def _scaled(scene: Scene, paths: Paths) -> Float[Array, "padded rows robots dof"
     return jnp.asarray(start, jnp.float32)
 
 
-def _parts(num_iterations: int) -> Float[np.ndarray, "parts iterations"]:
+def _parts(progress: Float[np.ndarray, "iterations"]) -> Float[np.ndarray, "parts part"]:
     """Progress of the iterations in parts of one length, padded by more than 1."""
-    count = -(-num_iterations // _ITERATIONS_AT_ONCE)
-    progress = np.full(count * -(-num_iterations // count), 2.0, np.float32)
-    progress[:num_iterations] = np.linspace(0.0, 1.0, num_iterations)
-    return progress.reshape(count, -1)
+    count = -(-len(progress) // _ITERATIONS_AT_ONCE)
+    padded = np.full(count * -(-len(progress) // count), 2.0, np.float32)
+    padded[: len(progress)] = progress
+    return padded.reshape(count, -1)
 
 
 def _retimings(given: Paths, num_retimings: int, seed: int) -> Retimings:

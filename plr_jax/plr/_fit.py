@@ -205,7 +205,7 @@ def solve_planes(
 
 
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:
-    distance = distance_fn(x)
+    distance = distance_fn(x.copy())  # it may compute in place
     try:
         distance = np.asarray(distance)
         distance = distance if distance.dtype.kind == "c" else distance.astype(np.float64)

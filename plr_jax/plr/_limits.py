@@ -69,7 +69,7 @@ def check_memory(num_nodes: float) -> None:
     if needed > _machine_bytes():
         raise ValueError(
             f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {_machine_bytes() / 2**30:.3g}. Lower max_depth, or also give max_leaves, max_bytes "
+            f"this machine has {_machine_bytes() / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes "
             "or a tolerance."
         )
 

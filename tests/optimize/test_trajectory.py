@@ -197,6 +197,22 @@ def test_a_guess_too_far_out_for_32_bits_stays_as_it_is():
     assert not result.valid.any() and np.isfinite(result.paths).all()
 
 
+def test_a_path_in_a_narrow_place_that_bold_steps_leave_is_shortened_by_gentle_ones(monkeypatch):
+    result = optimize_paths(SWAP, detour(), **QUICK)
+    gentle, improve = [], trajectory._improve
+
+    def spoiled(problem, scene, guesses, aims, best, progress):
+        if progress[0] == 0:  # the bold descents find nothing
+            return True
+        gentle.append(progress[0])
+        return improve(problem, scene, guesses, aims, best, progress)
+
+    monkeypatch.setattr(trajectory, "_improve", spoiled)
+    shortened = optimize_paths(SWAP, detour(), **QUICK)
+    assert gentle and validate(SWAP, shortened.path).valid
+    assert result.cost <= shortened.cost < path_cost(SWAP, detour()) - 1
+
+
 def test_of_a_batch_the_cheapest_valid_path_is_returned():
     problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
     above, below = through(problem, [[3, 9]], [[7, 9]]), through(problem, [[3, 1]], [[7, 1]])
@@ -258,9 +274,9 @@ def test_where_walls_are_many_way_points_are_joined_by_descents_first():
 
 @pytest.mark.parametrize("num_iterations", [1, 7, 50, 51, 130])
 def test_iterations_in_parts_are_all_of_them(num_iterations):
-    parts = trajectory._parts(num_iterations)
-    progress = parts[parts <= 1]
-    np.testing.assert_allclose(progress, np.linspace(0, 1, num_iterations), rtol=1e-6)
+    progress = np.linspace(0, 1, num_iterations, dtype=np.float32)
+    parts = trajectory._parts(progress)
+    np.testing.assert_array_equal(parts[parts <= 1], progress)
     assert parts.size - num_iterations < len(parts) and parts.shape[1] <= 50
 
 
