@@ -38,7 +38,7 @@ from plr_jax import (
 )
 
 START_SEED = 1_000
-SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384, 30_720]}
+SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384], "den312d": [6_144]}
 """Bytes of the PLRs of each map; the last is drawn."""
 _KINDS: dict[str, Callable[..., PLR | ContinuousPLR]] = {
     "plain": construct,
