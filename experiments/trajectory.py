@@ -5,6 +5,7 @@ the second time is the warm one. Every path is checked by ``validate``. In the m
 guesses: random way points under the guide of a PLR, and shortest paths in sparse roadmaps, shaken.
 """
 
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -97,12 +98,16 @@ def guess_rows(seed: int, num_guesses: int, smoke: bool) -> list[dict[str, Any]]
 
 
 def roadmap_paths(problem: Problem, rng: np.random.Generator, num: int) -> Float[np.ndarray, "num steps 1 2"]:
-    """Shortest paths in roadmaps of different samples, as many steps each, the inner ones moved at random."""
+    """Shortest paths in the first roadmaps that have one, as many steps each, the inner ones moved at random."""
     workspace, goal = problem.workspace, problem.goals[0]
     paths = []
-    for seed in range(num):
+    for seed in itertools.count():
+        if len(paths) == num:
+            break
         roadmap = Roadmap.from_workspace(workspace, goal, NUM_ROADMAP_SAMPLES, seed=seed)
         path = roadmap.shortest_path(problem.starts[0])
+        if not len(path):
+            continue
         paths.append(np.concatenate([path[:1], path[1:-1] + rng.normal(0, SHAKE, path[1:-1].shape), path[-1:]]))
     longest = max(map(len, paths))
     return np.stack([np.concatenate([path, path[-1:].repeat(longest - len(path), axis=0)]) for path in paths])[
