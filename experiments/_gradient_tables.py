@@ -31,8 +31,8 @@ def continuity(results: dict[str, Any]) -> str:
     note = (
         f"At {_SHOWN:,} bytes. In brackets the largest error, and the multiple of the plain PLR's time, which from "
         f"{sizes[0]:,} to {sizes[-1]:,} bytes is at most {slowest['order 0']:.1f} for order 0 and "
-        f"{slowest['order 1']:.1f} for order 1. Jumps are over faces that one can step across, of the value as a share "
-        "of the largest distance."
+        f"{slowest['order 1']:.1f} for order 1. Jumps are over faces that one can step across, of the value as a "
+        "share of the largest distance."
     )
     return markdown(rows, numbers=6) + f"\n{note}\n"
 

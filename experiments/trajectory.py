@@ -128,7 +128,7 @@ def summary(result: OptimizedPaths, exact: float) -> dict[str, Any]:
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
     text = output / "trajectory.txt"
     text.write_text(f"{scene_table(results['rows'])}\n{guess_table(results['guesses'])}", encoding="utf-8")
-    figure = Figure(figsize=(10.4, 5.2), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(10.4, 5.6), layout="constrained", facecolor="white")
     row = next(row for row in results["rows"] if row["scene"] == SHOWN)
     axes = figure.subplots(1, 2)
     for ax, name in zip(axes, ("before", "after"), strict=True):
