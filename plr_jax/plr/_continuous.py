@@ -6,16 +6,17 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, UInt8
+from jaxtyping import Array, Bool, Float, Num
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
-from plr_jax.plr._nodal_file import HEADER_SIZE, Partition, decode, file_size
+from plr_jax.plr._nodal_file import Partition, decode
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._plr import as_array, require_real
+from plr_jax.plr._stored import StoredFunction, as_padded_array
 from plr_jax.plr._tables import Frame, Tables, build_tables, lookup, number_of_leaf, outside_domain
 
 _POWERS = (2, 4)  # of t along each axis, by order of continuity
@@ -24,7 +25,7 @@ _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class ContinuousPLR:
+class ContinuousPLR(StoredFunction):
     """A distance function stored as values at the corners of a binary space partition's leaves.
 
     Made by :func:`construct_continuous` and :func:`load`. Between a leaf's corners it is
@@ -41,8 +42,6 @@ class ContinuousPLR:
         order: Order of continuity.
     """
 
-    tables: Tables
-    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
     order: int = field(metadata={"static": True})
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -70,10 +69,6 @@ class ContinuousPLR:
         domain, _, partition, _, _ = decode(self.to_bytes())
         return domain, partition
 
-    def to_bytes(self) -> bytes:
-        """The bytes of the file; the format is documented in ``plr_jax/plr/_nodal_file.py``."""
-        return np.asarray(self.file).tobytes()[: self.num_bytes]
-
     @property
     def domain(self) -> Box:
         """The closed box that is covered."""
@@ -90,40 +85,10 @@ class ContinuousPLR:
         return self.partition.tree.leaves
 
     @property
-    def dim(self) -> int:
-        """Number of axes."""
-        return self.tables.dim
-
-    @property
-    def num_leaves(self) -> int:
-        """Number of leaves of the partition."""
-        return len(self.partition.unreachable)
-
-    @property
-    def depth(self) -> int:
-        """Largest number of splits between the root and a leaf."""
-        return int(self.cells.depth.sum(axis=1).max())
-
-    @property
     def num_unreachable(self) -> int:
         """Number of leaves that answer ``inf``."""
         lo, hi = self.leaf_boxes
         return int(np.isinf(self((lo + hi) / 2)).sum())
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the file."""
-        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
-
-    @property
-    def resident_bytes(self) -> int:
-        """Bytes of the tables that a query reads."""
-        return sum(leaf.nbytes for leaf in jax.tree_util.tree_leaves(self.tables))
-
-    @property
-    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
-        """Lower and upper corners of the leaves."""
-        return self.cells.boxes(self.domain)
 
     def __repr__(self) -> str:
         return (
@@ -148,9 +113,7 @@ def continuous_from_bytes(data: bytes) -> ContinuousPLR:
     numbers = (numbers_of_leaves(order, space) @ values.decode()).reshape(len(leaves), -1)
     coefficients = _coefficients(order, leaves, partition, numbers)
     tables = build_tables(domain, leaves, np.concatenate([_cell_numbers(leaves), coefficients], axis=1))
-    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
-    padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return ContinuousPLR(tables, padded, order)
+    return ContinuousPLR(tables, as_padded_array(data), order)
 
 
 def _coefficients(

@@ -33,9 +33,7 @@ from jaxtyping import Int
 from plr_jax._box import Box
 from plr_jax.plr._bits import BitReader, BitWriter
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._framing import HEADER_SIZE as HEADER_SIZE
 from plr_jax.plr._framing import FileKind, frame, framed_size, read_span, unframe, write_span
-from plr_jax.plr._framing import file_size as file_size
 from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, unreachable_code
 from plr_jax.plr._tree import MAX_DEPTH, Level, cells_of, levels_of
 

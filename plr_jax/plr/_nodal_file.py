@@ -35,9 +35,7 @@ from plr_jax._box import Box
 from plr_jax.plr._bits import BitReader, BitWriter
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._file import read_leaves, write_tree
-from plr_jax.plr._framing import HEADER_SIZE as HEADER_SIZE
 from plr_jax.plr._framing import FileKind, frame, read_span, unframe, write_span
-from plr_jax.plr._framing import file_size as file_size
 from plr_jax.plr._nodal_basis import MAX_DIM_OF_ORDER
 from plr_jax.plr._nodal_space import NodalSpace, nodal_space
 from plr_jax.plr._nodal_tree import SharedFaces, Tree, shared_faces, tree_of

@@ -7,21 +7,22 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Float, Int
 
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import HEADER_SIZE, decode, encode, file_size
+from plr_jax.plr._file import decode, encode
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._planes import LARGEST, StoredPlanes
 from plr_jax.plr._stack import TableStack
+from plr_jax.plr._stored import StoredFunction, as_padded_array
 from plr_jax.plr._tables import Frame, Tables, build_tables, evaluate_tables, lookup, table_corners
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class PLR:
+class PLR(StoredFunction):
     """A distance function stored as planes over a binary space partition (Section III of the paper).
 
     Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
@@ -32,9 +33,6 @@ class PLR:
         tables: What a query reads, derived from ``file`` alone.
         file: The bytes that :func:`save` writes, padded with zeros to a power of two.
     """
-
-    tables: Tables
-    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
@@ -66,10 +64,6 @@ class PLR:
     def _leaves(self) -> tuple[Box, Cells, StoredPlanes]:
         return decode(self.to_bytes())
 
-    def to_bytes(self) -> bytes:
-        """The bytes of the file that :func:`save` writes."""
-        return np.asarray(self.file).tobytes()[: self.num_bytes]
-
     @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
@@ -86,39 +80,9 @@ class PLR:
         return self._leaves[2]
 
     @property
-    def dim(self) -> int:
-        """Number of axes."""
-        return self.tables.dim
-
-    @property
-    def num_leaves(self) -> int:
-        """Number of leaves of the partition, each with a plane."""
-        return len(self.cells)
-
-    @property
     def num_unreachable(self) -> int:
         """Number of leaves that answer ``inf``."""
         return int(np.isinf(self.intercept).sum())
-
-    @property
-    def depth(self) -> int:
-        """Largest number of splits between the root and a leaf."""
-        return int(self.cells.depth.sum(axis=1).max())
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the file that :func:`save` writes."""
-        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
-
-    @property
-    def resident_bytes(self) -> int:
-        """Bytes of the tables that a query reads."""
-        return sum(leaf.nbytes for leaf in jax.tree_util.tree_leaves(self.tables))
-
-    @property
-    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
-        """Lower and upper corners of the leaves."""
-        return self.cells.boxes(self.domain)
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
@@ -165,9 +129,7 @@ def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> P
     to_center = (lo + hi) / 2 - corner
     at_corner = np.where(planes.unreachable, 0.0, center) - np.sum(slope * to_center, axis=1)
     slope, at_corner = fill_unreachable(cells, planes.unreachable, slope, at_corner)
-    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
-    padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return PLR(build_tables(domain, cells, np.column_stack([at_corner, slope])), padded)
+    return PLR(build_tables(domain, cells, np.column_stack([at_corner, slope])), as_padded_array(data))
 
 
 def evaluate(plr: Callable[[ArrayLike], Float[Array, "*batch"]], x: ArrayLike) -> Float[Array, "*batch"]:
