@@ -27,8 +27,8 @@ _WORD_BITS = 32
 _MAX_SLOTS = 2**28
 # Sizes of tables: few, so that a PLR of another goal finds its query compiled. Padding is never read.
 _SLOT_SIZES = (2**6, 2**10, 2**14, 2**18)
-LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
-_MAX_COLUMN_BYTES = 9 * 2**15  # as measured; about half of a core's second-level cache, the other half is for slots
+_LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
+_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
 @jax.tree_util.register_dataclass
@@ -59,7 +59,7 @@ class Tables:
     """All that a query reads. Arrays are padded to few sizes, so PLRs of like size share compiled code.
 
     They are few, because every array adds to the cost of a call. All indices are unsigned: JAX counts a signed one
-    from the end if it is negative, which takes as long as a table lookup.
+    from the end if it is negative, which takes time.
 
     Attributes:
         frame: One row a quantity, see :class:`Frame`; one column an axis.
@@ -110,12 +110,12 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
     Points outside the domain, and NaN, get some leaf.
     """
-    words = [jax.lax.bitcast_convert_type(place(tables, x, axis), jnp.uint32) for axis in range(tables.dim)]
+    words = [_place(tables, x, axis) for axis in range(tables.dim)]
     mask, right = tables.bits
     index = reduce(jnp.bitwise_or, [_shift_right(word & mask[axis], right[axis]) for axis, word in enumerate(words)])
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, words, index)
-    return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
+    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
@@ -204,7 +204,7 @@ def _lay_out(
     numbers: Float[np.ndarray, "leaves count"],
 ) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
     """What a query reads of every leaf as ``Tables.planes`` describes, padded with zeros."""
-    padded = np.zeros((padded_size(len(numbers), LEAF_SIZES), numbers.shape[1]), np.float32)
+    padded = np.zeros((_padded_size(len(numbers), _LEAF_SIZES), numbers.shape[1]), np.float32)
     padded[: len(numbers)] = numbers
     return padded.ravel() if padded.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(padded.T)
 
@@ -212,20 +212,20 @@ def _lay_out(
 def number_of_leaf(tables: Tables, leaf: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
     """One of the ``count`` numbers of each leaf that the tables were built of."""
     if tables.planes.ndim == 2:
-        return gather(tables.planes[which], leaf)
-    return gather(tables.planes, leaf * np.uint32(count) + np.uint32(which))
+        return _gather(tables.planes[which], leaf)
+    return _gather(tables.planes, leaf * np.uint32(count) + np.uint32(which))
 
 
-def place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> Float[Array, "*batch"]:
-    """A point's place along an axis: one plus its fraction of the domain's width, a 32-bit float from 1 to below 2.
+def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
+    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
 
-    Its lower 23 bits are the fraction in units of ``2**-23``, of which the first are the slot. The last place is for
-    the upper edge, which belongs to the last cell.
+    Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
+    upper edge, which belongs to the last cell.
     """
     lo, start, scale = (tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE))
     placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
     last = np.float32(2 - 2.0**-_FRACTION_BITS)
-    return jnp.where(placed < last, placed, last)
+    return jax.lax.bitcast_convert_type(jnp.where(placed < last, placed, last), jnp.uint32)
 
 
 def _index_in_block(
@@ -235,7 +235,7 @@ def _index_in_block(
     index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = gather(table, block)
+        word = _gather(table, block)
         for slot in range(axes):
             bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
             within = places[axis] & (
@@ -266,7 +266,7 @@ def _pack_blocks(
     return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
+def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
     return table.at[index].get(mode="promise_in_bounds")
 
 
@@ -365,11 +365,11 @@ def _row_major(
 
 
 def _padded(values: Integer[np.ndarray, "n"]) -> Integer[np.ndarray, "padded"]:
-    padded = np.zeros(padded_size(len(values), _SLOT_SIZES), values.dtype)
+    padded = np.zeros(_padded_size(len(values), _SLOT_SIZES), values.dtype)
     padded[: len(values)] = values
     return padded
 
 
-def padded_size(n: int, sizes: tuple[int, ...]) -> int:
+def _padded_size(n: int, sizes: tuple[int, ...]) -> int:
     """The first of the sizes that is large enough; beyond them, the next power of two."""
     return next((size for size in sizes if size >= n), 1 << (n - 1).bit_length())
