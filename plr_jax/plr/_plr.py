@@ -1,6 +1,6 @@
 """The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,7 +132,7 @@ def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> P
     return PLR(build_tables(domain, cells, np.column_stack([at_corner, slope])), as_padded_array(data))
 
 
-def evaluate(plr: Callable[[ArrayLike], Float[Array, "*batch"]], x: ArrayLike) -> Float[Array, "*batch"]:
+def evaluate(plr: StoredFunction, x: ArrayLike) -> Float[Array, "*batch"]:
     """Approximate distance at each point: the plane of the leaf that holds it (Section III-A of the paper).
 
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is the leaf's slope.

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from plr_jax._box import Box
+from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._framing import HEADER_SIZE, file_size
 from plr_jax.plr._tables import Tables
@@ -24,6 +25,10 @@ class StoredFunction(ABC):
 
     tables: Tables
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    @abstractmethod
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Value at each point, ``(..., dim)``."""
 
     @property
     @abstractmethod
