@@ -1,4 +1,4 @@
-"""Arrays from outside: numbers of the right shape, or an error that says what was expected."""
+"""Arrays and numbers from outside: of the right shape and range, or an error that says what was expected."""
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +21,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
         ValueError: If the shape is another one, or the values are not numbers.
     """
     expected = f"shape (n, {'dim' if dim is None else dim})"
-    points = _numbers(name, value, f"numbers of {expected}")
+    points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
         single = points.ndim == 1 and points.size == (dim or max(1, points.size))
         hint = f" Use {name}[None] for a single point." if single else ""
@@ -44,7 +44,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
         ValueError: If the shape is another one, or the values are not numbers.
     """
     expected = f"shape ({'dim' if dim is None else dim},)"
-    point = _numbers(name, value, f"numbers of {expected}")
+    point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
         raise ValueError(f"{name} must be one point of {expected}, got shape {point.shape}.")
     return point
@@ -71,7 +71,20 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
     return point
 
 
-def _numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
+def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
+    """An array of any shape as one of float64.
+
+    Args:
+        name: What the numbers are called in an error.
+        value: Anything array-like; NaN and infinity are let through.
+        expected: What they must be, after "must be".
+
+    Returns:
+        The numbers; the given array itself where it is one of float64.
+
+    Raises:
+        ValueError: If the values are not real numbers.
+    """
     try:
         numbers = np.asarray(value)
         if np.iscomplexobj(numbers):  # whose imaginary parts NumPy would drop
@@ -79,3 +92,9 @@ def _numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, ".
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None
+
+
+def require_integer(name: str, value: object, least: int) -> None:
+    """Raise ``ValueError`` if a value is not an integer that is large enough."""
+    if not (isinstance(value, int | np.integer) and value >= least):
+        raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")

@@ -10,6 +10,7 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
+from plr_jax._arrays import as_numbers
 from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot, footprint, shorter_turn, team_dof
 from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
@@ -173,10 +174,7 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
         ValueError: If the shape is another one, or the values are not numbers.
     """
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
-    try:
-        array = np.asarray(path, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"A path must be numbers of shape {shape}.") from None
+    array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
         raise ValueError(f"A path must have shape {shape} with at least one step, got {array.shape}.")
     return array
@@ -184,10 +182,7 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
 
 def _configurations(name: str, value: ArrayLike, num_robots: int, dof: int) -> Float[np.ndarray, "robots dof"]:
     shape = f"(robots, dof) = ({num_robots}, {dof})"
-    try:
-        configurations = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers of shape {shape}, got {value!r}.") from None
+    configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
     if configurations.shape != (num_robots, dof):
         raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}.")
     broken = np.flatnonzero(~np.isfinite(configurations).all(axis=1))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
 
 
 def test_points_become_float64_rows():
@@ -65,3 +65,14 @@ def test_what_is_no_batch_of_points_is_refused(value, dim, message):
 def test_what_is_no_finite_point_is_refused(value, dim, message):
     with pytest.raises(ValueError, match=message):
         as_finite_point("The goal", value, dim)
+
+
+@pytest.mark.parametrize("value", [-1, 1.0, "1", None, 1 + 0j])
+def test_what_is_no_integer_or_too_small_is_refused(value):
+    with pytest.raises(ValueError, match="num must be an integer >= 0, got "):
+        require_integer("num", value, 0)
+
+
+@pytest.mark.parametrize("value", [0, 7, np.int64(3), np.uint8(0)])
+def test_integers_of_any_type_are_let_through(value):
+    require_integer("num", value, 0)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import as_numbers, require_integer
 from plr_jax._problem import Problem
 from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike
@@ -34,10 +35,7 @@ def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tupl
 def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses steps robots dof"]:
     """The given paths as a batch, checked."""
     shape = f"(steps, robots, dof) or (guesses, steps, robots, dof) with (robots, dof) = {problem.starts.shape}"
-    try:
-        batch = np.array(paths, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"Paths must be numbers of shape {shape}.") from None
+    batch = as_numbers("Paths", paths, f"numbers of shape {shape}")
     batch = batch[None] if batch.ndim == 3 else batch
     if batch.ndim != 4 or batch.shape[2:] != problem.starts.shape or 0 in batch.shape:
         raise ValueError(f"Paths must have shape {shape}, at least one guess of one step, got {np.shape(paths)}.")
@@ -64,8 +62,7 @@ def check_options(
         ("num_iterations", num_iterations, 1),
         ("seed", seed, 0),
     ):
-        if not (isinstance(value, int | np.integer) and value >= least):
-            raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
+        require_integer(name, value, least)
     if margin is not None and not (np.isfinite(margin) and margin > 0):
         raise ValueError(f"margin must be positive and finite, got {margin!r}.")
     if not (np.isfinite(smoothness) and smoothness >= 0):

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_finite_point, as_points
+from plr_jax._arrays import as_finite_point, as_numbers, as_points
 from plr_jax._graph import Graph, dijkstra
 from plr_jax._types import ArrayLike
 from plr_jax._workspace import Workspace
@@ -117,7 +117,8 @@ def _field_at(
     distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
 ) -> Float[np.ndarray, "places"]:
     """The field at the goal, where it is zero by definition, and at the corners."""
-    field = np.asarray(distance_fn(points.copy()), dtype=np.float64)  # a function may compute in place
+    values = distance_fn(points.copy())  # it may compute in place
+    field = as_numbers("The field", values, f"numbers of shape ({len(points)},)")
     if field.shape != (len(points),):
         raise ValueError(f"The field must give one number a point, shape ({len(points)},), got {field.shape}.")
     if np.isnan(field).any():

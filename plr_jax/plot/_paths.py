@@ -5,6 +5,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
+from plr_jax._arrays import as_numbers
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
 from plr_jax.plot._plane import plot_workspace
@@ -127,10 +128,7 @@ def _add_faded(ax: Axes, problem: Problem, i: int, poses: Float[np.ndarray, "n d
 
 def _as_samples(problem: Problem, samples: ArrayLike) -> Float[np.ndarray, "n robots dof"]:
     shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
-    try:
-        array = np.asarray(samples, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"Samples must be numbers of shape {shape}.") from None
+    array = as_numbers("Samples", samples, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape:
         raise ValueError(f"Samples must have shape {shape}, got {array.shape}.")
     return array

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import require_integer
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._budget import choose_leaves, splits_allowed
@@ -102,8 +103,7 @@ def construct(
         )
     if not (isinstance(margin, int | float | np.number) and 0 <= margin <= 1):
         raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
+    require_integer("seed", seed, 0)
     pattern = sample_pattern(domain.dim, int(num_samples), float(margin), int(seed))
 
     at_once = max(1, _SAMPLES_AT_ONCE // len(pattern))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import require_integer
 from plr_jax._box import Box
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.plr._cells import Cells
@@ -98,8 +99,7 @@ def _check(order: int, dim: int, num_samples: int, seed: int) -> None:
         )
     if not isinstance(num_samples, int | np.integer) or num_samples <= 2**dim:
         raise ValueError(f"num_samples must be at least 2**dim + 1 = {2**dim + 1}, got {num_samples}.")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
+    require_integer("seed", seed, 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
 from plr_jax.plr._fit import call_oracle
 from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
@@ -68,10 +69,8 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
         ValueError: If ``num_samples`` is not positive, ``seed`` is negative, or ``distance_fn`` returns a wrong
             shape or NaN.
     """
-    if not isinstance(num_samples, int | np.integer) or num_samples < 1:
-        raise ValueError(f"num_samples must be an integer >= 1, got {num_samples!r}.")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"seed must be an integer >= 0, got {seed!r}.")
+    require_integer("num_samples", num_samples, 1)
+    require_integer("seed", seed, 0)
     tree = tree_of(plr.cells)
     faces = shared_faces(tree)
     pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]

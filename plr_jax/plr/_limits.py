@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plr_jax._arrays import require_integer
 from plr_jax.plr._planes import FLOAT_BITS, MAX_BITS, MIN_BITS
 from plr_jax.plr._tree import MAX_DEPTH
 
@@ -36,8 +37,8 @@ def check_limits(
         ("max_leaves", max_leaves, 1),
         ("max_bytes", max_bytes, 1),
     ):
-        if value is not None and not (isinstance(value, int | np.integer) and value >= least):
-            raise ValueError(f"{name} must be an integer >= {least}, got {value}.")
+        if value is not None:
+            require_integer(name, value, least)
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
     if tolerance is not None and not (isinstance(tolerance, int | float | np.number) and 0 <= tolerance < np.inf):

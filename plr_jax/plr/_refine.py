@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_points
+from plr_jax._arrays import as_numbers, as_points, require_integer
 from plr_jax._types import ArrayLike
 from plr_jax.plr._faces import Faces
 from plr_jax.plr._file import size_in_bytes
@@ -132,9 +132,8 @@ def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None
 
 def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None, seed: int) -> None:
     for name, value, least in (("num_steps", num_steps, 1), ("seed", seed, 0), ("max_bytes", max_bytes, 1)):
-        optional = name == "max_bytes" and value is None
-        if not (optional or (isinstance(value, int | np.integer) and value >= least)):
-            raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
+        if name != "max_bytes" or value is not None:
+            require_integer(name, value, least)
     if not (isinstance(held_out, int | float | np.number) and 0 <= held_out < 1):
         raise ValueError(f"held_out must be a share of the points, from 0 to below 1, got {held_out!r}.")
 
@@ -173,10 +172,7 @@ def _check_samples(plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLik
 
 
 def _column(name: str, value: ArrayLike, num_points: int) -> Float[np.ndarray, "n"]:
-    try:
-        column = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be numbers of shape ({num_points},), got {value!r:.200}.") from error
+    column = as_numbers(name, value, f"numbers of shape ({num_points},)")
     if column.shape != (num_points,):
         raise ValueError(f"{name} must have one number a point, shape ({num_points},), got {column.shape}.")
     return column

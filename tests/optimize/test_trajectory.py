@@ -287,6 +287,7 @@ def test_iterations_in_parts_are_all_of_them(num_iterations):
         (detour()[0], "Paths must have shape"),
         (detour()[:0], "at least one guess of one step"),
         ("abc", "Paths must be numbers"),
+        (detour() + 0j, "Paths must be numbers"),
         (detour() * np.array([1, np.nan, 1, 1])[:, None, None], "Paths must be finite; path 0"),
         (detour()[::-1], "Path 0 must have the problem's starts as its first row"),
         (detour()[:-1], "Path 0 must have the problem's goals as its last row"),

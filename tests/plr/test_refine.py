@@ -369,6 +369,7 @@ def test_no_warning_without_an_interrupt(wall):
         ({"x": np.full((5, 2), np.nan)}, "All points must lie in"),
         ({"distance": np.zeros(4)}, r"distance must have one number a point, shape \(5,\), got \(4,\)"),
         ({"distance": ["a"] * 5}, "distance must be numbers"),
+        ({"distance": np.ones(5) + 1j}, "distance must be numbers"),
         ({"distance": np.full(5, np.nan)}, "A distance must be a number, or inf"),
         ({"distance": np.full(5, -np.inf)}, "A distance must be a number, or inf"),
         ({"distance": np.full(5, np.inf)}, "No leaf of .* points of positive weight"),
