@@ -2,7 +2,15 @@
 
 import numpy as np
 
+from plr_jax._box import Box
 from plr_jax.plr._cells import Cells
+
+UNIT = Box([0, 0], [1, 1])
+
+
+def points(n, seed, dim=2):
+    """Random points of the unit box."""
+    return np.random.default_rng(seed).random((n, dim))
 
 
 def cone(x):
