@@ -13,7 +13,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._cells import Cells
 from plr_jax.plr._neighbors import fill_unreachable
 from plr_jax.plr._nodal_basis import design, monomials, numbers_of_leaves
-from plr_jax.plr._nodal_file import Partition, decode
+from plr_jax.plr._nodal_file import Partition, decode, decode_partition
 from plr_jax.plr._planes import LARGEST
 from plr_jax.plr._plr import as_array, require_real
 from plr_jax.plr._stored import StoredFunction, as_padded_array
@@ -66,8 +66,7 @@ class ContinuousPLR(StoredFunction):
 
     @cached_property
     def _partition(self) -> tuple[Box, Partition]:
-        domain, _, partition, _, _ = decode(self.to_bytes())
-        return domain, partition
+        return decode_partition(self.to_bytes())
 
     @property
     def domain(self) -> Box:

@@ -108,12 +108,7 @@ def encode(domain: Box, order: int, partition: Partition, space: NodalSpace, val
 
 def decode(data: bytes) -> tuple[Box, int, Partition, NodalSpace, StoredValues]:
     """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    dim, order, num_leaves, content = unframe(KIND, data)
-    if order >= len(MAX_DIM_OF_ORDER) or not 1 <= dim <= MAX_DIM_OF_ORDER[order]:
-        raise ValueError(f"it states {dim} axes and continuity of order {order}")
-    domain, offset, step, rest = read_span(content, dim)
-    body = BitReader(rest)
-    partition = _read_partition(body, read_leaves(body, dim, num_leaves))
+    domain, order, offset, step, partition, body = _open(data)
     space = partition.space()
     code = np.zeros(len(space.masters), np.int64)
     for level in _level_slices(space.level):
@@ -122,6 +117,23 @@ def decode(data: bytes) -> tuple[Box, int, Partition, NodalSpace, StoredValues]:
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
     return domain, order, partition, space, StoredValues(offset, step, code)
+
+
+def decode_partition(data: bytes) -> tuple[Box, Partition]:
+    """The domain and its leaves alone, without what their values need."""
+    domain, _, _, _, partition, _ = _open(data)
+    return domain, partition
+
+
+def _open(data: bytes) -> tuple[Box, int, float, float, Partition, BitReader]:
+    """Domain, order, offset, step and leaves of a file, and what follows them in it."""
+    dim, order, num_leaves, content = unframe(KIND, data)
+    if order >= len(MAX_DIM_OF_ORDER) or not 1 <= dim <= MAX_DIM_OF_ORDER[order]:
+        raise ValueError(f"it states {dim} axes and continuity of order {order}")
+    domain, offset, step, rest = read_span(content, dim)
+    body = BitReader(rest)
+    partition = _read_partition(body, read_leaves(body, dim, num_leaves))
+    return domain, order, offset, step, partition, body
 
 
 def _read_partition(body: BitReader, cells: Cells) -> Partition:
