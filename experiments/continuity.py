@@ -20,7 +20,7 @@ from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, Box, ContinuousPLR, VisibilityGraph, Workspace, construct, construct_continuous, metrics
-from plr_jax.plr._nodal_tree import face_points, shared_faces, tree_of
+from plr_jax.plr.partition.faces import face_points, shared_faces, tree_of
 
 POINT_SEED, FACE_SEED = 1_000, 3_000
 BESIDE = 2.0**-22

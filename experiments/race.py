@@ -21,7 +21,8 @@ from tqdm import tqdm
 from experiments._planning import PLR, PLR_BYTES, SCENES, build, is_valid, lower_bound, plan
 from experiments._results import run
 from experiments._tables import aligned
-from plr_jax import BLOptions, HeuristicFn, Problem, Solution, ompl_plan, scenes
+from experiments.baselines.ompl import ompl_plan
+from plr_jax import BLOptions, HeuristicFn, Problem, Solution, scenes
 
 PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar")
 NUM_STARTS, NUM_RUNS = 3, 5

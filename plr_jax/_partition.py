@@ -2,8 +2,8 @@
 
 from typing import Protocol, runtime_checkable
 
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
 
 
 @runtime_checkable

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_numbers
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot, footprint, shorter_turn, team_dof
 from plr_jax._types import ArrayLike
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot, footprint, shorter_turn, team_dof
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 

@@ -7,7 +7,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from robots import along, rounding, shapes
+from robot_helpers import along, rounding, shapes
 
 from plr_jax import (
     BLOptions,
@@ -19,11 +19,11 @@ from plr_jax import (
     robot_distance_fns,
     validate,
 )
-from plr_jax._collision import motions_apart
+from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import sum_of_distances
-from plr_jax.planners._children import Team
-from plr_jax.planners._lattice import PRIMITIVES, build_lattices
-from plr_jax.planners._search import Effort
+from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
+from plr_jax.planners.bl.search import Effort
+from plr_jax.planners.bl.successors import Team
 
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))

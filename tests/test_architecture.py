@@ -6,22 +6,29 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-LAYER_0 = [
-    "_types",
-    "_arrays",
-    "_atomic",
-    "_box",
-    "_partition",
-    "_geometry",
-    "_polygons",
-    "_workspace",
-    "_robot",
-    "_collision",
-    "_obstacles",
-    "_problem",
-    "_validate",
-    "_graph",
+# From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
+LAYERS = [
+    ["_types"],
+    ["_arrays", "_atomic"],
+    ["geometry"],
+    ["robots"],
+    ["collision"],
+    ["_problem"],
+    ["_validate"],
+    ["oracles", "plr", "planners"],
+    ["optimize", "metrics", "plot", "scenes"],
+    ["cli"],
 ]
+# Inside the room that stores, likewise.
+PLR_LAYERS = [
+    ["partition", "query"],
+    ["sampling"],
+    ["growth"],
+    ["file"],
+    ["leaves"],
+    ["refine"],
+]
+MOST_MODULES, MOST_LINES = 12, 350
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -50,18 +57,43 @@ def part_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def test_every_private_top_level_file_has_a_place_in_layer_0():
-    found = {path.stem for path in PACKAGE.glob("_*.py")} - {"__init__"}
-    assert found <= set(LAYER_0)
+def below(part: str, layers: list[list[str]]) -> set[str]:
+    """The parts that a part may import."""
+    row = next(row for row, parts in enumerate(layers) if part in parts)
+    return {other for parts in layers[:row] for other in parts}
+
+
+def test_every_part_has_a_layer():
+    found = {part_of(path) for path in SOURCES} - {"__init__"}
+    assert found == {part for layer in LAYERS for part in layer}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_point_downward(path):
-    part, imports = part_of(path), parts_of(path) - {part_of(path)}
-    if part in LAYER_0:
-        assert imports <= set(LAYER_0[: LAYER_0.index(part)])
-    elif part not in ("cli", "__init__"):  # rooms and leaves, which never import one another
-        assert imports <= set(LAYER_0)
+    part = part_of(path)
+    if part != "__init__":
+        assert parts_of(path) - {part} <= below(part, LAYERS)
+
+
+def test_packages_and_modules_are_small():
+    packages = {path.parent: [] for path in SOURCES}
+    for path in SOURCES:
+        if path.name != "__init__.py":
+            packages[path.parent].append(path.name)
+    assert {package: len(names) for package, names in packages.items() if len(names) > MOST_MODULES} == {}
+    lines = {path: len(path.read_text().splitlines()) for path in SOURCES}
+    assert {path: number for path, number in lines.items() if number > MOST_LINES} == {}
+
+
+def test_no_two_classes_or_public_functions_share_a_name():
+    homes: dict[str, list[str]] = {}
+    for path in SOURCES:
+        for node in ast.parse(path.read_text()).body:
+            is_class = isinstance(node, ast.ClassDef)
+            if is_class or (isinstance(node, ast.FunctionDef) and not node.name.startswith("_")):
+                homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    shared = {name: places for name, places in homes.items() if len(places) > 1}
+    assert shared.keys() <= {"save", "load"}  # of a PLR, and with their room before them of a scene or a picture
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))

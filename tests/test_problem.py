@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from plr_jax._problem import Problem, makespan, motion_costs, path_cost
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]
 ROOM = Workspace(((0, 0), (1, 1)), [WALL])

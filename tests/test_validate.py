@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from robots import BAR, DISC, POINT, along, random_motions, rounding, shapes
+from robot_helpers import BAR, DISC, POINT, along, random_motions, rounding, shapes
 
 from plr_jax import scenes
-from plr_jax._collision import motions_apart
-from plr_jax._obstacles import MotionTest
 from plr_jax._problem import Problem, path_cost
-from plr_jax._robot import DiscRobot, RectangleRobot
 from plr_jax._validate import validate
-from plr_jax._workspace import Workspace
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.walls import MotionTest
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from numba import njit
 from numba.np.numpy_support import carray
 
+from experiments.baselines.ompl_motions import _pointer, _word
 from plr_jax import PLR
-from plr_jax.planners._ompl_motions import _pointer, _word
 
 _HEADER, _FRAME = 4, 4
 
@@ -65,7 +65,7 @@ def sums(q, address: int):
 @no_type_check
 def sum_at_state(state: int, address: int):
     """The same for an OMPL state of a real vector space, given by the ``id`` of its Python object."""
-    # The layout of nanobind's objects and OMPL's states is as in plr_jax.planners._ompl_motions.
+    # The layout of nanobind's objects and OMPL's states is as in experiments.baselines.ompl_motions.
     offset, flags = carray(_pointer(state + 16), (2,), np.int32)
     values = state + offset
     if not flags & 4:

@@ -18,8 +18,8 @@ from plr_jax.cli._app import INTERRUPTED_EXIT, command
 from plr_jax.cli._inputs import SCENES, parse_goal, parse_points, read_map, read_text
 
 if TYPE_CHECKING:
-    from plr_jax._box import Box
-    from plr_jax._workspace import Workspace
+    from plr_jax.geometry.box import Box
+    from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
     from plr_jax.plr import PLR, ContinuousPLR
 

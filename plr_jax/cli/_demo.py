@@ -11,10 +11,10 @@ import typer
 
 from plr_jax import metrics, plot, scenes
 from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax._workspace import Workspace
 from plr_jax.cli import _planning
 from plr_jax.cli._app import fail
 from plr_jax.cli._inputs import Heuristic
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.planners import BLOptions
 from plr_jax.plr import PLR, construct, save

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
-    from plr_jax._workspace import Workspace
+    from plr_jax.geometry.workspace import Workspace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)

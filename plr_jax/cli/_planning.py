@@ -10,13 +10,13 @@ import numpy as np
 import typer
 
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._robot import DiscRobot, RectangleRobot, Robot
 from plr_jax._types import DistanceFn, HeuristicFn
 from plr_jax._validate import ValidationReport, validate
 from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph, robot_distance_fns
 from plr_jax.planners import BLOptions, Solution, bl_plan, straight_line, sum_of_distances, zero
 from plr_jax.plr import PLR, ConstructionInterrupted, construct
+from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
 
 
 class Phases:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike, DistanceFn, Distances, Points
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 

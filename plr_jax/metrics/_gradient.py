@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_finite_point, as_points
 from plr_jax._partition import Partition
 from plr_jax._types import ArrayLike
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.metrics._leaves import ValuesAndGradients, face_jumps, unit_vectors, walk_from_leaves
 
 _QUANTILES = (0.5, 0.9, 0.99)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._partition import Partition
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 
 ValuesAndGradients = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]]
 

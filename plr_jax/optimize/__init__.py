@@ -3,6 +3,6 @@
 from plr_jax.optimize._descend import Descent as Descent
 from plr_jax.optimize._descend import DescentStatus as DescentStatus
 from plr_jax.optimize._descend import descend as descend
-from plr_jax.optimize._trajectory import OptimizationInterrupted as OptimizationInterrupted
-from plr_jax.optimize._trajectory import OptimizedPaths as OptimizedPaths
-from plr_jax.optimize._trajectory import optimize_paths as optimize_paths
+from plr_jax.optimize.trajectory.driver import OptimizationInterrupted as OptimizationInterrupted
+from plr_jax.optimize.trajectory.driver import OptimizedPaths as OptimizedPaths
+from plr_jax.optimize.trajectory.driver import optimize_paths as optimize_paths

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, require_integer
 from plr_jax._problem import Problem
-from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike
+from plr_jax.robots.robot import RectangleRobot
 
 
 def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tuple[Any, ...]:

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_finite_point, as_numbers, as_points
-from plr_jax._graph import Graph, dijkstra
 from plr_jax._types import ArrayLike
-from plr_jax._workspace import Workspace
-from plr_jax.optimize._places import Places
-from plr_jax.optimize._sight import best_in_sight
+from plr_jax.geometry.graph import Graph, dijkstra
+from plr_jax.geometry.places import Places
+from plr_jax.geometry.visibility_search import best_in_sight
+from plr_jax.geometry.workspace import Workspace
 
 _NUM_WAYS = 2
 """Ways on from a corner that the field names: the best one, and another where the field errs by a little."""

@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool
 
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike, Points
+from plr_jax.geometry.box import Box
 
 IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]

@@ -7,8 +7,8 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._box import Box
 from plr_jax._types import Points
+from plr_jax.geometry.box import Box
 from plr_jax.oracles._local_planner import IsFree, IsVisible
 
 _EDGES_A_STEP = 2**15  # edges tested between two signs of life of the progress bar

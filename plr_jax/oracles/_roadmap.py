@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
-from plr_jax._box import Box
-from plr_jax._graph import Graph, astar, dijkstra, to_networkx
 from plr_jax._types import ArrayLike, Distances, Points
-from plr_jax._workspace import Workspace
-from plr_jax.oracles._first_visible import first_visible
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.first_visible import first_visible
+from plr_jax.geometry.graph import Graph, astar, dijkstra, to_networkx
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._local_planner import IsFree, IsVisible, checked_is_free, checked_is_visible
 from plr_jax.oracles._prm_star import prm_star_radius, sample_free, visible_edges
 

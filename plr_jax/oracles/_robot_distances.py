@@ -6,7 +6,7 @@ import shapely.ops
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
 

@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
-from plr_jax._graph import Graph, dijkstra, path_from_root, to_networkx
 from plr_jax._types import ArrayLike, Distances
-from plr_jax._workspace import Workspace
-from plr_jax.oracles._corners import Corners, find_corners
-from plr_jax.oracles._first_visible import first_visible
-from plr_jax.oracles._turns import Turns, find_turns
-from plr_jax.oracles._visibility import Viewpoints, VisibilityTable, Walls, visibility_table
+from plr_jax.geometry.corners import Corners, find_corners
+from plr_jax.geometry.first_visible import first_visible
+from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.turn_points import Turns, find_turns
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, Walls, visibility_table
+from plr_jax.geometry.workspace import Workspace
 
 _CHUNK = 1 << 18  # pairs of a point and a corner held at a time
 
@@ -43,7 +43,7 @@ class VisibilityGraph:
 
     References:
         de Berg et al., Computational Geometry (3rd ed.), chapter 15; visibility polygons as in
-        :mod:`plr_jax.oracles._visibility`.
+        :mod:`plr_jax.geometry.visibility`.
     """
 
     workspace: Workspace

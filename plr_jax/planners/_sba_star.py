@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._collision import motions_apart
-from plr_jax._obstacles import motion_test
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.walls import motion_test
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.robots.robot import RectangleRobot
 
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 

@@ -16,7 +16,6 @@ from scipy.spatial import KDTree
 
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
-from plr_jax._robot import RectangleRobot
 from plr_jax._types import ArrayLike
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.plot._player import HOLD, embedded, page
@@ -32,6 +31,7 @@ from plr_jax.plot._robots import (
     placed,
 )
 from plr_jax.plot._timeline import Timeline, timeline
+from plr_jax.robots.robot import RectangleRobot
 
 _PANEL, _MARGIN, _DPI = 4.2, 0.08, 120  # inches, inches, pixels an inch
 _LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with

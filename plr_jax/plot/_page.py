@@ -11,9 +11,9 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._box import Box
 from plr_jax._partition import Partition
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
 
 INK = "#262626"
 DISTANCE_COLORS = "viridis"

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from plr_jax._partition import Partition
 from plr_jax._types import ArrayLike
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
     DISTANCE_LABEL,

@@ -10,11 +10,11 @@ import shapely
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
-from plr_jax._robot import RectangleRobot
 from plr_jax.plot._page import INK
 from plr_jax.plot._plane import OBSTACLE, blocked_polygons
 from plr_jax.plot._robots import color_of, drawn_radius, ink_on, nose, outline
 from plr_jax.plot._timeline import Timeline
+from plr_jax.robots.robot import RectangleRobot
 
 _SIZE = 520.0  # pixels along the longer side of the bounds, before the browser scales them
 _BORDER, _CONTROLS, _PADDING = 2.0, 28, 6

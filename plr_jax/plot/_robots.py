@@ -12,10 +12,10 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
-from plr_jax._box import Box
 from plr_jax._problem import Problem
-from plr_jax._robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.geometry.box import Box
 from plr_jax.plot._page import FONT_SIZE, INK
+from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
 
 # Chosen among named color-blind-safe palettes so that any two (the first four above all) stay apart as normal,
 # red-, green- and blue-blind readers see them.

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem, as_path, motion_costs
-from plr_jax._robot import RectangleRobot, shorter_turn
 from plr_jax._types import ArrayLike
+from plr_jax.robots.robot import RectangleRobot, shorter_turn
 
 
 @dataclass(frozen=True, eq=False)

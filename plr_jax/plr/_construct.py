@@ -13,16 +13,16 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import require_integer
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax.plr._budget import choose_leaves, splits_allowed
-from plr_jax.plr._cells import Cells
-from plr_jax.plr._fit import FitRule, WeightFn, fit_cells, least_squares
-from plr_jax.plr._limits import Limits, check_limits, check_memory
-from plr_jax.plr._nodes import NEVER, Nodes, nodes_of_fit, split_order
-from plr_jax.plr._pattern import sample_pattern
+from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr._split import ShouldSplitRule, SplitRule, best_axis, largest_error
+from plr_jax.plr.growth.budget import choose_leaves, splits_allowed
+from plr_jax.plr.growth.limits import Limits, check_limits, check_memory
+from plr_jax.plr.growth.nodes import NEVER, Nodes, nodes_of_fit, split_order
+from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_samples import FitRule, WeightFn, fit_cells, least_squares
+from plr_jax.plr.sampling.pattern import sample_pattern
 
 _SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # of the splits so far, as many as this fraction are made in one last round

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike
-from plr_jax.plr._cells import Cells
-from plr_jax.plr._file import decode, encode
-from plr_jax.plr._neighbors import fill_unreachable
-from plr_jax.plr._planes import LARGEST, StoredPlanes
-from plr_jax.plr._stack import TableStack
+from plr_jax.geometry.box import Box
 from plr_jax.plr._stored import StoredFunction, as_padded_array
-from plr_jax.plr._tables import Frame, Tables, build_tables, evaluate_tables, lookup, table_corners
+from plr_jax.plr.file.plr_file import decode, encode
+from plr_jax.plr.leaves.plane.codec import LARGEST, StoredPlanes
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.neighbors import fill_unreachable
+from plr_jax.plr.query.stack import TableStack
+from plr_jax.plr.query.tables import Frame, Tables, build_tables, evaluate_tables, lookup, table_corners
 
 
 @jax.tree_util.register_dataclass

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from plr_jax._box import Box
 from plr_jax._types import ArrayLike
-from plr_jax.plr._cells import Cells
-from plr_jax.plr._framing import HEADER_SIZE, file_size
-from plr_jax.plr._tables import Tables
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.container import HEADER_SIZE, file_size
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.tables import Tables
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
-from plr_jax._robot import DiscRobot, RectangleRobot, Robot, team_dof
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot, team_dof
 
 # A db-CBS unicycle_first_order_0 is this rectangle, though a dynobench model of that name is a disc.
 _SHAPES: dict[str, Robot] = {

@@ -27,8 +27,8 @@ import shapely
 
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot, Robot
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot
 from plr_jax.scenes._polygons import read_json
 
 _FORMAT = "plr_jax scene"

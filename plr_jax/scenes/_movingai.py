@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4

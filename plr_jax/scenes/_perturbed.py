@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
-from plr_jax._robot import RectangleRobot
+from plr_jax.robots.robot import RectangleRobot
 
 _ATTEMPTS = 1000
 

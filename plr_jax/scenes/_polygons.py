@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:

@@ -6,12 +6,12 @@ import pytest
 from typer.testing import CliRunner
 
 from plr_jax import Problem, Workspace, scenes, validate
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot
 from plr_jax.cli import _planning, app
 from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
 from plr_jax.oracles import robot_distance_fns
 from plr_jax.planners import BLOptions, Status, bl_plan, straight_line
 from plr_jax.plr import construct
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
 
 runner = CliRunner()
 SQUARE = Workspace(((0, 0), (10, 10)))

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
+from plr_jax.geometry.places import Places
+from plr_jax.geometry.visibility_search import best_in_sight
 from plr_jax.optimize._descend import DescentStatus, descend
-from plr_jax.optimize._places import Places
-from plr_jax.optimize._sight import best_in_sight
 
 TEN = ((0, 0), (10, 10))
 REACHED, STUCK, NOT_FREE = DescentStatus
@@ -313,7 +313,7 @@ def test_best_in_sight_as_by_trying_all(n, num_places, count, seed):
 
 
 def test_many_points_are_searched_in_parts(monkeypatch):
-    monkeypatch.setattr("plr_jax.optimize._sight._CHUNK", 64)
+    monkeypatch.setattr("plr_jax.geometry.visibility_search._CHUNK", 64)
     goal, starts = (8, 2), DOOR.sample_free(300, 0)
     exact = VisibilityGraph(DOOR, goal)
     np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), rtol=1e-12)

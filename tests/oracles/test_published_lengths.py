@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax import scenes
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 
 

@@ -8,8 +8,8 @@ import shapely
 from jaxtyping import TypeCheckError
 
 from plr_jax import scenes
-from plr_jax._box import Box
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Roadmap
 from plr_jax.oracles._prm_star import prm_star_radius
 

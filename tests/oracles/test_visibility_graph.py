@@ -7,7 +7,7 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 
 TEN = ((0, 0), (10, 10))

@@ -5,7 +5,7 @@ import pytest
 from plr_helpers import UNIT, points, walled
 
 from plr_jax import construct
-from plr_jax.plr._faces import sample_faces
+from plr_jax.plr.sampling.face_samples import sample_faces
 
 
 @pytest.fixture(scope="session")

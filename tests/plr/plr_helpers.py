@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from plr_jax._box import Box
-from plr_jax.plr._cells import Cells
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells
 
 UNIT = Box([0, 0], [1, 1])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plr_helpers import cone, walled
 
-from plr_jax._box import Box
+from plr_jax.geometry.box import Box
 from plr_jax.plr import (
     ConstructionInterrupted,
     _construct,
@@ -16,9 +16,9 @@ from plr_jax.plr import (
     maximum_depth,
     midrange,
 )
-from plr_jax.plr._cells import Cells
-from plr_jax.plr._fit import fit_cells
-from plr_jax.plr._pattern import sample_pattern
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_samples import fit_cells
+from plr_jax.plr.sampling.pattern import sample_pattern
 
 SQUARE = Box((0, 0), (1, 1))
 

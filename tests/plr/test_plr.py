@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from plr_helpers import cone, evaluate_by_search, leaf_by_search, walled
 
-from plr_jax._box import Box
+from plr_jax.geometry.box import Box
 from plr_jax.plr import construct, evaluate
 from plr_jax.plr._plr import _evaluate
-from plr_jax.plr._tables import lookup
+from plr_jax.plr.query.tables import lookup
 
 SQUARE = Box((0, 0), (1, 1))
 

@@ -6,8 +6,8 @@ import shapely
 
 from plr_jax import scenes
 from plr_jax._problem import Problem
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot
-from plr_jax._workspace import Workspace
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
 
 POINT = [PointRobot()]
 

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from plr_jax import scenes
-from plr_jax._robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
 
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])

@@ -1,0 +1,1 @@
+"""Rivals from elsewhere, wrapped so that they solve the same problems as the package."""

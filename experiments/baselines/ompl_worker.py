@@ -1,0 +1,265 @@
+"""One trial of an OMPL planner, in a process of its own: ``python -m experiments.baselines.ompl_worker``.
+
+OMPL takes a seed only before its first planner, so that trials that are to be repeatable cannot share a process.
+The task comes in by standard input, messages go out by standard output, both pickled.
+"""
+
+import itertools
+import os
+import pickle
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+from ompl import base, geometric
+from ompl import util as ompl_util
+
+from experiments.baselines.ompl import Done, Found, Ready, Task
+from experiments.baselines.ompl_motions import Scene, configurations_of, is_free, is_motion_free
+
+_LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one reported, as a share
+
+
+class _Motions(base.MotionValidator):
+    """Whole motions tested by one compiled call, in place of states at a resolution."""
+
+    def __init__(self, information: Any, scene: Scene):
+        super().__init__(information)
+        self._scene = scene.address
+
+    def checkMotion(self, first: Any, last: Any) -> bool:
+        return is_free(id(first), id(last), self._scene)
+
+
+class _Length(base.OptimizationObjective):
+    """Path length, with the distance as heuristic.
+
+    OMPL's own objective of path length samples from an ellipsoid, which it does not know for our metric, and
+    refuses; what it derives from other objectives has no heuristic.
+    """
+
+    def __init__(self, information: Any):
+        super().__init__(information)
+        self._distance = information.distance
+
+    def stateCost(self, state: Any) -> Any:
+        return base.Cost(0.0)
+
+    def motionCost(self, first: Any, last: Any) -> Any:
+        return base.Cost(self._distance(first, last))
+
+    def motionCostHeuristic(self, first: Any, last: Any) -> Any:
+        return base.Cost(self._distance(first, last))
+
+
+def _length(information: Any) -> Any:
+    """Path length, compiled, for planners that need no heuristic: one term of a sum of objectives."""
+    objective = base.MultiOptimizationObjective(information)
+    objective.addObjective(base.PathLengthOptimizationObjective(information), 1.0)
+    objective.lock()
+    return objective
+
+
+_OBJECTIVES: dict[str, Callable[[Any], Any]] = {
+    "RRTstar": base.PathLengthOptimizationObjective,
+    "RRTConnect": base.PathLengthOptimizationObjective,
+    "AORRTC": _length,
+    "BITstar": _Length,
+}
+
+
+# Longest motions that extend a tree, as a share of the longer side of the bounds; BIT* has no such setting. OMPL's
+# default is a fifth of the joint space's extent, which grows with the team: nearly all such motions of three or
+# more robots collide, and RRT-Connect then needs ten to a hundred times as long to its first path. For RRT*, which
+# pays for every vertex that it keeps, longer ones are better.
+_RANGES = {"RRTConnect": 0.1, "AORRTC": 0.1, "RRTstar": 0.5}
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """A problem in OMPL's terms."""
+
+    task: Task
+    scene: Scene
+    information: Any
+    definition: Any
+    planner: Any
+    objective: Any
+
+    def path(self) -> Float[np.ndarray, "steps robots 3"]:
+        """OMPL's best path so far."""
+        path = self.definition.getSolutionPath()
+        states = range(path.getStateCount())
+        return np.array([configurations_of(path.getState(i), self.scene) for i in states])
+
+    def is_valid(self, path: Float[np.ndarray, "steps robots 3"]) -> bool:
+        """Whether all motions of a path are free. While OMPL simplifies a path, and even after, it may not be."""
+        return all(is_motion_free(*motion, self.scene.address) for motion in itertools.pairwise(path))
+
+    def samples(self) -> Float[np.ndarray, "nodes robots 3"]:
+        """The vertices of the planner's graph."""
+        data = base.PlannerData(self.information)
+        self.planner.getPlannerData(data)
+        vertices = (data.getVertex(i).getState() for i in range(data.numVertices()))
+        samples = [configurations_of(state, self.scene) for state in vertices if state is not None]
+        return np.array(samples).reshape(-1, *self.task.starts.shape)
+
+
+def main() -> None:
+    """Run the task that comes in."""
+    messages = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # so that what libraries print does not come among the messages
+
+    def send(message: Ready | Found | Done) -> None:
+        pickle.dump(message, messages)
+        messages.flush()
+
+    task: Task = pickle.load(sys.stdin.buffer)
+    ompl_util.RNG.setSeed(task.seed + 1)  # 0 is no seed to OMPL
+    ompl_util.setLogLevel(ompl_util.LOG_ERROR)
+    begin = time.perf_counter()
+    setup = _setup(task)
+    send(Ready(time.perf_counter() - begin))
+    send(_run(setup, send))
+    os._exit(0)  # past the bindings' report on what they leak at exit
+
+
+def _run(setup: _Setup, send: Callable[[Found], None]) -> Done:
+    """Plan, and report each path that is cheaper."""
+    begin, best, task, scene = time.perf_counter(), np.inf, setup.task, setup.scene
+
+    def report(cost: float) -> bool:
+        """Report a path of some cost, and tell whether the trial is over."""
+        nonlocal best
+        seconds = time.perf_counter() - begin
+        if 0 < cost < best * (1 - _LEAST_IMPROVEMENT) or best > task.cost_target >= cost > 0:
+            path = setup.path()
+            if setup.is_valid(path):
+                best = cost
+                send(Found(seconds, path))
+        return seconds >= task.time_limit or best <= task.cost_target
+
+    finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
+    seconds = time.perf_counter() - begin
+    return Done(finished or best <= task.cost_target, seconds, setup.samples(), scene.num_checked, scene.num_free)
+
+
+Report: TypeAlias = Callable[[float], bool]
+
+
+def _plan_by_threshold(setup: _Setup, report: Report, deadline: float) -> bool:
+    """RRT* and BIT*: they return at each path below a cost threshold, and go on where they were."""
+    best = np.inf
+    while not report(best):
+        threshold = best * (1 - _LEAST_IMPROVEMENT)
+        setup.objective.setCostThreshold(base.Cost(max(threshold, min(best, setup.task.cost_target))))
+        setup.planner.solve(max(deadline - time.perf_counter(), 0.0))
+        cost = setup.planner.bestCost().value()
+        if time.perf_counter() < deadline and not cost < best:
+            return True  # it says that there is no better path
+        best = min(best, cost)
+    return False
+
+
+def _plan_by_polling(setup: _Setup, report: Report, deadline: float) -> bool:
+    """AORRTC: it plans, simplifies and restarts by itself, and adds paths to the problem as it goes."""
+    over, num_paths = False, 0
+
+    def stop() -> bool:
+        nonlocal over, num_paths
+        # After a solve that found none, the path nearest to the goal is there too, but it is not exact.
+        if setup.definition.getSolutionCount() != num_paths and setup.definition.hasExactSolution():
+            num_paths = setup.definition.getSolutionCount()
+            over = report(setup.definition.getSolutionPath().length())
+        return over or time.perf_counter() >= deadline
+
+    setup.planner.solve(base.PlannerTerminationCondition(stop))
+    stop()
+    return time.perf_counter() < deadline
+
+
+def _plan_by_restarts(setup: _Setup, report: Report, deadline: float) -> bool:
+    """RRT-Connect: plan and simplify, again and again from the start."""
+    simplifier = geometric.PathSimplifier(setup.information, setup.definition.getGoal(), setup.objective)
+    over = False
+    while not over and time.perf_counter() < deadline:
+        setup.planner.clear()
+        setup.definition.clearSolutionPaths()
+        setup.planner.solve(max(deadline - time.perf_counter(), 0.0))
+        if setup.definition.hasExactSolution():
+            path = setup.definition.getSolutionPath()
+            over = report(path.length())
+            simplifier.simplify(path, max(deadline - time.perf_counter(), 0.0))
+            over = report(path.length()) or over
+    return False
+
+
+_PLANS: dict[str, Callable[[_Setup, Report, float], bool]] = {
+    "RRTstar": _plan_by_threshold,
+    "BITstar": _plan_by_threshold,
+    "AORRTC": _plan_by_polling,
+    "RRTConnect": _plan_by_restarts,
+}
+
+
+def _setup(task: Task) -> _Setup:
+    """The problem in OMPL's terms, everything compiled."""
+    scene, space = Scene(task.sizes, task.walls, task.tolerance), _space(task)
+    information = base.SpaceInformation(space)
+    address = scene.address
+    information.setStateValidityChecker(lambda state: is_free(id(state), id(state), address))
+    information.setMotionValidator(_Motions(information, scene))
+    information.setup()
+    ends = [_state(space, task, q) for q in (task.starts, task.goals)]
+    for state, q in zip(ends, (task.starts, task.goals), strict=True):
+        if not np.allclose(np.exp(1j * configurations_of(state, scene)), np.exp(1j * q)):
+            raise RuntimeError("This version of OMPL keeps states in another way; please use ompl 2.0.1.")
+        information.isValid(state)  # compiles, and so does the next line
+        is_motion_free(q, q, address)
+    definition = base.ProblemDefinition(information)
+    definition.setStartAndGoalStates(*ends)
+    objective = _OBJECTIVES[task.planner](information)
+    definition.setOptimizationObjective(objective)
+    planner = getattr(geometric, task.planner)(information)
+    planner.setProblemDefinition(definition)
+    if task.planner in _RANGES:
+        longest = _RANGES[task.planner] * float((task.hi - task.lo).max())
+        planner.setRange(min(longest, 0.2 * space.getMaximumExtent()))
+    planner.setup()
+    return _Setup(task, scene, information, definition, planner, objective)
+
+
+def _space(task: Task) -> Any:
+    """A position for each robot, then a heading for each rectangle: its metric is our cost."""
+    parts, weights = [], []
+    for _ in task.sizes:
+        plane, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
+        for axis in range(2):
+            bounds.setLow(axis, float(task.lo[axis]))
+            bounds.setHigh(axis, float(task.hi[axis]))
+        plane.setBounds(bounds)
+        parts.append(plane)
+        weights.append(1.0)
+    for weight in task.rotation_weights[task.sizes[:, 0] > 0]:
+        parts.append(base.SO2StateSpace())
+        weights.append(max(float(weight), 1e-6))  # 0 would make no metric
+    space = base.CompoundStateSpace(parts, weights)
+    space.setup()
+    return space
+
+
+def _state(space: Any, task: Task, q: Float[np.ndarray, "robots 3"]) -> Any:
+    """A joint configuration as a state."""
+    state = space.allocState()
+    headings = q[task.sizes[:, 0] > 0, 2]
+    space.copyFromReals(state, [*q[:, :2].ravel().tolist(), *headings.tolist()])
+    space.enforceBounds(state)
+    return state
+
+
+if __name__ == "__main__":
+    main()

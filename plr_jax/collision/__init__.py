@@ -1,0 +1,1 @@
+"""Pairs of robots, and robots and walls, along simultaneous straight motions."""

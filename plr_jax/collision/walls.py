@@ -1,0 +1,220 @@
+"""Collision of one robot with a workspace along straight motions.
+
+A grid over the bounds holds the clearance of each cell's center and the walls near it. The clearance decides
+most motions at once: it changes by at most as much as one moves. The others are tested against the walls of
+their cell.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.collision.pairs import Bodies, bisect, bodies_of, distance_to_segment, judge_boxes
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import PointRobot, RectangleRobot, Robot
+
+_CHUNK = 1 << 14  # motions at a time, whose temporaries stay in cache
+_CELLS = (64, 256)  # fewest and most cells along the longer side
+_POINT_CELLS = 128
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class MotionTest:
+    """Whether straight motions of a robot are free of obstacles and within the bounds.
+
+    The robot goes from one configuration to another at constant velocity, turning at a constant rate by
+    the shorter turn. Touching is free.
+
+    Args:
+        workspace: Where it moves.
+        robot: The robot.
+
+    Raises:
+        ValueError: When called, if configurations have the wrong shape or are not finite.
+    """
+
+    workspace: Workspace
+    robot: Robot
+    _cell: float
+    _shape: tuple[int, int]
+    _clearance: Float[np.ndarray, "cells"]
+    _first: Int[np.ndarray, "cells_and_1"]
+    _edge: Int[np.ndarray, "m"]
+    _longest: float
+
+    def __init__(self, workspace: Workspace, robot: Robot):
+        cell, shape, centers = _grid(workspace, robot)
+        # A point's walls are looked up by the workspace, whatever the length of its motion.
+        longest = np.inf if isinstance(robot, PointRobot) else max(2 * cell, robot.circumscribed_radius)
+        reach = 0.0 if isinstance(robot, PointRobot) else robot.circumscribed_radius + longest / 2 + cell
+        first, edge = _edges_near(workspace, centers, reach)
+        for name, value in (
+            ("workspace", workspace),
+            ("robot", robot),
+            ("_cell", cell),
+            ("_shape", shape),
+            ("_clearance", workspace.clearance(centers)),
+            ("_first", first),
+            ("_edge", edge),
+            ("_longest", longest),
+        ):
+            object.__setattr__(self, name, value)
+
+    def __call__(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+        """Test motions.
+
+        Args:
+            q0: Configurations at the start, ``(n, dof)``; a round robot's heading may be there or not.
+            q1: Configurations at the end.
+
+        Returns:
+            True where the whole motion is free, to ``workspace.tolerance``. Exact for points and discs, and
+            for rectangles that do not turn; a rectangle that turns may be refused within about 1e-7 of
+            its size from a wall, and is never passed through one.
+        """
+        _check(self.robot, q0, q1)
+        free = np.empty(len(q0), dtype=bool)
+        for begin in range(0, len(q0), _CHUNK):
+            rows = slice(begin, begin + _CHUNK)
+            free[rows] = self._test(q0[rows], q1[rows])
+        return free
+
+    def _test(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+        pieces, owner = _pieces(self.robot, q0, q1, self._longest)
+        x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
+        half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
+        cell, away = self._locate(x, y)
+        clearance = self._clearance[cell]
+        clear = clearance - away - half >= self.robot.circumscribed_radius
+        unsure = ~clear & (clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance)
+        unsure = np.flatnonzero(unsure)
+        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure])
+        # Bodies that no wall cuts are wholly within free space or wholly outside: look where the center is.
+        lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
+        clear[lost] = self.workspace.is_free(np.stack([x[lost], y[lost]], axis=1))
+        if owner is None:
+            return clear
+        free = np.ones(len(q0), dtype=bool)
+        free[owner[~clear]] = False
+        return free
+
+    def _locate(
+        self, x: Float[np.ndarray, "n"], y: Float[np.ndarray, "n"]
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The cell of each point, the nearest one outside the grid, and the distance to its center."""
+        lo, (columns, rows) = self.workspace.bounds.lo, self._shape
+        column = np.clip((x - lo[0]) / self._cell, 0, columns - 1).astype(np.intp)
+        row = np.clip((y - lo[1]) / self._cell, 0, rows - 1).astype(np.intp)
+        dx, dy = x - lo[0] - (column + 0.5) * self._cell, y - lo[1] - (row + 0.5) * self._cell
+        return row * columns + column, np.sqrt(dx * dx + dy * dy)
+
+    def _test_walls(self, pieces: Bodies, cell: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+        """Whether pieces of motions keep off the walls near their cells."""
+        if isinstance(self.robot, PointRobot):
+            a = np.stack([pieces.x, pieces.y], axis=1)
+            return self.workspace.is_visible(a, a + np.stack([pieces.dx, pieces.dy], axis=1))
+        count = self._first[cell + 1] - self._first[cell]
+        piece = np.repeat(np.arange(len(cell)), count)
+        begin = self._first[cell] - (np.cumsum(count) - count)
+        edge = self._edge[np.repeat(begin, count) + np.arange(len(piece))]
+        distance = _distance_to_edges(pieces.take(piece), self.workspace.boundary.segments[edge])
+        clear = np.ones(len(cell), dtype=bool)
+        clear[piece[distance < self.robot.inscribed_radius - self.workspace.tolerance]] = False
+        if isinstance(self.robot, RectangleRobot):
+            near = np.flatnonzero((distance < self.robot.circumscribed_radius) & clear[piece])
+            bodies, walls = pieces.take(piece[near]), _walls(self.workspace.boundary.segments[edge[near]])
+            clear[piece[near][~bisect(judge_boxes, bodies, walls, -self.workspace.tolerance)]] = False
+        return clear
+
+
+@lru_cache(maxsize=16)
+def motion_test(workspace: Workspace, robot: Robot) -> MotionTest:
+    """The motion test of a robot in a workspace, kept for the next call.
+
+    Args:
+        workspace: Where it moves.
+        robot: The robot.
+
+    Returns:
+        The test.
+    """
+    return MotionTest(workspace, robot)
+
+
+def _grid(workspace: Workspace, robot: Robot) -> tuple[float, tuple[int, int], Float[np.ndarray, "cells 2"]]:
+    """Size of a cell, numbers of columns and rows, and the cells' centers, row by row."""
+    width = workspace.bounds.width
+    size = robot.circumscribed_radius / 2 or width.max() / _POINT_CELLS
+    cell = float(np.clip(size, width.max() / _CELLS[1], width.max() / _CELLS[0]))
+    columns, rows = np.ceil(width / cell).astype(int).tolist()
+    x = workspace.bounds.lo[0] + (np.arange(columns) + 0.5) * cell
+    y = workspace.bounds.lo[1] + (np.arange(rows) + 0.5) * cell
+    return cell, (columns, rows), np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
+
+
+def _edges_near(
+    workspace: Workspace, centers: Float[np.ndarray, "cells 2"], reach: float
+) -> tuple[Int[np.ndarray, "cells_and_1"], Int[np.ndarray, "m"]]:
+    """Edges within reach of each center: those of cell ``i`` are ``edge[first[i]:first[i + 1]]``."""
+    segments: Any = shapely.linestrings(workspace.boundary.segments)
+    tree = shapely.STRtree(segments)
+    cell, edge = tree.query(shapely.points(centers), predicate="dwithin", distance=reach)
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], np.arange(len(centers) + 1))
+    return first, edge[order]
+
+
+def _pieces(
+    robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"], longest: float
+) -> tuple[Bodies, Int[np.ndarray, "m"] | None]:
+    """Motions cut into equal pieces no longer than ``longest``, and their motions if any was cut."""
+    bodies = bodies_of(robot, q0, q1)
+    count = np.ceil(np.hypot(bodies.dx, bodies.dy) / longest).astype(np.intp)
+    if not (count > 1).any():
+        return bodies, None
+    count = np.maximum(count, 1)
+    owner = np.repeat(np.arange(len(q0)), count)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    t, share = step / count[owner], 1 / count[owner]
+    whole = bodies.take(owner)
+    pose = [q + t * rate for q, rate in zip(whole[2:5], whole[5:], strict=True)]
+    return Bodies(*whole[:2], *pose, *(rate * share for rate in whole[5:])), owner
+
+
+def _distance_to_edges(pieces: Bodies, edges: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+    """Distance of the segment that each piece's center runs along to an edge, zero where they cross."""
+    tangent = edges[:, 1] - edges[:, 0]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    c, s = tangent[:, 0] / length, tangent[:, 1] / length
+    x, y = pieces.x - edges[:, 0, 0], pieces.y - edges[:, 0, 1]
+    u, v = c * x + s * y, c * y - s * x
+    du, dv = c * pieces.dx + s * pieces.dy, c * pieces.dy - s * pieces.dx
+    ends = [np.hypot(w - np.clip(w, 0.0, length), z) for w, z in ((u, v), (u + du, v + dv))]
+    corners = [distance_to_segment(w, v, du, dv) for w in (u, u - length)]
+    crossing = u - v * np.divide(du, dv, out=np.zeros_like(du), where=dv != 0)
+    crosses = (v * (v + dv) < 0) & (crossing >= 0) & (crossing <= length)
+    return np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))
+
+
+def _walls(edges: Float[np.ndarray, "n 2 2"]) -> Bodies:
+    """Edges as flat bodies at rest."""
+    center, tangent = edges.mean(axis=1), edges[:, 1] - edges[:, 0]
+    rest = np.zeros(len(edges))
+    half = np.hypot(tangent[:, 0], tangent[:, 1]) / 2
+    heading = np.arctan2(tangent[:, 1], tangent[:, 0])
+    return Bodies(half, rest, center[:, 0], center[:, 1], heading, rest, rest, rest)
+
+
+def _check(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> None:
+    dof = (3,) if isinstance(robot, RectangleRobot) else (2, 3)
+    for name, q in (("q0", q0), ("q1", q1)):
+        if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
+            raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
+        if not np.isfinite(q).all():
+            raise ValueError(f"{name} must be finite.")
+    if len(q0) != len(q1):
+        raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")

@@ -1,0 +1,1 @@
+"""Polygons, visibility and boxes: one truth about the plane for every room."""

@@ -1,0 +1,310 @@
+"""A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+from shapely.geometry import MultiPolygon, Polygon
+
+from plr_jax._arrays import as_points
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import Boundary, arc, boundary_of, cross, left_normal
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+
+_ARC_SEGMENTS = 8
+"""Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Workspace:
+    """Bounds and polygonal obstacles in the plane.
+
+    Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
+    ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
+    interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
+    that what touches up to rounding touches.
+
+    Args:
+        bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
+        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) or Shapely polygons, holes allowed.
+        squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
+            a single point. The point itself is free either way.
+
+    Attributes:
+        bounds: The region's Box.
+        obstacles: The obstacles as Shapely polygons, in the order given; for free space given as polygons,
+            and after ``inflate``, the connected parts of the bounds that are not free.
+        squeeze: As given.
+        free_space: The free space as a valid, normalized Shapely Polygon or MultiPolygon without collinear
+            vertices.
+
+    Raises:
+        ValueError: If the bounds are not a 2-D box, an obstacle is not a simple polygon of finite
+            coordinates and positive area, or nothing is free.
+    """
+
+    bounds: Box
+    obstacles: tuple[Polygon | MultiPolygon, ...]
+    squeeze: bool
+    free_space: Polygon | MultiPolygon
+
+    def __init__(self, bounds: Box | ArrayLike, obstacles: Iterable[Any] = (), *, squeeze: bool = False):
+        bounds = _as_bounds(bounds)
+        polygons = tuple(as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
+        region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
+        free = shapely.difference(region, shapely.union_all(merged))
+        _assign(self, bounds, polygons, squeeze, free)
+
+    @classmethod
+    def from_polygons(cls, components: Sequence[Any], *, squeeze: bool = False) -> "Workspace":
+        """A workspace whose free space is given, as polygons with holes.
+
+        Args:
+            components: ``{"outer": ring, "holes": [ring, ...]}`` each (``"holes"`` may be left out). Holes
+                may overlap one another and leave the outer ring; components are united.
+            squeeze: As for the class.
+
+        Returns:
+            The workspace; its bounds are the bounding box of the outer rings.
+
+        Raises:
+            ValueError: If there is no component, one has another form, a ring is not simple, finite and of
+                positive area, or nothing is free.
+        """
+        outers, holes = as_components(components)
+        x0, y0, x1, y1 = shapely.total_bounds(outers)
+        bounds = Box((x0, y0), (x1, y1))
+        merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * _grid(bounds)))
+        outers = [next(merged) for _ in outers]
+        blocked = [shapely.union_all([next(merged) for _ in part]) for part in holes]
+        parts = shapely.difference(outers, blocked)
+        return cls._from_free_space(bounds, shapely.union_all(parts), squeeze)
+
+    @classmethod
+    def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
+        workspace = object.__new__(cls)
+        blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)
+        _assign(workspace, bounds, polygons_of(blocked), squeeze, free)
+        return workspace
+
+    @property
+    def tolerance(self) -> float:
+        """How far outside free space a point still counts as free.
+
+        1e-9 of the longer side of the bounds or 1e-12 of their largest coordinate, whichever is more: far from
+        the origin, coordinates are coarser.
+        """
+        return 1e3 * _rounding(self.bounds)
+
+    @cached_property
+    def boundary(self) -> Boundary:
+        """The boundary of free space as vertices and edges, free space on the left of each edge."""
+        return boundary_of(self.free_space, 8 * _grid(self.bounds))
+
+    @cached_property
+    def _tolerant(self) -> Any:
+        """Free space grown by the tolerance, prepared for many queries."""
+        grown = self.free_space.buffer(self.tolerance, join_style="mitre")
+        shapely.prepare(grown)
+        return grown
+
+    @cached_property
+    def _walls(self) -> Any:
+        """The boundary of free space as lines, prepared for many queries."""
+        walls = self.free_space.boundary
+        shapely.prepare(walls)
+        return walls
+
+    @cached_property
+    def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
+        return triangles_of(self.free_space)
+
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether points lie in closed free space.
+
+        Args:
+            x: Points, ``(n, 2)``.
+
+        Returns:
+            True where free, walls included (to ``tolerance``); False for points that are not finite.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x, 2)
+        return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
+
+    def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
+        """Signed distance to the nearest obstacle or bound.
+
+        Args:
+            x: Points, ``(n, 2)``.
+
+        Returns:
+            Distance to the boundary of free space, in workspace units: positive in free space, zero on a
+            wall, negative in an obstacle or outside the bounds; NaN for points that are not finite.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x, 2)
+        finite = np.isfinite(x).all(axis=1)
+        result = np.full(len(x), np.nan)
+        distance = shapely.distance(shapely.points(x[finite]), self._walls)
+        free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])
+        result[finite] = np.where(free, distance, -distance)
+        return result
+
+    def is_visible(self, a: ArrayLike, b: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether whole segments lie in closed free space.
+
+        A segment may slide along walls and pass through corners. One that passes through a point in which
+        two obstacles touch, from one side to the other, is not visible unless ``squeeze`` is set.
+
+        Args:
+            a: Start points, ``(n, 2)``.
+            b: End points, ``(n, 2)``.
+
+        Returns:
+            True where every point of the segment is free (to ``tolerance``); False where an end is not
+            finite.
+
+        Raises:
+            ValueError: If the shapes are others or differ.
+        """
+        a, b = as_points("a", a, 2), as_points("b", b, 2)
+        if len(a) != len(b):
+            raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
+        visible = self.is_free(a) & self.is_free(b)
+        moving = np.flatnonzero(visible & (a != b).any(axis=1))
+        segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
+        visible[moving] = shapely.covers(self._tolerant, segments)
+        if not self.squeeze and len(self.boundary.contacts):
+            moving = moving[visible[moving]]
+            visible[moving] = ~self._squeezes(a[moving], b[moving])
+        return visible
+
+    def _squeezes(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether segments in free space change from one sector to another in a point contact."""
+        boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
+        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
+        segments = shapely.linestrings(np.stack([a, b], axis=1))
+        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=self.tolerance)
+        for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
+            ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
+            if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
+                continue
+            inside = [
+                boundary.in_sector(e, ends, self.tolerance) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)
+            ]
+            squeezes[s] |= not any(both.all() for both in inside)
+        return squeezes
+
+    def inflate(self, radius: float) -> "Workspace":
+        """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
+
+        The grown obstacles' sides are exact. Their corners, arcs in truth, become polygons inscribed in the
+        arcs, so a distance in the inflated workspace is never longer than the true one. Passages exactly as
+        wide as the disc are closed.
+
+        Args:
+            radius: Radius of the disc, in workspace units, at least 0.
+
+        Returns:
+            The inflated workspace.
+
+        Raises:
+            ValueError: If the radius is negative or not finite, or leaves no free space.
+        """
+        if not (np.isfinite(radius) and radius >= 0):
+            raise ValueError(f"Inflating needs a finite radius of at least 0, got {radius!r}.")
+        if radius == 0:
+            return self
+        if (self.bounds.width <= 2 * radius).any():
+            raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
+        grown = shapely.union_all(self._collars(radius))
+        free = shapely.difference(self.free_space, grown)
+        if shapely.area(free) == 0:
+            raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
+        bounds = Box(self.bounds.lo + radius, self.bounds.hi - radius)
+        return Workspace._from_free_space(bounds, free, self.squeeze)
+
+    def _collars(self, radius: float) -> list[Polygon]:
+        """What a disc's center must avoid: a strip along each wall and a fan around each reflex corner."""
+        boundary = self.boundary
+        offset = radius * left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
+        strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
+        arriving = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
+        fans = []
+        for edge in np.flatnonzero(boundary.is_reflex(_grid(self.bounds))):
+            vertex = boundary.edges[edge, 0]
+            before = arriving[int(boundary.sector_end[edge]), int(vertex)]
+            corner = boundary.vertices[vertex]
+            rim = arc(corner, offset[edge], offset[before], _ARC_SEGMENTS)
+            fans.append(Polygon(np.vstack([corner, rim])))
+        return [*map(Polygon, strips), *fans]
+
+    def sample_free(self, n: int, seed: int) -> Float[np.ndarray, "n 2"]:
+        """Points drawn uniformly from free space.
+
+        Args:
+            n: Number of points, at least 0.
+            seed: Seed of the generator; the same seed gives the same points.
+
+        Returns:
+            Free points, ``(n, 2)``.
+
+        Raises:
+            ValueError: If ``n`` is negative.
+        """
+        if n < 0:
+            raise ValueError(f"The number of points must be at least 0, got {n}.")
+        # From triangles and not by rejection, which would take forever where free space is a sliver.
+        corner, first, second = self._triangles.transpose(1, 0, 2)
+        first, second = first - corner, second - corner
+        area = np.abs(cross(first, second))
+        rng = np.random.default_rng(seed)
+        pick = rng.choice(len(area), n, p=area / area.sum())
+        u, v = rng.random((2, n, 1))
+        u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
+        return corner[pick] + u * first[pick] + v * second[pick]
+
+
+def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
+    # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
+    parts = polygons_of(shapely.set_precision(free, _grid(bounds)))
+    if not parts:
+        raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
+    # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
+    region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
+    region = shapely.simplify(region, 4 * _grid(bounds))
+    shapely.prepare(region)
+    for name, value in (
+        ("bounds", bounds),
+        ("obstacles", obstacles),
+        ("squeeze", squeeze),
+        ("free_space", region),
+    ):
+        object.__setattr__(workspace, name, value)
+
+
+def _rounding(bounds: Box) -> float:
+    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
+    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
+
+
+def _grid(bounds: Box) -> float:
+    """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
+    return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
+
+
+def _as_bounds(value: Box | ArrayLike) -> Box:
+    bounds = Box.of(value, "Bounds")
+    if bounds.dim != 2:
+        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    return bounds

@@ -1,0 +1,205 @@
+"""Gradient descent on the way points of many paths at once, compiled once for each family of shapes.
+
+What is minimized over a path's inner rows: its length; a penalty on clearance below a margin, all along the motions;
+and, if asked for, how unevenly the rows follow one another. Time costs nothing: robots may wait.
+
+Way points move by hat functions of all widths, from half the path to a single row: so whole stretches move as
+quickly as details do. Lengths are shares of the workspace's extent, which suits 32-bit floats.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from plr_jax.optimize.trajectory.clearance import Bodies, Walls, box_clearances, round_clearances
+
+_STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
+_RATES = (3e-3, 3e-6)  # learning rate at first and at last
+_WIDENING = 10.0  # by how much the margin is wider at first, so that bodies slide past one another
+_PACE = 0.1  # weight of the unevenness of the pace
+_GUIDE = 5.0  # weight, at first, of the cost-to-go's deviation from even progress
+_FADE = 1e-3  # its share that is left at last
+_PIECES = 2  # of a motion in which something turns, each taken for a chord
+_SMOOTHING = 1e-6  # length below which a motion costs less than its length, so that it has a gradient at rest
+
+Path = Float[Array, "rows robots dof"]
+
+
+class Scene(NamedTuple):
+    """What paths are optimized in, in units of the workspace's extent.
+
+    Args:
+        walls: The walls.
+        bodies: The robots' shapes.
+        rotation_weight: Cost of each robot's turn by one radian.
+        lever: Distance from each robot's center of what turns the farthest.
+        origin: Where, in workspace units, the coordinates have their origin.
+        scale: The extent in workspace units.
+    """
+
+    walls: Walls
+    bodies: Bodies
+    rotation_weight: Float[Array, "robots"]
+    lever: Float[Array, "robots"]
+    origin: Float[Array, "2"]
+    scale: Float[Array, ""]
+
+
+class Aims(NamedTuple):
+    """What is asked of paths.
+
+    Args:
+        margin: Clearance below which there is a penalty, in units of the workspace's extent.
+        smoothness: Weight of the squared second differences.
+        distance_fns: Distance of each robot to its goal, pytrees that are callable; or none.
+    """
+
+    margin: Any
+    smoothness: Any
+    distance_fns: tuple[Any, ...]
+
+
+class State(NamedTuple):
+    """How far the descent of each path of a batch has come.
+
+    Args:
+        weights: By how much each hat function moves the path, in shares of the extent.
+        moments: What Adam remembers.
+    """
+
+    weights: Float[Array, "batch hats robots dof"]
+    moments: Any
+
+
+def begin(paths: Float[Array, "batch rows robots dof"]) -> State:
+    """Descents that have not moved their paths yet; these have ``2**k + 1`` rows."""
+    weights = jnp.zeros((len(paths), _hats(paths.shape[1]).shape[1], *paths.shape[2:]))
+    return State(weights, jax.vmap(_adam().init)(weights))
+
+
+@jax.jit
+def advance(
+    scene: Scene,
+    paths: Float[Array, "batch rows robots dof"],
+    aims: Aims,
+    descent: State,
+    progress: Float[Array, "iterations"],
+) -> tuple[State, Float[Array, "batch iterations"]]:
+    """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
+
+    Args:
+        scene: Where.
+        paths: The paths as they were at first, headings unwrapped; their first and last rows stay.
+        aims: What is asked of them.
+        descent: How far the descents have come.
+        progress: Progress of each iteration, from 0 at the first of all to 1 at the last; beyond 1, nothing is done.
+
+    Returns:
+        How far they have come then, and the loss in every step.
+    """
+    return jax.vmap(lambda path, descent: _advanced(scene, path, aims, descent, progress))(paths, descent)
+
+
+@jax.jit
+def moves_of(scene: Scene, paths: Float[Array, "batch rows robots dof"], descent: State) -> Float[Array, "..."]:
+    """By how much each way point has moved, of the shape of the paths."""
+    return jax.vmap(lambda path, weights: _moves(scene, path, weights))(paths, descent.weights)
+
+
+def _advanced(
+    scene: Scene, path: Path, aims: Aims, descent: State, progress: Float[Array, "iterations"]
+) -> tuple[State, Float[Array, "iterations"]]:
+    adam, (first, last) = _adam(), _RATES
+
+    def step(descent: State, progress: Float[Array, ""]) -> tuple[State, Float[Array, ""]]:
+        weights, moments = descent
+        loss, gradient = jax.value_and_grad(
+            lambda weights: _loss(scene, path + _moves(scene, path, weights), aims, progress)
+        )(weights)
+        update, moments = adam.update(gradient, moments)
+        rate = first * (last / first) ** progress
+        after = State(weights - rate * update, moments)
+        return jax.tree.map(lambda new, old: jnp.where(progress <= 1, new, old), after, descent), loss
+
+    return jax.lax.scan(step, descent, progress)
+
+
+def _moves(scene: Scene, path: Path, weights: Float[Array, "hats robots dof"]) -> Path:
+    unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / scene.lever[:, None])
+    return jnp.tensordot(jnp.asarray(_hats(len(path))), weights, 1) * unit
+
+
+def _adam() -> Any:
+    import optax
+
+    return optax.scale_by_adam()
+
+
+def _loss(scene: Scene, path: Path, aims: Aims, progress: Float[Array, ""]) -> Float[Array, ""]:
+    margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
+    penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(scene, path))
+    bends = path[2:] - 2 * path[1:-1] + path[:-2]
+    loss = _length(scene, path) + aims.smoothness * len(path) * (bends * bends).sum()
+    if not aims.distance_fns:
+        return loss + _STEEPNESS * penalty
+    # Walls fade in as the guide fades out: what begins on their wrong side could not cross them later.
+    guide = _FADE**progress
+    return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(scene, path, aims.distance_fns)
+
+
+def _length(scene: Scene, path: Path) -> Float[Array, ""]:
+    """Cost of the path, and a little for an uneven pace: that keeps motions short, and can be had for nothing."""
+    change = jnp.diff(path, axis=0)
+    cost = jnp.sqrt((change[..., :2] ** 2).sum(axis=-1) + _SMOOTHING**2)
+    if path.shape[-1] > 2:
+        cost = cost + scene.rotation_weight * jnp.sqrt(change[..., 2] ** 2 + _SMOOTHING**2)
+    pace = cost.sum(axis=1)
+    total = pace.sum()
+    return total + _PACE * (len(pace) * (pace * pace).sum() / total - total)
+
+
+def _clearances(scene: Scene, path: Path) -> tuple[Float[Array, "..."], ...]:
+    if path.shape[-1] == 2:
+        return round_clearances(scene.walls, scene.bodies, path[:-1], path[1:])
+    share = jnp.arange(_PIECES + 1)[:, None, None, None] / _PIECES
+    times = path[:-1] + share * jnp.diff(path, axis=0)
+    return box_clearances(scene.walls, scene.bodies, times[:-1], times[1:])
+
+
+def _lag(scene: Scene, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
+    """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
+    share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
+    for i, fn in enumerate(distance_fns):
+        q = _pulled_where_it_can_be(path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin))
+        cost = fn(q[:, : getattr(fn, "dim", q.shape[1])]) / scene.scale
+        known = jnp.isfinite(cost) & jnp.isfinite(cost[0])
+        off = jnp.where(known, cost - share * cost[0], 0.0)
+        lag = lag + jnp.sqrt(off * off + _SMOOTHING).sum()
+    return lag
+
+
+@jax.custom_vjp
+def _pulled_where_it_can_be(q: Float[Array, "rows dof"]) -> Float[Array, "rows dof"]:
+    """The configurations, but nothing pulls those where a distance has no gradient, as a norm at the goal itself."""
+    return q
+
+
+_pulled_where_it_can_be.defvjp(lambda q: (q, None), lambda _, pull: (jnp.where(jnp.isfinite(pull), pull, 0.0),))
+
+
+def _hinge(x: Float[Array, "*shape"], width: Float[Array, ""]) -> Float[Array, "*shape"]:
+    """0 below 0, a parabola up to ``width``, a line of slope 1 from there."""
+    x = jnp.maximum(x, 0.0)
+    return jnp.where(x < width, x * x / (2 * width), x - width / 2)
+
+
+def _hats(rows: int) -> Float[np.ndarray, "rows hats"]:
+    """Hat functions of all widths, one a column; 0 at both ends."""
+    at, columns, width = np.arange(rows), [], (rows - 1) // 2
+    while width >= 1:
+        columns += [np.maximum(0.0, 1 - np.abs(at - center) / width) for center in range(width, rows - 1, width)]
+        width //= 2
+    return np.stack(columns, axis=1).astype(np.float32)

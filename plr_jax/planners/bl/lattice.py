@@ -1,0 +1,278 @@
+"""The configurations that one robot visits: a lattice of cells, and the primitives that lead from cell to cell.
+
+Every cell that holds a free configuration has one representative: its center where that is free, else the free
+sample that lies farthest from obstacles, so that a passage narrower than a cell is still found. The start and
+the goal represent their own cells, which makes the ends of every path exact. Headings are periodic.
+"""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._problem import Problem, straight_costs
+from plr_jax.collision.walls import MotionTest, motion_test
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import RectangleRobot, Robot, shorter_turn
+
+Primitive: TypeAlias = tuple[int, int, int]
+"""A motion to another cell: so many columns, rows and turns away."""
+
+PRIMITIVES: tuple[Primitive, ...] = (
+    *((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy),
+    (0, 0, 1),
+    (0, 0, -1),
+)
+"""To the eight neighbors, and a turn either way for robots that turn."""
+
+_SAMPLES = 7  # along an axis of a cell whose center is blocked
+_WIDEST_TURN = np.pi / 4
+_ROUNDING = 1e-9
+_CHUNK = 1 << 12  # cells at a time, between two looks at the clock
+_BYTES = 80  # what a motion takes, in its lattice and while that is built
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """One robot's configurations and its motions between them.
+
+    The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own
+    configuration at infinite cost.
+
+    Args:
+        q: Configurations, the representatives of their cells.
+        child: Where each primitive leads.
+        cost: What it costs, in workspace units; ``inf`` where it is blocked.
+        start: Index of the start.
+        goal: Index of the goal.
+    """
+
+    q: Float[np.ndarray, "nodes dof"]
+    child: Int[np.ndarray, "nodes primitives"]
+    cost: Float[np.ndarray, "nodes primitives"]
+    start: int
+    goal: int
+
+    @cached_property
+    def end(self) -> Float[np.ndarray, "nodes primitives dof"]:
+        """Configuration in which each primitive ends."""
+        return self.q[self.child]
+
+    @cached_property
+    def stride(self) -> float:
+        """Largest distance that a primitive translates, in workspace units."""
+        offset = self.end - self.q[:, None]
+        return float(np.hypot(offset[..., 0], offset[..., 1]).max())
+
+    def reaches_goal(self) -> bool:
+        """Whether some sequence of primitives leads from the start to the goal."""
+        reached, newest = np.zeros(len(self.q), dtype=bool), np.array([self.start])
+        while len(newest) and not reached[self.goal]:
+            reached[newest] = True
+            children = self.child[newest][np.isfinite(self.cost[newest])]
+            newest = np.unique(children[~reached[children]])
+        return bool(reached[self.goal])
+
+
+class Grid(NamedTuple):
+    """Equal cells over a robot's configuration space."""
+
+    lo: Float[np.ndarray, "dof"]
+    shape: tuple[int, ...]
+    side: Float[np.ndarray, "dof"]
+
+    def cells_of(self, q: Float[np.ndarray, "n dof"]) -> Int[np.ndarray, "n"]:
+        """The cells of configurations, the nearest ones outside."""
+        index, size = np.floor((q - self.lo) / self.side).astype(np.intp), np.array(self.shape)
+        index[:, 2:] %= size[2:]
+        return np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
+
+    def centers(self) -> Float[np.ndarray, "cells dof"]:
+        """Centers of all cells."""
+        axes = [lo + (np.arange(n) + 0.5) * side for lo, n, side in zip(*self, strict=True)]
+        return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+    def neighbors(
+        self, cells: Int[np.ndarray, "n"], offsets: Int[np.ndarray, "primitives dof"]
+    ) -> tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]:
+        """The cells some offsets away, and whether they exist."""
+        target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
+        target[..., 2:] %= np.array(self.shape)[2:]
+        exists = ((target >= 0) & (target < self.shape)).all(axis=2)
+        cell = np.ravel_multi_index(tuple(np.moveaxis(target, 2, 0)), self.shape, mode="clip")
+        return np.asarray(cell), np.asarray(exists)
+
+
+class Motions(NamedTuple):
+    """Representatives of a grid's cells, and the motions between them."""
+
+    grid: Grid
+    offsets: Int[np.ndarray, "primitives dof"]
+    test: MotionTest
+    rotation_weight: float
+    q: Float[np.ndarray, "cells dof"]
+    free: Bool[np.ndarray, "cells"]
+    child: Int[np.ndarray, "cells primitives"]
+    cost: Float[np.ndarray, "cells primitives"]
+
+    def with_ends(self, ends: Float[np.ndarray, "2 dof"]) -> Lattice:
+        """The lattice of a robot whose start and goal stand for their cells."""
+        motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
+        cells = self.grid.cells_of(ends)
+        motions.q[cells], motions.free[cells] = ends, True
+        # The opposite of an offset may be no primitive: test all motions that begin or end in these cells.
+        around, exists = self.grid.neighbors(cells, np.concatenate([self.offsets, -self.offsets]))
+        motions.connect(np.unique(around[exists]))
+        index = np.cumsum(motions.free) - 1
+        child = np.where(np.isfinite(motions.cost), index[motions.child], index[:, None])[motions.free]
+        q, cost = motions.q[motions.free], motions.cost[motions.free]
+        return Lattice(q, child.astype(np.int32), cost, *index[cells].tolist())
+
+    def connect(self, cells: Int[np.ndarray, "n"]) -> None:
+        """Test the motions that begin in some cells, in place."""
+        child, exists = self.grid.neighbors(cells, self.offsets)
+        exists &= self.free[cells, None] & self.free[child]
+        row, primitive = np.nonzero(exists)
+        begin, end = self.q[cells[row]], self.q[child[exists]]
+        length = straight_costs(begin, end, self.rotation_weight)
+        cost = np.full(child.shape, np.inf)
+        cost[row, primitive] = np.where((primitive == 0) | self.test(begin, end), length, np.inf)
+        self.child[cells], self.cost[cells] = child, cost
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """What motions are built from, the key under which they are kept; when to give up makes no difference to them."""
+
+    workspace: Workspace
+    robot: Robot
+    rotation_weight: float
+    step: float
+    primitives: tuple[Primitive, ...]
+    deadline: float = field(compare=False)
+
+
+def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
+    """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
+    turns = max(2 * math.pi / _WIDEST_TURN, 2 * math.pi * robot.circumscribed_radius / step)
+    return math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist()) * (
+        turns if isinstance(robot, RectangleRobot) else 1
+    )
+
+
+def num_bytes(problem: Problem, step: float, primitives: Sequence[Primitive]) -> float:
+    """About what the lattices of all robots take if all is free, so that those too large are not begun."""
+    num_nodes = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
+    return _BYTES * num_nodes * (1 + len(primitives))
+
+
+def build_lattices(
+    problem: Problem, step: float, primitives: Sequence[Primitive], deadline: float = math.inf
+) -> list[Lattice]:
+    """The lattice of every robot.
+
+    Robots of one kind share their motions, which are kept for the next problem in the same workspace.
+
+    Args:
+        problem: The problem.
+        step: Largest side of a cell, in workspace units; turning by one cell takes a rectangle's corners as far.
+        primitives: Motions besides staying; turns are for rectangles alone.
+        deadline: When to give up, on the clock of ``time.perf_counter``.
+
+    Returns:
+        One lattice a robot, of its free configurations.
+
+    Raises:
+        TimeoutError: If the deadline passes first.
+    """
+    lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
+    for i, robot in enumerate(problem.robots):
+        ends = np.stack([problem.starts[i], problem.goals[i]])[:, : 3 if isinstance(robot, RectangleRobot) else 2]
+        recipe = _Recipe(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
+        grid = _grid(problem.workspace, robot, step)
+        if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
+            motions = _motions(recipe, _split_between(grid, ends))
+        else:
+            motions = _shared_motions(recipe)
+        lattices.append(motions.with_ends(ends))
+    return lattices
+
+
+@lru_cache(maxsize=8)
+def _shared_motions(recipe: _Recipe) -> Motions:
+    return _motions(recipe, _grid(recipe.workspace, recipe.robot, recipe.step))
+
+
+def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
+    """Cells no larger than a step; headings are centered on the axes, along which hallways lie most often."""
+    lo, width = workspace.bounds.lo, workspace.bounds.width
+    shape = np.ceil(width / step - _ROUNDING).astype(int)
+    side = width / shape
+    if isinstance(robot, RectangleRobot):
+        turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
+        quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
+        shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
+        lo = np.append(lo, -side[2] / 2)
+    return Grid(lo, tuple(shape.tolist()), side)
+
+
+def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:
+    """The grid shifted until a face lies between a start and a goal that share a cell."""
+    difference = ends[1] - ends[0]
+    difference[2:] = shorter_turn(ends[0, 2:], ends[1, 2:])
+    axis = int(np.argmax(np.abs(difference) / grid.side))
+    middle = ends[0, axis] + difference[axis] / 2
+    lo, shape = grid.lo.copy(), list(grid.shape)
+    lo[axis] = middle - np.ceil((middle - lo[axis]) / grid.side[axis]) * grid.side[axis]
+    shape[axis] += axis < 2  # headings are periodic
+    return Grid(lo, tuple(shape), grid.side)
+
+
+def _motions(recipe: _Recipe, grid: Grid) -> Motions:
+    dof, test = len(grid.shape), motion_test(recipe.workspace, recipe.robot)
+    offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
+    q = grid.centers()
+    child = np.empty((len(q), len(offsets)), dtype=np.intp)
+    motions = Motions(
+        grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
+    )
+    for cells in _chunks(grid, recipe.deadline):
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+    for cells in _chunks(grid, recipe.deadline):
+        motions.connect(np.arange(cells.start, cells.stop))
+    return motions
+
+
+def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
+    """All cells, some at a time, whole positions together, until the deadline."""
+    num_cells, per_position = math.prod(grid.shape), math.prod(grid.shape[2:])
+    size = max(1, _CHUNK // per_position) * per_position
+    for begin in range(0, num_cells, size):
+        if time.perf_counter() > deadline:
+            raise TimeoutError("The deadline passed before the lattice was built.")
+        yield slice(begin, min(begin + size, num_cells))
+
+
+def _representatives(
+    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"]
+) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
+    """A configuration of every cell, and whether it is free."""
+    q = centers.copy()
+    free = test(q, q)
+    per_position = int(np.prod(grid.shape[2:]))
+    clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
+    blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
+    along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
+    samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
+    room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
+    room[open_] = test.workspace.clearance(samples[open_, :2])
+    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
+    q[blocked], free[blocked] = samples[best], open_[best]
+    return q, free

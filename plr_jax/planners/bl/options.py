@@ -1,0 +1,90 @@
+"""Options of the Barraquand-Latombe planner, checked where they come in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plr_jax.planners.bl.lattice import PRIMITIVES, Primitive
+
+_LARGEST_WEIGHT = 1e6
+
+
+@dataclass(frozen=True)
+class BLOptions:
+    """Options of :func:`plr_jax.bl_plan`.
+
+    Args:
+        primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
+            lattice. Round robots leave out those that turn.
+        step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
+            problem is solved.
+        cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
+            take a rectangle's corners. None: every joint configuration of the lattices is a cell of its own. Larger
+            cells make a search smaller and less complete: they want primitives long enough to leave a cell, as a
+            joint configuration in a claimed cell is dropped.
+        heuristic_weight: Factor of the heuristic, from 0 to 1e6. The larger, the greedier. None: 2, or 3/8 a
+            robot if that is more, as many robots have more ways to stand in each other's. It grows by half from one
+            lattice to the next finer one.
+        batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
+        branching: Children that a node adds at a time.
+        width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
+        cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
+            costs more, the search goes on with smaller weights and steps, until a limit.
+        lower_bound: A cost below which there is no path, in workspace units. None: that of straight lines.
+        time_limit: Seconds.
+        max_expansions: Most expansions; deterministic, unlike the time limit.
+        max_memory: Most bytes of the lattices and of the search's nodes.
+    """
+
+    primitives: Sequence[Primitive] = PRIMITIVES
+    step: float | int | None = None
+    cell_size: float | int | None = None
+    heuristic_weight: float | int | None = None
+    batch: int = 16
+    branching: int = 1
+    width: int = 1024
+    cost_factor: float | int = float("inf")
+    lower_bound: float | int | None = None
+    time_limit: float | int = 60.0
+    max_expansions: float | int = float("inf")
+    max_memory: float | int = 4e9
+
+    def __post_init__(self) -> None:
+        for name in ("step", "cell_size", "lower_bound"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0 < value < float("inf")):
+                raise ValueError(f"{name} must be None or a positive finite number, got {value!r}.")
+        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
+            value = getattr(self, name)
+            if not (_is_number(value) and value > 0):
+                raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
+        weight = self.heuristic_weight
+        if weight is not None and not (_is_number(weight) and 0 <= weight <= _LARGEST_WEIGHT):
+            raise ValueError(f"heuristic_weight must be None or a number from 0 to 1e6, got {weight!r}.")
+        for name in ("batch", "branching", "width"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
+        _require_primitives(self.primitives)
+
+
+def _is_number(value: object) -> bool:
+    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
+        return False
+    try:
+        return not np.isnan(float(value))
+    except OverflowError:
+        return False
+
+
+def _require_primitives(primitives: Sequence[Primitive]) -> None:
+    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 255"
+    try:
+        offsets = np.array(primitives)
+    except (TypeError, ValueError):
+        raise ValueError(f"{message}, got {primitives!r}.") from None
+    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 255:
+        raise ValueError(f"{message}, got {primitives!r}.")
+    if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
+        raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")

@@ -1,0 +1,1 @@
+"""Shorter paths for several robots: straight shortcuts, and narrow corridors around a path."""

@@ -1,0 +1,151 @@
+"""Bend a path, one robot or two at a time: the cheapest motions within narrow tubes about theirs.
+
+At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
+sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
+motions. Two robots that touch have to move together: neither gains by making way alone. Where the tubes stop
+gaining, they are made narrower.
+"""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.walls import MotionTest
+from plr_jax.robots.robot import RectangleRobot
+
+Path = Float[np.ndarray, "steps robots dof"]
+Tube = Float[np.ndarray, "steps size dof"]
+
+_GAIN = 3e-3  # share of the cost below which the tubes are narrowed
+_NARROWINGS = 3
+_REACH = 4  # widths of a tube within which two robots count as touching
+_MARGIN = 3  # rows before and after those in which they do
+_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
+
+
+def bend(problem: Problem, path: Path, tests: list[MotionTest], width: float, deadline: float) -> Path:
+    """The path with the robots' motions bent, alone and in pairs, in narrower and narrower tubes.
+
+    Args:
+        problem: The problem.
+        path: A path that solves it.
+        tests: Each robot's motion test.
+        width: Distance of the pattern's configurations at first, in workspace units.
+        deadline: When to stop, on the clock of ``time.perf_counter``.
+
+    Returns:
+        A path of as many rows that solves the problem, never costlier.
+    """
+    path, cost = path.copy(), path_cost(problem, path)
+    narrowest, diagonal = width / 2**_NARROWINGS, False
+    while width > narrowest:
+        for robots, rows in _groups(problem, path, width):
+            if time.perf_counter() > deadline:
+                return path
+            path[rows] = _bent(problem, path[rows], robots, tests, _pattern(width, diagonal), width)
+        diagonal = not diagonal
+        before, cost = cost, path_cost(problem, path)
+        if before - cost <= _GAIN * before:
+            width /= 2
+    return path
+
+
+def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
+    """What is bent together: every robot alone, and each two in the rows in which they touch."""
+    for i, robot in enumerate(problem.robots):
+        yield (i,), slice(0, len(path))
+        for j in range(i):
+            reach = robot.circumscribed_radius + problem.robots[j].circumscribed_radius + _REACH * width
+            offset = path[:, i, :2] - path[:, j, :2]
+            rows = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < reach)
+            if len(rows):
+                yield (i, j), slice(max(rows[0] - _MARGIN, 0), rows[-1] + _MARGIN + 1)
+
+
+def _pattern(width: float, diagonal: bool) -> Float[np.ndarray, "5 2"]:
+    """The place itself, and four around it."""
+    turn = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    return width * _FIVE @ turn
+
+
+def _bent(
+    problem: Problem,
+    path: Path,
+    robots: tuple[int, ...],
+    tests: list[MotionTest],
+    pattern: Float[np.ndarray, "5 2"],
+    width: float,
+) -> Path:
+    """The robots' cheapest motions within their tubes, both ends as they are."""
+    tubes = [_tube(problem, path[:, i], i, pattern, width) for i in robots]
+    costs = [_costs(problem, path, robots, i, tube, tests[i]) for i, tube in zip(robots, tubes, strict=True)]
+    cost = costs[0]
+    if len(robots) == 2:
+        cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
+        cost[~_apart(problem, robots, tubes)] = np.inf
+        cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
+    places = np.unravel_index(_cheapest(cost), [tube.shape[1] for tube in tubes])
+    bent, rows = path.copy(), np.arange(len(path))
+    for i, tube, place in zip(robots, tubes, places, strict=True):
+        bent[:, i] = tube[rows, place]
+    return bent
+
+
+def _tube(
+    problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, pattern: Float[np.ndarray, "5 2"], width: float
+) -> Tube:
+    """Configurations about each row, the row itself first; at both ends nothing else."""
+    offsets = np.zeros((len(pattern), q.shape[1]))
+    offsets[:, :2] = pattern
+    if isinstance(problem.robots[i], RectangleRobot):
+        turns = np.zeros((2, 3))
+        turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
+        offsets = np.concatenate([offsets, turns])
+    tube = q[:, None] + offsets
+    tube[[0, -1]] = q[[0, -1], None]
+    return tube
+
+
+def _costs(
+    problem: Problem, path: Path, robots: tuple[int, ...], i: int, tube: Tube, test: MotionTest
+) -> Float[np.ndarray, "motions size size"]:
+    """Cost of every motion within a robot's tube; ``inf`` if it hits a wall or a robot that is not bent too."""
+    begin, end = tube[:-1, :, None], tube[1:, None, :]
+    cost = straight_costs(begin, end, problem.rotation_weights[i])
+    free = np.ones(cost.shape, dtype=bool)
+    for j in set(range(len(problem.robots))) - set(robots):
+        theirs = path[:-1, j, None, None], path[1:, j, None, None]
+        tolerance = problem.workspace.tolerance
+        free &= motions_apart(problem.robots[i], begin, end, problem.robots[j], *theirs, tolerance)
+    row, first, last = np.nonzero(free)
+    free[row, first, last] = test(tube[row, first], tube[row + 1, last])
+    cost[~free] = np.inf
+    return cost
+
+
+def _apart(problem: Problem, robots: tuple[int, ...], tubes: list[Float[np.ndarray, "steps _ dof"]]) -> np.ndarray:
+    """Whether two robots keep clear of one another: from each two of their places to each two."""
+    (i, j), (a, b) = robots, tubes
+    mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
+    theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
+    return motions_apart(problem.robots[i], *mine, problem.robots[j], *theirs, problem.workspace.tolerance)
+
+
+def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:
+    """Places of the cheapest sequence of motions, from place 0 to place 0."""
+    size, rows = cost.shape[1], np.arange(cost.shape[1])
+    so_far = np.full(size, np.inf)
+    so_far[0] = 0.0
+    previous = np.empty((len(cost), size), dtype=np.intp)
+    for motion, through in enumerate(cost):
+        total = so_far[:, None] + through
+        previous[motion] = total.argmin(axis=0)
+        so_far = total[previous[motion], rows]
+    places = np.zeros(len(cost) + 1, dtype=np.intp)
+    for motion in range(len(cost) - 1, -1, -1):
+        places[motion] = previous[motion, places[motion + 1]]
+    return places

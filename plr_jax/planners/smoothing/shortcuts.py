@@ -1,0 +1,125 @@
+"""Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions."""
+
+import time
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.walls import MotionTest
+from plr_jax.robots.robot import between
+
+_LONGEST = 32  # steps that one shortcut spans at most
+_LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
+_GAIN = 1e-3  # share of the cost below which another round is not worth its time
+
+
+def shorten(
+    problem: Problem, path: Float[np.ndarray, "steps robots dof"], tests: list[MotionTest], deadline: float
+) -> Float[np.ndarray, "steps robots dof"]:
+    """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
+
+    Args:
+        problem: The problem.
+        path: A path that solves it.
+        tests: Each robot's motion test.
+        deadline: When to stop, on the clock of ``time.perf_counter``.
+
+    Returns:
+        A path of as many rows that solves the problem, never costlier.
+    """
+    path, cost = path.copy(), path_cost(problem, path)
+    while True:
+        for i, test in enumerate(tests):
+            if time.perf_counter() > deadline:
+                return path
+            path[:, i] = _shortened(problem, path, i, test)
+        before, cost = cost, path_cost(problem, path)
+        if before - cost <= _GAIN * before:
+            return path
+
+
+def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
+    """The same path with a row in the middle of every motion."""
+    finer = np.repeat(path, 2, axis=0)[:-1]
+    finer[1::2] = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
+    return finer
+
+
+def _shortened(
+    problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: MotionTest
+) -> Float[np.ndarray, "steps dof"]:
+    """One robot's motions along the shortest way from its first row to its last in the graph of shortcuts."""
+    q, steps, weight = path[:, i], len(path), problem.rotation_weights[i]
+    so_far = np.concatenate([[0.0], np.cumsum(straight_costs(q[:-1], q[1:], weight))])
+    begin, end = np.triu_indices(steps, 2)
+    near = end - begin <= _LONGEST
+    begin, end = begin[near], end[near]
+    cost = straight_costs(q[begin], q[end], weight)
+    shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
+    begin, end, cost = begin[shorter], end[shorter], cost[shorter]
+    free = test(q[begin], q[end])
+    begin, end, cost = begin[free], end[free], cost[free]
+    free = _apart(problem, path, i, begin, end)
+    begin, end, cost = begin[free], end[free], cost[free]
+    begin = np.concatenate([begin, np.arange(steps - 1)])
+    end = np.concatenate([end, np.arange(1, steps)])
+    cost = np.concatenate([cost, np.diff(so_far)])
+    return _along(q, _shortest(begin, end, cost, steps))
+
+
+def _shortest(
+    begin: Int[np.ndarray, "m"], end: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"], steps: int
+) -> list[int]:
+    """Rows on the shortest way from the first to the last, all edges leading forward."""
+    order = np.argsort(end, kind="stable")
+    begin, cost = begin[order], cost[order]
+    first = np.searchsorted(end[order], np.arange(steps + 1))
+    distance, previous = np.zeros(steps), np.zeros(steps, dtype=np.intp)
+    for row in range(1, steps):
+        edges = slice(first[row], first[row + 1])
+        through = distance[begin[edges]] + cost[edges]
+        best = int(np.argmin(through))
+        distance[row], previous[row] = through[best], begin[edges][best]
+    rows = [steps - 1]
+    while rows[-1] > 0:
+        rows.append(int(previous[rows[-1]]))
+    return rows[::-1]
+
+
+def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarray, "steps dof"]:
+    """The motions between some rows at constant speed; the rows themselves stay as they are."""
+    result = q.copy()
+    for begin, end in pairwise(rows):
+        if end > begin + 1:
+            result[begin + 1 : end] = between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
+    return result
+
+
+def _apart(
+    problem: Problem,
+    path: Float[np.ndarray, "steps robots dof"],
+    i: int,
+    begin: Int[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
+) -> Bool[np.ndarray, "m"]:
+    """Whether shortcuts of one robot keep clear of the motions of the others."""
+    apart = np.ones(len(begin), dtype=bool)
+    for j in range(len(problem.robots)):
+        if j == i:
+            continue
+        rows = np.flatnonzero(apart)
+        count = end[rows] - begin[rows]
+        owner = np.repeat(np.arange(len(rows)), count)
+        step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+        at = begin[rows][owner] + step
+        q0, q1 = path[begin[rows], i][owner], path[end[rows], i][owner]
+        share = count[owner, None]
+        a0, a1 = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)
+        clear = motions_apart(
+            problem.robots[i], a0, a1, problem.robots[j], path[at, j], path[at + 1, j], problem.workspace.tolerance
+        )
+        apart[rows[owner[~clear]]] = False
+    return apart

@@ -1,0 +1,1 @@
+"""PLRs as files: a container, a stream of bits, reading and writing."""

@@ -1,0 +1,1 @@
+"""Which leaf is split next, along which axis, and until when."""

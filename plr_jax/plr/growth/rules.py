@@ -1,0 +1,59 @@
+"""SHOULDSPLIT and SPLIT, the two strategies of Algorithm 1.
+
+A ``should_split`` rule gives every cell a priority: the leaf of the largest priority is split next, and never
+one of priority 0 or below. A ``split`` rule gives the axis along which a cell would be halved.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax.plr.sampling.cell_samples import CellFit, sum_of_squares_after_split
+
+ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
+SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
+
+# The longest side of a cell is at most 2**3 times its shortest (in fractions of the domain): enough for thin walls,
+# and it stops a cell that mostly lies in an obstacle from being halved along the wall for ever.
+MAX_ASPECT_BITS = 3
+
+
+def max_axis_depth(dim: int) -> int:
+    """How often a cell may be halved along one axis: bounds the tables of a query to ``2**28`` slots or so."""
+    return max(1, 28 // max(dim, 2))
+
+
+def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
+    """Largest (weighted) error ``abs(L - V)`` over a cell's samples: best-first refinement."""
+    return np.max(fit.weight * np.abs(fit.residual), axis=1)
+
+
+def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
+    """(Weighted) error at the cell's center, the rule of Section III-B of the paper.
+
+    A cell whose center cannot be reached is judged by its largest sample error, so that an obstacle in the middle
+    does not hide a bad fit around it.
+    """
+    at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
+    return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
+
+
+def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
+    """Split every cell that has a reachable sample, breadth first, until the limits: the paper's simplest rule."""
+    return np.where(np.isfinite(fit.center), np.inf, 0.0)
+
+
+def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
+    """The axis whose two halves, fitted apart, leave the smaller sum of squared errors over the samples."""
+    squares = sum_of_squares_after_split(fit)
+    depth = fit.cells.depth
+    closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
+    closed |= depth >= max_axis_depth(fit.cells.dim)
+    return np.argmin(np.where(closed, np.inf, squares), axis=1)
+
+
+def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
+    """The axes in turn, as in Section III-B of the paper: axis ``n`` is followed by ``(n + 1) mod dim``."""
+    return fit.cells.depth.sum(axis=1) % fit.cells.dim

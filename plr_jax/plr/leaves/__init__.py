@@ -1,0 +1,1 @@
+"""Leaf models: what function each leaf holds."""

@@ -1,0 +1,127 @@
+"""What a leaf's function is made of: corner values (order 0), or corner values and derivatives (order 1).
+
+Order 0 interpolates the values at a cell's corners multilinearly. Order 1 adds cubic Hermite interpolation, as in the
+element of Bogner, Fox and Schmit (1965): its derivatives at a corner are means over the leaves tied there of those of
+the multilinear functions, so they follow from the same values. A hanging corner takes value and derivatives from the
+cubic of the leaf it hangs on; half a cubic is the cubic of its own end points, so nothing jumps there either.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax.plr.leaves.continuous.space import NodalSpace, multilinear, resolve
+from plr_jax.plr.partition.faces import corner_bits
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+MAX_DIM_OF_ORDER = (6, 2)  # 2**6 corners a leaf; in 3-D a corner may hang on two leaves whose cubics disagree there
+
+# Cubics on [0, 1] by powers of t: value at 0, derivative at 0, value at 1, derivative at 1.
+_HERMITE = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4)
+_LINEAR = np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2)
+
+
+def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+    """Values at points ``t`` of a cell, from 0 to 1 along each axis, of the functions that its numbers multiply."""
+    return multilinear(t) if order == 0 else _hermite(t, np.zeros(t.shape[1], np.int64))
+
+
+def numbers_of_leaves(order: int, space: NodalSpace) -> "csr_array":
+    """Maps values of the masters to the numbers of all leaves, ``terms`` a leaf, as :func:`design` wants them."""
+    return space.values if order == 0 else _values_and_derivatives(space)
+
+
+def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
+    """For every number of a cell the coefficients of its function by powers of ``t``, the last axis fastest."""
+    along = _LINEAR if order == 0 else _HERMITE
+    table = np.ones((1, 1, 1))
+    for _ in range(dim):
+        table = np.einsum("cmp,adq->camdpq", table, along).reshape(
+            2 * table.shape[0], along.shape[1] * table.shape[1], along.shape[2] * table.shape[2]
+        )
+    return table.reshape(-1, table.shape[2])
+
+
+def _hermite(t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
+    """A mixed derivative of all functions of order 1: by corner, then by what the number is a derivative along."""
+    n = len(t)
+    values = np.ones((n, 1, 1))
+    for axis, order in enumerate(derivative):
+        powers = np.arange(4)
+        slopes = powers * t[:, axis, None] ** np.maximum(powers - 1, 0)
+        along = (slopes if order else t[:, axis, None] ** powers) @ _HERMITE.reshape(4, 4).T
+        values = np.einsum("ncm,nad->ncamd", values, along.reshape(n, 2, 2))
+        values = values.reshape(n, 2 ** (axis + 1), 2 ** (axis + 1))
+    return values.reshape(n, 4 ** t.shape[1])
+
+
+def _values_and_derivatives(space: NodalSpace) -> "csr_array":
+    """Numbers of order 1. Derivatives are by fractions of the domain, until each leaf scales them to its own size."""
+    from scipy.sparse import csr_array
+
+    kinds = corner_bits(space.dim)
+    num_groups = int(space.group.max()) + 1
+    of_masters = _free_numbers(space, kinds, num_groups)
+    is_free = np.ones((num_groups, len(kinds)))
+    is_free[space.hanging] = 0
+    of_groups = resolve(_hanging_numbers(space, kinds, num_groups), is_free.ravel()) @ of_masters
+    depth = np.repeat(space.tree.leaves.depth, len(kinds), axis=0)
+    scale = np.ldexp(1.0, -(depth @ kinds.T))
+    is_answered = np.diff(space.values.indptr) > 0
+    rows, kind = np.nonzero(np.broadcast_to(is_answered[:, None], scale.shape))
+    pick = csr_array(
+        (scale[rows, kind], (rows * len(kinds) + kind, space.group[rows] * len(kinds) + kind)),
+        (scale.size, num_groups * len(kinds)),
+    )
+    return csr_array(pick @ of_groups)
+
+
+def _free_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num_groups: int) -> "csr_array":
+    """Values and mean derivatives of the groups that do not hang; rows of the others are zero."""
+    from scipy.sparse import csr_array
+
+    nodes = np.arange(len(space.group))
+    corners = 2**space.dim
+    depth = np.repeat(space.tree.leaves.depth, corners, axis=0)
+    answered = np.diff(space.values.indptr) > 0
+    answered &= ~np.isin(space.group, space.hanging)
+    total = csr_array((num_groups * len(kinds), len(space.masters)))
+    for kind, along in enumerate(kinds):
+        # Where two cells meet, the difference over the smaller one is the better derivative.
+        weight = np.ldexp(1.0, depth @ along) * answered
+        weight /= np.bincount(space.group, weight)[space.group] + (weight == 0)
+        mean = csr_array((weight, (space.group * len(kinds) + kind, nodes)), (num_groups * len(kinds), len(nodes)))
+        total = total + mean @ (_differences(space, along) @ space.values)
+    return csr_array(total)
+
+
+def _differences(space: NodalSpace, along: Int[np.ndarray, "dim"]) -> "csr_array":
+    """The (mixed) derivative along some axes of every leaf's multilinear function at its corners."""
+    from scipy.sparse import csr_array, diags_array, kron
+
+    table = np.ones((1, 1))
+    for is_along in along:
+        table = np.kron(table, [[-1, 1], [-1, 1]] if is_along else np.eye(2))
+    depth = np.repeat(space.tree.leaves.depth, len(table), axis=0)
+    every_leaf = kron(diags_array(np.ones(len(space.tree.node_of_leaf))), csr_array(table))
+    return csr_array(diags_array(np.ldexp(1.0, depth @ along)) @ every_leaf)
+
+
+def _hanging_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num_groups: int) -> "csr_array":
+    """Values and derivatives of the groups that hang, from the numbers of the leaf each hangs on."""
+    from scipy.sparse import csr_array
+
+    size = len(kinds)
+    depth = space.tree.leaves.depth[space.on_leaf]
+    to_leaf = np.tile(np.ldexp(1.0, -(depth @ kinds.T)), size)  # by corner, then kind
+    group = space.group.reshape(-1, 2**space.dim)[space.on_leaf]
+    columns = (group[:, :, None] * size + np.arange(size)).reshape(len(group), size * size)
+    rows, weights = [], []
+    for kind, along in enumerate(kinds):
+        weights.append(_hermite(space.at, along) * to_leaf * np.ldexp(1.0, depth @ along)[:, None])
+        rows.append(np.broadcast_to((space.hanging * size + kind)[:, None], columns.shape))
+    table = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
+    return csr_array(table, (num_groups * size, num_groups * size))

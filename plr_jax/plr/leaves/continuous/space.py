@@ -1,0 +1,263 @@
+"""Functions that are multilinear in every leaf and continuous across free faces: which values at corners are free.
+
+Every corner of every leaf is a *node*. Across a face that is free the functions of its two leaves must agree at the
+corners of what they share. A corner of both makes their nodes one; a corner of one of them alone, which *hangs* on
+the other, takes the other's interpolation there. A hanging corner has larger denominators than the corners it is
+interpolated from (in the sum of their exponents over the axes), so these dependencies have no cycles. Walls tie
+nothing: a mesh point in a wall has several nodes.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.plr.partition.faces import SharedFaces, Tree, corner_bits, face_points, parents_of_corners
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_ZERO = 1e-9  # of combinations of weights that are multiples of small powers of two
+
+
+@dataclass(frozen=True, eq=False)
+class NodalSpace:
+    """A basis of the continuous functions on a tied partition.
+
+    Attributes:
+        tree: The partition.
+        group: Number of the tied nodes to which each node belongs; nodes are numbered ``leaf * 2**dim + corner``.
+        hanging: Groups that hang on a larger leaf.
+        on_leaf: That leaf, for each hanging group.
+        at: Where on it, from 0 to 1 along each axis.
+        masters: Groups whose values are free, coarse ones first.
+        level: A master's denominator as an exponent of two, summed over the axes; ascending.
+        values: Maps values of the masters to values of all nodes; 0 for the nodes of unreachable leaves.
+        prediction: Maps values of the masters to a guess for each from coarser ones, the middle of an edge.
+    """
+
+    tree: Tree
+    group: Int[np.ndarray, "nodes"]
+    hanging: Int[np.ndarray, "hanging"]
+    on_leaf: Int[np.ndarray, "hanging"]
+    at: Float[np.ndarray, "hanging dim"]
+    masters: Int[np.ndarray, "masters"]
+    level: Int[np.ndarray, "masters"]
+    values: "csr_array"
+    prediction: "csr_array"
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.tree.cells.dim
+
+
+@dataclass(frozen=True, eq=False)
+class _Agreement:
+    """Points at which the functions of two leaves must agree: corners of what the leaves share of a face.
+
+    Attributes:
+        leaf: The lower and the upper leaf.
+        t: The point in the coordinates of each, from 0 to 1.
+    """
+
+    leaf: Int[np.ndarray, "2 points"]
+    t: Float[np.ndarray, "2 points dim"]
+
+
+def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
+    """The continuous functions on a partition.
+
+    Args:
+        tree: The partition.
+        tied: Faces across which the functions are continuous.
+        unreachable: Leaves without a function; none has a tied face.
+    """
+    from scipy.sparse import csr_array
+
+    agreement = _agreement(tree, tied)
+    group = _united(tree, agreement)
+    hanging, on_leaf, at = _hanging(group, agreement)
+    num_groups = int(group.max()) + 1
+    corners = 2**tree.cells.dim
+    depends = group.reshape(-1, corners)[on_leaf]
+    is_free = np.ones(num_groups)
+    is_free[hanging] = 0
+    step = csr_array(
+        (multilinear(at).ravel(), (np.repeat(hanging, corners), depends.ravel())), (num_groups, num_groups)
+    )
+    of_groups = resolve(step, is_free)
+    present = np.zeros(num_groups, bool)
+    present[group.reshape(-1, corners)[~unreachable]] = True
+    level = _levels(tree, group, num_groups)
+    if tree.cells.dim > 2:  # where a corner may hang on two leaves of which neither implies the other
+        of_groups = of_groups @ _eliminated(_disagreement(group, agreement, corners) @ of_groups, level)
+    is_master = present.copy()
+    is_master[hanging] = False
+    is_master &= of_groups.diagonal() == 1
+    masters = np.flatnonzero(is_master)
+    masters = masters[np.argsort(level[masters], kind="stable")]
+    values = csr_array(of_groups[group][:, masters])
+    prediction = _prediction(tree, unreachable, group, masters, values)
+    return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
+
+
+def multilinear(t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n corners"]:
+    """Weights of a cell's corners in the multilinear interpolation at points ``t``, from 0 to 1 along each axis."""
+    weights = np.ones((len(t), 1))
+    for axis in range(t.shape[1]):
+        along = np.stack([1 - t[:, axis], t[:, axis]], axis=1)
+        weights = (weights[:, :, None] * along[:, None, :]).reshape(len(t), 2 ** (axis + 1))
+    return weights
+
+
+def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
+    """From what every dependent value is made of to what it is made of in the end: free values alone."""
+    from scipy.sparse import csr_array, diags_array
+
+    step = csr_array(step + diags_array(is_free))
+    while step[:, np.flatnonzero(is_free == 0)].nnz:
+        step = csr_array(step @ step)
+        step.eliminate_zeros()
+    return step
+
+
+def _agreement(tree: Tree, tied: SharedFaces) -> _Agreement:
+    cells, leaf, t = tree.leaves, [], []
+    bits = corner_bits(cells.dim)
+    for axis in range(cells.dim):
+        faces = tied[tied.axis == axis]
+        w = bits[bits[:, axis] == 0].astype(float)
+        x = face_points(cells, faces, w).reshape(-1, cells.dim)
+        leaves = np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1)
+        leaf.append(leaves)
+        t.append(np.ldexp(x, cells.depth[leaves]) - cells.position[leaves])
+    return _Agreement(np.concatenate(leaf, axis=1), np.concatenate(t, axis=1))
+
+
+def _united(tree: Tree, agreement: _Agreement) -> Int[np.ndarray, "nodes"]:
+    """Group of every node: those that are one point of leaves tied there are one, numbered in order of the nodes."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners = 2**tree.cells.dim
+    num_nodes = len(tree.node_of_leaf) * corners
+    both = _is_corner(agreement.t).all(axis=0)
+    first, second = _node(agreement.leaf[:, both], agreement.t[:, both])
+    graph = coo_array((np.ones(len(first)), (first, second)), (num_nodes, num_nodes))
+    _, label = connected_components(graph, directed=False)
+    _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first_node))[group]
+
+
+def _hanging(
+    group: Int[np.ndarray, "nodes"], agreement: _Agreement
+) -> tuple[Int[np.ndarray, "hanging"], Int[np.ndarray, "hanging"], Float[np.ndarray, "hanging dim"]]:
+    """Groups that hang, the leaf that each hangs on (the first of several), and where."""
+    hangs, on_leaf, at = [], [], []
+    is_corner = _is_corner(agreement.t)
+    for side in range(2):
+        here = is_corner[side] & ~is_corner[1 - side]
+        hangs.append(group[_node(agreement.leaf[side, here], agreement.t[side, here])])
+        on_leaf.append(agreement.leaf[1 - side, here])
+        at.append(agreement.t[1 - side, here])
+    hanging, first = np.unique(np.concatenate(hangs), return_index=True)
+    return hanging, np.concatenate(on_leaf)[first], np.concatenate(at)[first]
+
+
+def _is_corner(t: Float[np.ndarray, "*n dim"]) -> Bool[np.ndarray, "*n"]:
+    return np.all((t == 0) | (t == 1), axis=-1)
+
+
+def _node(leaf: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Int[np.ndarray, "*n"]:
+    """Node of a leaf's corner."""
+    dim = t.shape[-1]
+    return (leaf << dim) + t.astype(np.int64) @ (1 << np.arange(dim)[::-1])
+
+
+def _levels(tree: Tree, group: Int[np.ndarray, "nodes"], num_groups: int) -> Int[np.ndarray, "groups"]:
+    """Sum over the axes of the exponents of the denominators of every group's point."""
+    cells, bits = tree.leaves, corner_bits(tree.cells.dim)
+    numerator = (cells.position[:, None] + bits).reshape(-1, cells.dim)
+    depth = np.repeat(cells.depth, len(bits), axis=0)
+    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
+    exponent = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth))
+    level = np.zeros(num_groups, np.int64)
+    level[group] = exponent.sum(axis=1)
+    return level
+
+
+def _prediction(
+    tree: Tree,
+    unreachable: Bool[np.ndarray, "leaves"],
+    group: Int[np.ndarray, "nodes"],
+    masters: Int[np.ndarray, "masters"],
+    values: "csr_array",
+) -> "csr_array":
+    """For every master the mean over its nodes of the middle of the edge that a split halved there."""
+    from scipy.sparse import csr_array
+
+    ends, is_made = parents_of_corners(tree)
+    counts = is_made[..., None] & ~unreachable[ends >> tree.cells.dim] & ~unreachable[:, None, None]
+    master = np.full(int(group.max()) + 1, -1)
+    master[masters] = np.arange(len(masters))
+    row = np.broadcast_to(master[group].reshape(is_made.shape)[..., None], ends.shape)
+    counts &= row >= 0
+    weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(masters)), 1)
+    mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(masters), len(group)))
+    return csr_array(mean @ values)
+
+
+def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, corners: int) -> "csr_array":
+    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups."""
+    from scipy.sparse import csr_array
+
+    num_points = agreement.leaf.shape[1]
+    rows = np.repeat(np.arange(num_points), corners)
+    parts = [
+        csr_array(
+            (
+                multilinear(agreement.t[side]).ravel(),
+                (rows, group.reshape(-1, corners)[agreement.leaf[side]].ravel()),
+            ),
+            (num_points, int(group.max()) + 1),
+        )
+        for side in range(2)
+    ]
+    return csr_array(parts[0] - parts[1])
+
+
+def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_array":
+    """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
+    from scipy.sparse import csr_array
+
+    solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
+    for start, end in zip(rows.indptr[:-1], rows.indptr[1:], strict=True):
+        row: dict[int, float] = {}
+        for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
+            if abs(weight) > _ZERO:
+                _add(row, weight, solved.get(index, {index: 1.0}))
+        if not row:
+            continue
+        pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
+        scale = row.pop(pivot)
+        solution = {index: -weight / scale for index, weight in row.items()}
+        for other in solved.values():
+            if pivot in other:
+                _add(other, other.pop(pivot), solution)
+        solved[pivot] = solution
+    table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
+    group, index, weight = np.array(table).reshape(-1, 3).T
+    kept = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
+    coordinates = np.concatenate([group, kept]).astype(int), np.concatenate([index, kept]).astype(int)
+    return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
+
+
+def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> None:
+    for index, weight in other.items():
+        total = row.get(index, 0.0) + factor * weight
+        if abs(total) > _ZERO:
+            row[index] = total
+        else:
+            row.pop(index, None)

@@ -1,0 +1,1 @@
+"""A plane in every leaf, the paper's model."""

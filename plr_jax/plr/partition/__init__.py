@@ -1,0 +1,1 @@
+"""Dyadic partitions of a box: cells, the tree over them, their faces and neighbors. No values."""

@@ -1,0 +1,173 @@
+"""The tree over a partition's leaves as a table of nodes: which leaves share a face, and where corners come from."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.levels import levels_of
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The nodes of a tree, level by level from the root.
+
+    Attributes:
+        cells: Cell of each node.
+        axis: Axis along which each node is split; 0 for a leaf.
+        child: Lower child of each node, the upper one following it; -1 for a leaf.
+        node_of_leaf: Node of each leaf, leaves in the order of the tree's traversal.
+        level_start: First node of each level, and the number of nodes.
+        order: Index of each leaf among the cells that the tree was made for.
+    """
+
+    cells: Cells
+    axis: Int[np.ndarray, "nodes"]
+    child: Int[np.ndarray, "nodes"]
+    node_of_leaf: Int[np.ndarray, "leaves"]
+    level_start: Int[np.ndarray, "levels_plus_one"]
+    order: Int[np.ndarray, "leaves"]
+
+    @property
+    def leaves(self) -> Cells:
+        """Cells of the leaves, in the order of the tree's traversal."""
+        return self.cells[self.node_of_leaf]
+
+    def splits(self) -> list[Int[np.ndarray, "splits"]]:
+        """The split nodes, level by level."""
+        levels = [np.arange(*ends) for ends in zip(self.level_start[:-1], self.level_start[1:], strict=True)]
+        return [nodes[self.child[nodes] >= 0] for nodes in levels]
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFaces:
+    """Pieces of faces that two leaves share: what they have in common of the upper face of one, the lower of another.
+
+    Attributes:
+        lower: The leaf below the face.
+        upper: The leaf above it.
+        axis: The axis that the face is perpendicular to.
+    """
+
+    lower: Int[np.ndarray, "faces"]
+    upper: Int[np.ndarray, "faces"]
+    axis: Int[np.ndarray, "faces"]
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+    def __getitem__(self, index) -> "SharedFaces":
+        return SharedFaces(self.lower[index], self.upper[index], self.axis[index])
+
+
+def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
+    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
+    return np.array(list(product((0, 1), repeat=dim)))
+
+
+def tree_of(cells: Cells) -> Tree:
+    """The tree whose leaves are the given cells, in any order."""
+    levels, order = levels_of(cells)
+    sizes = np.array([len(level.inner) for level in levels])
+    level_start = np.concatenate([[0], np.cumsum(sizes)])
+    nodes, parts = Cells.root(cells.dim), []
+    axis, child = np.zeros(level_start[-1], np.int64), np.full(level_start[-1], -1)
+    for level, start in zip(levels, level_start[:-1], strict=True):
+        parts.append(nodes)
+        split = start + np.flatnonzero(level.inner)
+        axis[split] = level.axis
+        child[split] = start + len(level.inner) + 2 * np.arange(len(split))
+        nodes = nodes[level.inner].split(level.axis)
+    all_cells = parts[0].append(*parts[1:])
+    return Tree(all_cells, axis, child, _nodes_of(all_cells, child, cells[order]), level_start, order)
+
+
+def _nodes_of(nodes: Cells, child: Int[np.ndarray, "nodes"], leaves: Cells) -> Int[np.ndarray, "leaves"]:
+    """Node of each leaf: both lists sorted alike."""
+    leaf_nodes = np.flatnonzero(child < 0)
+    of_node = np.lexsort((*nodes.depth[leaf_nodes].T, *nodes.position[leaf_nodes].T))
+    of_leaf = np.lexsort((*leaves.depth.T, *leaves.position.T))
+    found = np.empty(len(leaves), np.int64)
+    found[of_leaf] = leaf_nodes[of_node]
+    return found
+
+
+def shared_faces(tree: Tree) -> SharedFaces:
+    """All pairs of leaves that share a piece of a face, sorted by the lower leaf, then the upper.
+
+    The halves of a split share a face. A pair of nodes that do is replaced by pairs of a node and a child that do,
+    until both are leaves.
+    """
+    split = np.flatnonzero(tree.child >= 0)
+    pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
+    found = []
+    while pairs.shape[1]:
+        inner = tree.child[pairs[:2]] >= 0
+        found.append(pairs[:, ~inner.any(axis=0)])
+        lower = _descend(tree, pairs[:, inner[0]], 0)
+        upper = _descend(tree, pairs[:, inner[1] & ~inner[0]], 1)
+        pairs = np.concatenate([lower, upper], axis=1)
+    leaf_of_node = np.full(len(tree.child), -1)
+    leaf_of_node[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
+    lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)
+    lower, upper = leaf_of_node[lower], leaf_of_node[upper]
+    order = np.lexsort((upper, lower))
+    return SharedFaces(lower[order], upper[order], axis[order])
+
+
+def _descend(tree: Tree, pairs: Int[np.ndarray, "3 pairs"], side: int) -> Int[np.ndarray, "3 children"]:
+    """Pairs in which the node of one side, the lower (0) or the upper (1), gives way to its children at the face."""
+    node = pairs[side]
+    children = []
+    for half in range(2):
+        child = pairs.copy()
+        child[side] = tree.child[node] + half
+        across = tree.axis[node] == pairs[2]
+        # Of halves along the face's own axis, the one beyond the other's reach of the face does not touch it.
+        keep = np.where(across, half != side, _overlap(tree, child[0], child[1], tree.axis[node]))
+        children.append(child[:, keep])
+    return np.concatenate(children, axis=1)
+
+
+def _overlap(
+    tree: Tree, a: Int[np.ndarray, "n"], b: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
+    depth_a, depth_b = tree.cells.depth[a, axis], tree.cells.depth[b, axis]
+    common = np.minimum(depth_a, depth_b)
+    return tree.cells.position[a, axis] >> (depth_a - common) == tree.cells.position[b, axis] >> (depth_b - common)
+
+
+def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
+    """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes."""
+    size = np.ldexp(1.0, -cells.depth)
+    lo, hi = cells.position * size, (cells.position + 1) * size
+    low = np.maximum(lo[faces.lower], lo[faces.upper])
+    high = np.minimum(hi[faces.lower], hi[faces.upper])  # equal to low along the face's axis
+    return low[:, None] + (high - low)[:, None] * w
+
+
+def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
+    """For every corner of every leaf the two between which a split put it, and whether one did.
+
+    The youngest split that made a corner halved an edge of the split cell: the corner is the middle of that edge.
+    Its ends are corners of leaves inside the split cell, numbered ``leaf * 2**dim + corner``.
+    """
+    bits = corner_bits(tree.cells.dim)
+    weight = 1 << np.arange(tree.cells.dim)[::-1]
+    origin = np.full((len(tree.child), len(bits)), -1)
+    for split in tree.splits():
+        for half in range(2):
+            stays = (bits == half)[:, tree.axis[split]].T
+            origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
+    leaf_at = np.empty_like(origin)
+    leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
+    corners = np.arange(len(bits))
+    for split in reversed(tree.splits()):
+        leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
+    made_by = origin[tree.node_of_leaf]
+    across = weight[tree.axis[made_by]]
+    ends = np.stack([corners & ~across, corners | across], axis=-1)
+    return leaf_at[made_by[..., None], ends] * len(bits) + ends, made_by >= 0

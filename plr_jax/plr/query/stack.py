@@ -1,0 +1,70 @@
+"""A team's PLRs as one function: a whole batch of joint configurations in a few compiled calls."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from plr_jax.plr.query.tables import Tables, evaluate_tables
+
+# The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
+# are worth their own, as JAX then computes at once instead of handing the work to another thread.
+_SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
+_CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
+
+
+@dataclass(frozen=True, eq=False)
+class TableStack:
+    """The tables of several PLRs, one a robot.
+
+    Args:
+        tables: The tables, in the order of the robots.
+    """
+
+    tables: tuple[Tables, ...]
+
+    def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
+        """Distance of every robot in every joint configuration.
+
+        Args:
+            q: Joint configurations, ``(n, robots, dof)``. A PLR of fewer than ``dof`` dimensions sees the leading
+                coordinates.
+
+        Returns:
+            What each robot's PLR answers, bit for bit, ``(n, robots)``.
+
+        Raises:
+            ValueError: If there are more or fewer robots than PLRs, or fewer coordinates than a PLR has.
+        """
+        self._require_fit(q.shape)
+        distances = np.empty(q.shape[1::-1])
+        starts = range(0, len(q), _CHUNK)
+        # All calls are under way before the first result is waited for.
+        answers = [_evaluate(self.tables, _padded(q[begin : begin + _CHUNK])) for begin in starts]
+        for begin, answer in zip(starts, answers, strict=True):
+            columns = distances[:, begin : begin + _CHUNK]
+            for column, of_robot in zip(columns, answer, strict=True):
+                column[:] = np.asarray(of_robot)[: len(column)]
+        return distances.T
+
+    def _require_fit(self, shape: tuple[int, ...]) -> None:
+        if len(shape) != 3 or shape[1] != len(self.tables):
+            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
+        for i, table in enumerate(self.tables):
+            if table.dim > shape[2]:
+                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
+
+
+def _padded(q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
+    """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+    size = next(size for size in _SIZES if size >= len(q))
+    padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
+    padded[: len(q)], padded[len(q) :] = q, 0
+    return padded
+
+
+@jax.jit
+def _evaluate(tables: tuple[Tables, ...], q: Float[Array, "n robots dof"]) -> tuple[Float[Array, "n"], ...]:
+    """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
+    return tuple(evaluate_tables(table, q[:, i, : table.dim]) for i, table in enumerate(tables))

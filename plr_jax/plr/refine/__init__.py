@@ -1,0 +1,1 @@
+"""Fitting a PLR's planes again, all at once, to a loss."""

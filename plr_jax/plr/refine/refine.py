@@ -1,0 +1,228 @@
+"""Refinement: the partition of a PLR stays, and all its planes move at once against a loss."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._arrays import as_numbers, as_points, require_integer
+from plr_jax._types import ArrayLike
+from plr_jax.plr._plr import PLR, plr_of_leaves
+from plr_jax.plr.file.plr_file import size_in_bytes
+from plr_jax.plr.leaves.plane.codec import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, encode_planes
+from plr_jax.plr.refine.losses import Loss, Penalty, squared
+from plr_jax.plr.refine.objective import Samples, minimize, pose
+from plr_jax.plr.refine.report import Refinement, Stage, measure_errors, measure_jumps
+from plr_jax.plr.sampling.face_samples import Faces
+
+_CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share
+
+
+class RefinementInterrupted(UserWarning):
+    """Ctrl-C ended a refinement early; what it returns is the best found so far."""
+
+
+def refine(
+    plr: PLR,
+    x: ArrayLike,
+    distance: ArrayLike,
+    *,
+    loss: Loss = squared,
+    weight: ArrayLike | None = None,
+    penalties: Sequence[Penalty] = (),
+    faces: Faces | None = None,
+    max_bytes: int | None = None,
+    num_steps: int = 400,
+    held_out: int | float = 0.2,
+    seed: int = 0,
+) -> tuple[PLR, Refinement]:
+    """Move all planes of a PLR at once, so that a loss over many points becomes small.
+
+    The partition stays, and so does the number of bits of a coefficient: a query costs the same, and the file is of
+    about the same size (a few bytes more or less, where half-differences need more or fewer bits). Leaves that were
+    unreachable stay so. A leaf with fewer than ``4 * (dim + 1)`` points keeps its plane, but for rounding.
+
+    With a loss that asks for a share of over-estimates (:func:`quantile`), another fifth of the training points is
+    kept apart. At the end, after rounding to what the file holds, one number is added to all values, so that at most
+    the asked share of those points is over-estimated. A new point drawn like ``x`` is then over-estimated with a
+    probability of at most that share, and of less by at most one part in their number: over the whole domain, on
+    average over such draws of points, up to rounding to 32-bit floats. Nothing is promised for a part of the domain
+    alone, nor about the largest over-estimate.
+
+    Args:
+        plr: The PLR to start from. Its planes matter only where a leaf has too few points.
+        x: Points inside the domain, ``(n, dim)``; many more than leaves. Where they are dense, accuracy matters.
+        distance: Distance to the goal at each, ``(n,)``. Points of infinite distance are left out.
+        loss: Loss of the errors ``plr(x) - distance``: ``squared``, ``quantile(share)``, or your own function in
+            JAX. One that is made anew for each call is compiled anew for each call.
+        weight: Weight of each point in the mean loss, ``(n,)``, finite and >= 0; None: all 1. Points of weight 0
+            still count in the report, and where the share of over-estimates is set.
+        penalties: What is added to the mean loss: ``eikonal(weight)``, ``jumps(faces, weight)``, or your own
+            functions of :class:`Planes`. They move a plane by at most some sixty times its least-squares error
+            (or a hundredth of how much it varies in its leaf) in 400 steps.
+        faces: Points of free faces at which the report measures jumps; None: it has no jumps.
+        max_bytes: Largest size of the file; coefficients get fewer bits where they must. None: no limit.
+        num_steps: Steps of the optimizer, in each of which all points take part; at least 1, rounded up to a
+            multiple of 50. Strong penalties need more of them.
+        held_out: Share of the points, from 0 to below 1, that are not fitted to but measured in the report.
+        seed: Seed of which points are set aside. The same seed gives the same PLR (on a CPU).
+
+    Returns:
+        The refined PLR, and what was gained over the given one and over cell-by-cell least squares. If interrupted
+        (Ctrl-C), the best found so far, with a ``RefinementInterrupted`` warning.
+
+    Raises:
+        ValueError: If an argument has another shape or is out of its range, a point lies outside the domain, a
+            distance is NaN or ``-inf``, no leaf has enough points, the points kept apart are fewer than one over the
+            share of over-estimates, the loss gives another shape or no finite number, ``faces`` are those of another
+            partition, or not even 4-bit coefficients fit into ``max_bytes``.
+
+    References:
+        Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019, of which the added number is
+        the simplest case. Kingma and Ba, "Adam", ICLR 2015.
+    """
+    _check_functions(plr, loss, penalties)
+    _check_numbers(num_steps, held_out, max_bytes, seed)
+    samples, num_unreachable = _check_samples(plr, x, distance, weight)
+    share = getattr(loss, "share", None)
+    training, measured, calibration = _set_aside(
+        samples, float(held_out), 0.0 if share is None else _CALIBRATION, seed
+    )
+    if share is not None:
+        _check_share(share, len(calibration.x))
+    problem, enough = pose(plr, training)
+    least_squares = _with_planes(plr, _encode(plr, problem.plane, max_bytes))
+
+    z, objective, steps_taken = minimize(problem, loss, tuple(penalties), num_steps)
+    if steps_taken < num_steps:
+        message = f"Interrupted after {steps_taken} of {num_steps} steps: the PLR is the best found so far."
+        warnings.warn(message, RefinementInterrupted, stacklevel=2)
+    planes, shift = _encode(plr, problem.corrected(z), max_bytes), 0.0
+    if share is not None:
+        shift = _conformal_shift(_with_planes(plr, planes), calibration, share)
+        planes = _raised(planes, shift)
+    refined = _with_planes(plr, planes)
+
+    def stage(plr: PLR) -> Stage:
+        errors = [measure_errors(plr, s.x, s.distance, loss) if len(s.x) else None for s in (training, measured)]
+        return Stage(plr.num_bytes, errors[0], errors[1], measure_jumps(plr, faces))  # type: ignore[arg-type]
+
+    return refined, Refinement(
+        given=stage(plr),
+        least_squares=stage(least_squares),
+        refined=stage(refined),
+        num_unreachable=num_unreachable,
+        num_kept=int(np.count_nonzero(~enough & ~plr.planes.unreachable)),
+        num_steps=steps_taken,
+        objective=objective,
+        shift=shift,
+    )
+
+
+def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR, as construct builds, has planes to move, got {plr!r:.200}.")
+    if not callable(loss):
+        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {loss!r:.200}.")
+    if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):
+        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {penalties!r:.200}.")
+
+
+def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None, seed: int) -> None:
+    for name, value, least in (("num_steps", num_steps, 1), ("seed", seed, 0), ("max_bytes", max_bytes, 1)):
+        if name != "max_bytes" or value is not None:
+            require_integer(name, value, least)
+    if not (isinstance(held_out, int | float | np.number) and 0 <= held_out < 1):
+        raise ValueError(f"held_out must be a share of the points, from 0 to below 1, got {held_out!r}.")
+
+
+def _check_share(share: int | float, num_points: int) -> None:
+    """Whether so many points can set the height: even the largest of their errors is exceeded now and then."""
+    if not (isinstance(share, int | float | np.number) and 0 < share < 1):
+        raise ValueError(f"A loss's share of over-estimates must be between 0 and 1, got {share!r}.")
+    if np.ceil((num_points + 1) * (1 - share)) > num_points:
+        raise ValueError(
+            f"To over-estimate a share of {share:g} at most takes {np.ceil(1 / share) - 1:g} points to set the "
+            f"height by, here there are {num_points} (see refine): give more points, or ask for a larger share."
+        )
+
+
+def _check_samples(plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLike | None) -> tuple[Samples, int]:
+    """The points of finite distance, and how many others there are."""
+    x = as_points("x", x, plr.dim)
+    distance = _column("distance", distance, len(x))
+    weight = np.ones(len(x)) if weight is None else _column("weight", weight, len(x))
+    outside = ~plr.domain.contains(x)
+    if outside.any():
+        raise ValueError(f"All points must lie in {plr.domain}, got {x[outside][0].tolist()}; leave such points out.")
+    bad = np.isnan(distance) | (distance == -np.inf)
+    if bad.any():
+        raise ValueError(
+            f"A distance must be a number, or inf where the goal cannot be reached, got {distance[bad][0]} at "
+            f"{x[bad][0].tolist()}."
+        )
+    if not (np.isfinite(weight).all() and (weight >= 0).all()):
+        raise ValueError(
+            f"A weight must be finite and >= 0, got {weight[~(np.isfinite(weight) & (weight >= 0))][0]}."
+        )
+    finite = np.flatnonzero(distance < np.inf)
+    return Samples(x, distance, weight).take(finite), len(x) - len(finite)
+
+
+def _column(name: str, value: ArrayLike, num_points: int) -> Float[np.ndarray, "n"]:
+    column = as_numbers(name, value, f"numbers of shape ({num_points},)")
+    if column.shape != (num_points,):
+        raise ValueError(f"{name} must have one number a point, shape ({num_points},), got {column.shape}.")
+    return column
+
+
+def _set_aside(samples: Samples, held_out: float, calibration: float, seed: int) -> tuple[Samples, Samples, Samples]:
+    """Points to fit to, points to measure at, and points to set the height by, at random."""
+    order = np.random.default_rng(seed).permutation(len(samples.x))
+    num_held_out = int(held_out * len(order))
+    num_calibration = int(calibration * (len(order) - num_held_out))
+    measured, calibrating, training = np.split(order, [num_held_out, num_held_out + num_calibration])
+    return samples.take(training), samples.take(measured), samples.take(calibrating)
+
+
+def _encode(plr: PLR, plane: Float[np.ndarray, "padded terms"], max_bytes: int | None) -> StoredPlanes:
+    """Planes as the file stores them, with as many bits as before, or as many as fit."""
+    plane = plane[: plr.num_leaves]
+    center = np.where(plr.planes.unreachable, np.inf, plane[:, 0])
+    bits = plr.planes.bits
+    for fewer_bits in (bits, *range(min(bits - 1, MAX_BITS), MIN_BITS - 1, -1)):
+        planes = encode_planes(center, plane[:, 1:], fewer_bits)
+        size = size_in_bytes(plr.cells, planes)
+        if max_bytes is None or size <= max_bytes:
+            return planes
+    raise ValueError(f"max_bytes={max_bytes} is too small for {plr.num_leaves} leaves: they need {size} bytes.")
+
+
+def _with_planes(plr: PLR, planes: StoredPlanes) -> PLR:
+    return plr_of_leaves(plr.domain, plr.cells, planes)
+
+
+def _conformal_shift(plr: PLR, samples: Samples, share: float) -> float:
+    """What must be added to all values so that no more than a share of points like these is over-estimated.
+
+    Of ``n`` errors and a new one, each is equally likely to be the ``k``-th smallest of ``n + 1``.
+    """
+    error = np.asarray(plr(samples.x), np.float64) - samples.distance
+    error = np.sort(error[np.isfinite(error)])
+    rank = min(int(np.ceil((len(error) + 1) * (1 - share))), len(error))
+    return -float(error[rank - 1]) if rank else 0.0
+
+
+def _raised(planes: StoredPlanes, shift: float) -> StoredPlanes:
+    """All values higher by a number, or by a little less, where 32-bit floats hold no such number."""
+    center, half = planes.decode()
+    if planes.bits == FLOAT_BITS:
+        return encode_planes(_rounded_down(center + shift), half, FLOAT_BITS)
+    return replace(planes, offset=float(_rounded_down(np.array(planes.offset + shift))))
+
+
+def _rounded_down(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    rounded = values.astype(np.float32)
+    return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)

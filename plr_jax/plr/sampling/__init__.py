@@ -1,0 +1,1 @@
+"""Where cells are sampled, and what a distance function answers there."""

@@ -1,0 +1,89 @@
+"""Points on the faces between leaves that one can step across: where a PLR may jump and the distance does not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._arrays import require_integer
+from plr_jax._types import DistanceFn
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.partition.faces import face_points, shared_faces, tree_of
+from plr_jax.plr.sampling.cell_samples import call_oracle
+
+_SAME = 1e-6  # of a leaf's width
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Points on faces between two reachable leaves, all of them reachable themselves.
+
+    Attributes:
+        x: The points.
+        leaves: The two leaves that meet at each point, the one below the face first.
+        u: The point in the local coordinates of each of the two; ``[-1, 1]`` spans a leaf.
+    """
+
+    x: Float[np.ndarray, "m dim"]
+    leaves: Int[np.ndarray, "m 2"]
+    u: Float[np.ndarray, "m 2 dim"]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def jumps(self, plr: PLR) -> Float[np.ndarray, "m"]:
+        """Value above the face minus value below it, for any PLR of the partition that was sampled.
+
+        Raises:
+            ValueError: If the PLR has another partition.
+        """
+        if not self._fit(plr):
+            raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
+        center, half = plr.planes.decode()
+        value = center[self.leaves] + np.sum(half[self.leaves] * self.u, axis=2)
+        return value[:, 1] - value[:, 0]
+
+    def _fit(self, plr: PLR) -> bool:
+        """Whether the points are where the PLR's leaves say that they are."""
+        if self.leaves.max(initial=0) >= plr.num_leaves or self.x.shape[1] != plr.dim:
+            return False
+        return bool((np.abs(_local(plr, self.x, self.leaves) - self.u) < _SAME).all())
+
+
+def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:
+    """Sample the free faces of a PLR's partition.
+
+    Each piece of a face that two leaves share is sampled alike, so where small leaves meet a large one each has its
+    points. A face is free where the goal can be reached from it: a wall through it, or along it, has no points.
+
+    Args:
+        plr: The PLR whose partition is meant.
+        distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` where it cannot be reached.
+        num_samples: Points on each such piece, before those are left out that are not free; at least 1.
+        seed: Seed of the points. The same seed gives the same points.
+
+    Returns:
+        The points and the two leaves that meet in each.
+
+    Raises:
+        ValueError: If ``num_samples`` is not positive, ``seed`` is negative, or ``distance_fn`` returns a wrong
+            shape or NaN.
+    """
+    require_integer("num_samples", num_samples, 1)
+    require_integer("seed", seed, 0)
+    tree = tree_of(plr.cells)
+    faces = shared_faces(tree)
+    pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
+    kept = ~plr.planes.unreachable[pairs].any(axis=1)
+    w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))
+    points = plr.domain.lo + plr.domain.width * face_points(tree.leaves, faces[kept], w)
+    x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
+    free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
+    x, leaves = x[free], leaves[free]
+    return Faces(x, leaves, _local(plr, x, leaves))
+
+
+def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:
+    """Coordinates of each point in both of its leaves."""
+    lo, hi = plr.leaf_boxes
+    return (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]

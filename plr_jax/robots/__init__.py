@@ -1,0 +1,1 @@
+"""The shapes that move, a shape a file, and motions between their configurations."""

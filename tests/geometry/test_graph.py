@@ -1,0 +1,112 @@
+import itertools
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plr_jax.geometry.graph import NO_PARENT, Graph, astar, dijkstra, path_from_root, to_networkx
+
+# A 3-4-5 triangle with a detour, a vertex on top of another, and a vertex on its own.
+#
+#   3 --- 2
+#   |   / |      4 coincides with 2; 5 is alone
+#   0 --- 1
+SMALL = Graph(
+    np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0], [4.0, 3.0], [9.0, 9.0]]),
+    np.array([[0, 1], [2, 1], [2, 3], [0, 3], [2, 4]]),
+)
+
+
+def length_of(graph, path):
+    return np.linalg.norm(np.diff(graph.vertices[path], axis=0), axis=1).sum()
+
+
+def test_dijkstra_by_hand():
+    distances, parents = dijkstra(SMALL, 0)
+    np.testing.assert_array_equal(distances, [0.0, 4.0, 7.0, 3.0, 7.0, np.inf])
+    assert parents[0] == parents[5] == NO_PARENT
+    assert parents[1] == parents[3] == 0
+    assert path_from_root(parents, 4) in ([0, 1, 2, 4], [0, 3, 2, 4])
+    assert path_from_root(parents, 0) == [0]
+
+
+def test_an_edge_between_coincident_vertices_has_length_zero_and_connects():
+    chain = Graph(np.array([[1.0], [1.0], [1.0], [3.0]]), np.array([[0, 1], [1, 2], [2, 3]]))
+    for source in range(3):
+        distances, _ = dijkstra(chain, source)
+        np.testing.assert_array_equal(distances, [0.0, 0.0, 0.0, 2.0])
+    assert astar(chain, {0: 0.0}, 3) == [0, 1, 2, 3]
+    assert to_networkx(chain).edges[0, 1]["weight"] == 0.0
+
+
+def test_astar_by_hand():
+    assert astar(SMALL, {1: 0.0}, 3) in ([1, 0, 3], [1, 2, 3])
+    assert astar(SMALL, {3: 0.0}, 3) == [3]
+    assert astar(SMALL, {5: 0.0}, 0) == []
+    assert astar(SMALL, {}, 0) == []
+
+
+def test_astar_weighs_the_costs_of_entry():
+    assert astar(SMALL, {1: 0.0, 4: 0.5}, 3) == [4, 2, 3]  # 4.5 against 7
+    assert astar(SMALL, {1: 0.0, 4: 3.5}, 3) != [4, 2, 3]  # 7.5 against 7
+    assert astar(SMALL, {3: 10.0, 0: 1.0}, 3) == [0, 3]  # entering at the goal itself costs more
+
+
+@st.composite
+def lattice_graphs(draw):
+    """Vertices on a small lattice, so that many coincide, and any set of edges."""
+    points = draw(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=2, max_size=12))
+    ends = st.tuples(st.integers(0, len(points) - 1), st.integers(0, len(points) - 1))
+    pairs = draw(st.lists(ends.filter(lambda e: e[0] != e[1]), unique_by=frozenset, max_size=30))
+    return Graph(np.array(points, dtype=float), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+
+
+@given(lattice_graphs())
+@settings(deadline=None, max_examples=150)
+def test_dijkstra_and_astar_agree_with_networkx(graph):
+    expected = nx.single_source_dijkstra_path_length(to_networkx(graph), 0)
+    distances, parents = dijkstra(graph, 0)
+    for vertex in range(graph.num_vertices):
+        path = astar(graph, {vertex: 0.0}, 0)
+        if vertex not in expected:
+            assert distances[vertex] == np.inf
+            assert path == []
+            continue
+        assert distances[vertex] == pytest.approx(expected[vertex], abs=1e-12)
+        assert (path[0], path[-1]) == (vertex, 0)
+        edges = {frozenset(edge) for edge in graph.edges.tolist()}
+        for way in (path, path_from_root(parents, vertex)):
+            assert all(frozenset(step) in edges for step in itertools.pairwise(way))
+            assert length_of(graph, way) == pytest.approx(expected[vertex], abs=1e-12)
+
+
+def test_to_networkx_carries_positions_and_weights():
+    exported = to_networkx(SMALL)
+    assert list(exported.nodes) == list(range(6))
+    assert exported.nodes[2]["pos"] == (4.0, 3.0)
+    assert exported.number_of_edges() == SMALL.num_edges == 5
+    assert exported.edges[1, 2]["weight"] == 3.0
+
+
+def test_counts_and_bytes():
+    assert (SMALL.num_vertices, SMALL.num_edges) == (6, 5)
+    assert SMALL.num_bytes == 6 * 2 * 8 + 5 * 2 * 8 + 5 * 8
+    lone = Graph(np.zeros((1, 3)), np.zeros((0, 2), dtype=np.int64))
+    np.testing.assert_array_equal(dijkstra(lone, 0)[0], [0.0])
+
+
+@pytest.mark.parametrize(
+    ("edges", "message"),
+    [
+        ([[0, 6]], "vertices 0 to 5"),
+        ([[-1, 2]], "vertices 0 to 5"),
+        ([[3, 3]], "two different vertices"),
+        ([[0, 1], [1, 0]], "listed once"),
+        ([[0, 1], [0, 1]], "listed once"),
+    ],
+)
+def test_malformed_edges_are_refused(edges, message):
+    with pytest.raises(ValueError, match=message):
+        Graph(SMALL.vertices, np.array(edges))

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+import shapely
+
+from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+
+SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
+
+
+def test_rings_and_polygons_become_polygons():
+    assert as_polygon("P", SQUARE).equals(shapely.box(0, 0, 1, 1))
+    assert as_polygon("P", [*SQUARE, SQUARE[0]]).equals(shapely.box(0, 0, 1, 1))
+    ring = shapely.Polygon(SQUARE)
+    assert as_polygon("P", ring) is ring
+
+
+@pytest.mark.parametrize(
+    ("ring", "message"),
+    [
+        (
+            np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]),
+            "P is not a simple polygon.*Self-intersection",
+        ),
+        (np.array([[1.0, 1], [2, 2]]), "P has 2 distinct vertices"),
+        (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
+        (np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
+        (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P has coordinates that are not finite"),
+        (np.array([[1.0, 1], [np.inf, 2], [2, 1]]), "P has coordinates that are not finite"),
+        (np.ones((3, 3)), r"P must have shape \(n, 2\)"),
+        ("ring", r"P must be numbers"),
+        (shapely.Polygon(), "P has 0 distinct vertices"),
+        (shapely.Polygon([[1, 1], [2, 2], [2, 1], [1, 2]]), "P is not a simple polygon"),
+    ],
+)
+def test_invalid_rings_are_refused_by_name_and_reason(ring, message):
+    with pytest.raises(ValueError, match=message):
+        as_polygon("P", ring)
+
+
+def test_components_keep_their_holes():
+    outers, holes = as_components([{"outer": SQUARE, "holes": [SQUARE]}, {"outer": SQUARE}])
+    assert [len(of_one) for of_one in holes] == [1, 0]
+    assert all(outer.equals(shapely.box(0, 0, 1, 1)) for outer in outers)
+
+
+def test_points_and_lines_are_no_polygons():
+    mixed = shapely.GeometryCollection([shapely.Point(0, 0), shapely.box(0, 0, 1, 1), shapely.LineString(SQUARE)])
+    assert polygons_of(mixed) == (shapely.box(0, 0, 1, 1),)
+
+
+def test_triangles_fill_the_region_and_nothing_else():
+    region = shapely.union(shapely.box(0, 0, 4, 4) - shapely.box(1, 1, 2, 2), shapely.box(6, 0, 7, 1))
+    triangles = triangles_of(region)
+    assert shapely.union_all(shapely.polygons(triangles)).equals(region)
+    assert shapely.area(shapely.polygons(triangles)).sum() == pytest.approx(16)
+
+
+def test_vertices_that_differ_by_rounding_become_one():
+    a, b = shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, 0, 2, 1)
+    a, b = merge_vertices([a, b], 1e-12)
+    shared = {tuple(p) for p in shapely.get_coordinates(a)} & {tuple(p) for p in shapely.get_coordinates(b)}
+    assert len(shared) == 2
+    assert merge_vertices([shapely.box(0, 0, 1, 1)], 1e-12)[0].equals(shapely.box(0, 0, 1, 1))

@@ -1,0 +1,236 @@
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+
+
+def box(x0, y0, x1, y1):
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+TEN = ((0, 0), (10, 10))
+BLOCK = Workspace(TEN, [box(3, 3, 7, 6)])
+# Two blocks that touch in (5, 5), and one that touches the lower bound with its tip.
+DIAGONAL = [box(3, 3, 5, 5), box(5, 5, 7, 7), np.array([[2.0, 0], [1, 1], [3, 1]])]
+
+
+def test_free_space_is_closed():
+    x = [
+        [0, 0],
+        [10, 10],
+        [3, 3],
+        [5, 3],
+        [3, 4],
+        [5, 5],
+        [3 + 1e-10, 4],
+        [3 + 1e-6, 4],
+        [10.001, 5],
+        [np.nan, 1],
+    ]
+    expected = [True, True, True, True, True, False, True, False, False, False]
+    np.testing.assert_array_equal(BLOCK.is_free(np.array(x)), expected)
+    assert not BLOCK.is_free(np.array([[np.inf, 1.0]]))[0]
+
+
+def test_clearance_is_signed_and_measured_to_walls_and_bounds():
+    x = np.array([[1, 5], [5, 2], [5, 7], [4, 5], [5, 4], [3, 4], [0, 5], [-2, 5], [13, 14], [2, 2], [9, 9.5]])
+    expected = [1, 1, 1, -1, -1, 0, 0, -2, -5, math.sqrt(2), 0.5]
+    np.testing.assert_allclose(BLOCK.clearance(x), expected, atol=1e-12)
+    assert np.isnan(BLOCK.clearance(np.array([[np.nan, 0.0]]))).all()
+
+
+def test_segments_slide_along_walls_and_through_corners():
+    cases = {
+        ((0, 3), (10, 3)): True,  # along a side and beyond
+        ((3, 0), (3, 10)): True,
+        ((2, 4), (4, 2)): True,  # grazes the corner (3, 3)
+        ((2, 4.01), (4.01, 2)): False,
+        ((2, 4), (4.5, 2)): False,
+        ((3, 3), (7, 6)): False,  # a diagonal of the obstacle, touching it only in corners
+        ((3, 4), (7, 4)): False,  # from side to side
+        ((3, 4), (3, 4)): True,
+        ((5, 4), (5, 4)): False,
+        ((1, 1), (11, 1)): False,  # out of the bounds
+        ((0, 0), (10, 0)): True,
+        ((1, 1), (np.nan, 1)): False,
+    }
+    a, b = np.array(list(cases)).transpose(1, 0, 2)
+    np.testing.assert_array_equal(BLOCK.is_visible(a, b), list(cases.values()))
+    np.testing.assert_array_equal(BLOCK.is_visible(b, a), list(cases.values()))
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
+    workspace = Workspace(TEN, DIAGONAL, squeeze=squeeze)
+    through = {
+        ((4, 6), (6, 4)): squeeze,
+        ((4, 5), (6, 5)): squeeze,  # along the top of one block, then the bottom of the other
+        ((1, 0), (3, 0)): squeeze,  # along the bound, under the tip
+        ((4, 6), (5, 5)): True,  # the contact itself is reached from both sides
+        ((6, 4), (5, 5)): True,
+        ((4, 5), (5, 5)): True,
+        ((3, 5), (5, 7)): True,  # past the contact without touching it
+        ((5, 3), (5, 5)): True,
+        ((5, 3), (5, 6)): squeeze,  # up the side of one block, then of the other
+        ((4, 6), (6.1, 4)): False,
+    }
+    a, b = np.array(list(through), dtype=float).transpose(1, 0, 2)
+    np.testing.assert_array_equal(workspace.is_visible(a, b), list(through.values()))
+    assert workspace.is_free(np.array([[5.0, 5.0], [2.0, 0.0]])).all()
+
+
+def test_touching_a_contact_within_one_sector_is_no_squeeze():
+    # The tip (5, 5) of a wedge touches a block's side; both are seen along the other side of the block.
+    workspace = Workspace(TEN, [box(5, 4, 6, 8), np.array([[5.0, 5], [2, 6], [2, 5.5]])])
+    a, b = np.array([[5.0, 3.0], [5, 3], [5, 3]]), np.array([[5.0, 5.0], [5, 6], [5, 4]])
+    np.testing.assert_array_equal(workspace.is_visible(a, b), [True, False, True])
+
+
+def test_obstacles_may_overlap_touch_and_leave_the_bounds():
+    workspace = Workspace(TEN, [box(-5, 4, 6, 5), box(4, 3, 8, 6), box(8, 3, 12, 6)])
+    assert workspace.free_space.area == pytest.approx(100 - (4 * 1 + 4 * 3 + 2 * 3))
+    assert len(workspace.free_space.geoms) == 2
+    assert workspace.bounds == Box((0, 0), (10, 10))
+    assert len(workspace.obstacles) == 3
+    # The shared side of two obstacles is not a passage, and collinear vertices are gone.
+    np.testing.assert_array_equal(workspace.is_free(np.array([[8.0, 4.0], [8.0, 3.0]])), [False, True])
+    assert len(workspace.boundary.vertices) == 4 + 2 + 2 + 4
+
+
+def test_obstacles_with_holes_enclose_free_space():
+    ring = shapely.Polygon(box(2, 2, 8, 8), [box(4, 4, 6, 6)])
+    workspace = Workspace(TEN, [ring])
+    np.testing.assert_array_equal(workspace.is_free(np.array([[5.0, 5], [3, 3], [1, 1]])), [True, False, True])
+    assert not workspace.is_visible(np.array([[5.0, 5]]), np.array([[1.0, 1]]))[0]
+
+
+def test_from_polygons_takes_components_with_overlapping_holes():
+    workspace = Workspace.from_polygons(
+        [
+            {"outer": box(0, 0, 4, 4), "holes": [box(1, 1, 2, 2), box(1.5, 1.5, 3, 3), box(3.5, 0, 5, 1)]},
+            {"outer": box(6, 0, 9, 4)},
+        ]
+    )
+    assert workspace.bounds == Box((0, 0), (9, 4))
+    assert workspace.free_space.area == pytest.approx(16 - (1 + 2.25 - 0.25) - 0.5 + 12)
+    np.testing.assert_array_equal(
+        workspace.is_free(np.array([[5.0, 1], [7, 1], [1.5, 1.2], [0.5, 0.5]])), [False, True, False, True]
+    )
+    assert sum(o.area for o in workspace.obstacles) == pytest.approx(36 - workspace.free_space.area)
+
+
+def test_inflated_sides_are_exact_and_corners_inscribed():
+    inflated = BLOCK.inflate(0.5)
+    assert inflated.bounds == Box((0.5, 0.5), (9.5, 9.5))
+    on_sides = np.array([[2.5, 4], [7.5, 4], [5, 2.5], [5, 6.5], [0.5, 5], [9.5, 5]])
+    np.testing.assert_allclose(inflated.clearance(on_sides), 0, atol=1e-10)
+    # Nothing free is nearer to a wall than the chords of the arcs allow, nothing at the radius is blocked.
+    x = inflated.sample_free(20_000, 0)
+    assert BLOCK.clearance(x).min() >= 0.5 * math.cos(math.pi / 32) - 1e-9
+    y = BLOCK.sample_free(20_000, 1)
+    assert inflated.is_free(y[BLOCK.clearance(y) >= 0.5]).all()
+
+
+@given(st.integers(0, 10_000), st.floats(0.05, 1.2))
+@settings(max_examples=25, deadline=None)
+def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radius):
+    workspace = random_workspace(seed)
+    inflated = workspace.inflate(radius)
+    y = workspace.sample_free(300, seed)
+    clearance, free = workspace.clearance(y), inflated.is_free(y)
+    assert free[clearance >= radius + 1e-9].all()
+    assert not free[clearance < radius * math.cos(math.pi / 32) - 1e-9].any()
+
+
+def test_inflating_keeps_the_choice_of_squeezing():
+    assert Workspace(TEN, DIAGONAL, squeeze=True).inflate(0.1).squeeze
+    assert BLOCK.inflate(0.0) is BLOCK
+
+
+def random_workspace(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(0, 8.5, (6, 2))
+    size = rng.uniform(0.3, 2.5, (6, 2))
+    boxes = [box(*c, *(c + s)) for c, s in zip(corners, size, strict=True)]
+    triangles = [rng.uniform(0, 10, 2) + rng.uniform(-1.5, 1.5, (3, 2)) for _ in range(4)]
+    return Workspace(TEN, boxes + triangles)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_queries_agree_with_shapely_on_the_plain_difference(seed):
+    workspace = random_workspace(seed)
+    free = shapely.box(0, 0, 10, 10) - shapely.union_all([shapely.Polygon(o) for o in workspace.obstacles])
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(-0.5, 10.5, (2, 100, 2))
+    np.testing.assert_array_equal(workspace.is_free(a), shapely.intersects_xy(free, a[:, 0], a[:, 1]))
+    segments = shapely.linestrings(np.stack([a, b], axis=1))
+    np.testing.assert_array_equal(workspace.is_visible(a, b), shapely.covers(free, segments))
+    distance = shapely.distance(shapely.points(a), free.boundary)
+    np.testing.assert_allclose(np.abs(workspace.clearance(a)), distance, atol=1e-9)
+
+
+def test_samples_are_free_uniform_and_repeatable():
+    x = BLOCK.sample_free(40_000, seed=3)
+    assert BLOCK.is_free(x).all()
+    np.testing.assert_array_equal(x, BLOCK.sample_free(40_000, seed=3))
+    assert not np.array_equal(x, BLOCK.sample_free(40_000, seed=4))
+    # Each third of the width holds its share of free area (within five standard deviations).
+    share = [(x[:, 0] < 3).mean(), ((x[:, 0] >= 3) & (x[:, 0] <= 7)).mean()]
+    np.testing.assert_allclose(share, [30 / 88, 28 / 88], atol=5 * 0.5 / math.sqrt(40_000))
+    assert BLOCK.sample_free(0, 0).shape == (0, 2)
+
+
+def test_a_sliver_of_free_space_is_sampled_at_once():
+    sliver = Workspace(TEN, [box(0, 0, 10, 10 - 1e-7)])
+    x = sliver.sample_free(1000, seed=0)
+    assert sliver.is_free(x).all()
+    assert x[:, 1].min() >= 10 - 1.1e-7
+    assert np.ptp(x[:, 0]) > 9.9
+
+
+def test_an_invalid_obstacle_is_refused_by_its_index():
+    for ring, message in [
+        ([[1, 1], [2, 2], [2, 1], [1, 2]], "Obstacle 1 is not a simple polygon.*Self-intersection"),
+        ("ring", "Obstacle 1 must be numbers"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            Workspace(TEN, [box(8, 8, 9, 9), ring])
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "two dimensions"),
+        (lambda: Workspace(3.0), "Bounds must be a Box"),
+        (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
+        (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
+        (lambda: Workspace.from_polygons([]), "at least one component"),
+        (lambda: Workspace.from_polygons([box(0, 0, 1, 1)]), "Component 0 must be a mapping"),
+        (
+            lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": [box(0, 0, 0, 1)]}]),
+            "Hole 0 of component 0 has 2 distinct",
+        ),
+        (
+            lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": None}]),
+            "Component 0 must be a mapping with an 'outer' ring and a list of 'holes'",
+        ),
+        (lambda: BLOCK.sample_free(-1, 0), "number of points must be at least 0, got -1"),
+        (lambda: BLOCK.inflate(-1.0), "at least 0"),
+        (lambda: BLOCK.inflate(math.nan), "at least 0"),
+        (lambda: BLOCK.inflate(5.0), "leaves no free space"),
+        (lambda: Workspace(TEN, [box(1, 1, 9, 9)]).inflate(0.6), "leaves no free space"),
+        (lambda: BLOCK.is_free(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
+        (lambda: BLOCK.clearance(np.zeros((4, 3))), r"\(n, 2\), got \(4, 3\)"),
+        (lambda: BLOCK.is_visible(np.zeros((2, 2)), np.zeros((3, 2))), "as many starts as ends"),
+    ],
+)
+def test_bad_input_is_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()

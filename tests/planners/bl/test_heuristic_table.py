@@ -1,0 +1,254 @@
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from planner_helpers import ROOM, exact, team_of
+
+from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, bl_plan, scenes, validate
+from plr_jax.planners import straight_line, zero
+from plr_jax.planners.bl.heuristic_table import estimate_of
+from plr_jax.planners.bl.successors import best_children
+
+DOOR = scenes.single_door()
+MIXED = Problem(
+    ROOM,
+    [DiscRobot(0.4), RectangleRobot(2, 1), PointRobot()],
+    [(1, 1, 5), (2, 8, 0), (5, 5, 0)],
+    [(9, 5, 5), (8, 8, 3), (1, 5, 2)],
+)
+
+
+class Separable(NamedTuple):
+    """A heuristic that offers its terms."""
+
+    per_robot: object
+
+    def __call__(self, q):
+        return self.per_robot(q).sum(axis=1)
+
+
+def random_states(team, num, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.stack([rng.integers(len(lattice.q), size=num) for lattice in team.lattices], axis=1)
+
+
+# Separable heuristics
+
+
+@pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(3)], ids=["mixed", "rooms"])
+@pytest.mark.parametrize("weight", [0.0, 1.0, 3.5])
+def test_tables_hold_what_the_heuristic_says(problem, weight):
+    team, heuristic = team_of(problem, 1.0), straight_line(problem)
+    estimate = estimate_of(team, heuristic, weight)
+    assert estimate.joint is None
+    state = random_states(team, 50)
+    q = team.configurations(state)
+    np.testing.assert_allclose(estimate(team, state), weight * heuristic(q), rtol=1e-12)
+    for i, table in enumerate(estimate.tables):
+        assert len(table) == len(team.lattices[i].q)
+        np.testing.assert_array_equal(table[state[:, i]], heuristic.per_robot(q)[:, i])
+
+
+def test_terms_are_cost_and_weighted_estimate_of_the_child():
+    team = team_of(MIXED, 1.0)
+    estimate = estimate_of(team, straight_line(MIXED), 3.0)
+    for lattice, table, term in zip(team.lattices, estimate.tables, estimate.terms, strict=True):
+        assert term.dtype == np.float32 and term.shape == lattice.child.shape
+        np.testing.assert_array_equal(np.isinf(term), np.isinf(lattice.cost))
+        node = len(table) // 2
+        for primitive in range(term.shape[1]):
+            if np.isfinite(term[node, primitive]):
+                expected = lattice.cost[node, primitive] + 3 * table[lattice.child[node, primitive]]
+                assert term[node, primitive] == pytest.approx(expected, rel=1e-6)
+
+
+def test_terms_are_evaluated_once_for_lattices_of_any_size():
+    asked = []
+
+    def per_robot(q):
+        asked.append(q.shape)
+        return np.zeros(q.shape[:2])
+
+    team = team_of(MIXED, 1.0)
+    estimate_of(team, Separable(per_robot), 1.0)
+    assert asked == [(max(len(lattice.q) for lattice in team.lattices), 3, 3)]
+
+
+def test_separable_children_are_not_rescored():
+    team = team_of(MIXED, 2.0)
+    estimate = estimate_of(team, straight_line(MIXED), 2.0)
+    state = np.array([[lattice.start for lattice in team.lattices]], np.int32)
+    children = best_children(team, estimate.terms, state, 50)
+    score, primitive = estimate.rescored(team, state, children)
+    assert score is children.score and primitive is children.primitive
+
+
+# Plain functions
+
+
+def bent(q):
+    """Not a sum over robots, and not in the order of straight lines."""
+    return 1 + np.abs(np.sin(3 * q[:, 0, 0] + q[:, 1, 1])) + np.abs(q[:, 2, 0] - q[:, 0, 1])
+
+
+def test_a_plain_function_is_called_for_joint_configurations():
+    team = team_of(MIXED, 1.0)
+    estimate = estimate_of(team, bent, 2.0)
+    state = random_states(team, 40)
+    assert estimate.joint is bent
+    np.testing.assert_allclose(estimate(team, state), 2 * bent(team.configurations(state)), rtol=1e-12)
+
+
+def test_a_plain_function_sees_few_batch_sizes():
+    sizes = set()
+
+    def counting(q):
+        sizes.add(len(q))
+        return bent(q)
+
+    team = team_of(MIXED, 1.0)
+    estimate = estimate_of(team, counting, 1.0)
+    for n in range(1, 40):
+        assert estimate(team, random_states(team, n)).shape == (n,)
+    assert sizes == {1, 2, 4, 8, 16, 32, 64}
+
+
+@pytest.mark.parametrize("separable", [True, False], ids=["separable", "plain"])
+@pytest.mark.filterwarnings("error")
+def test_estimates_too_large_for_float32_prune_nothing(separable):
+    def huge(q):
+        return np.where(q[..., 0] > 4, 1e300, 1e39)
+
+    heuristic = Separable(huge) if separable else lambda q: huge(q).max(axis=1)
+    assert bl_plan(DOOR, heuristic, BLOptions(step=0.5)).solved
+
+
+def test_children_are_rescored_by_a_plain_function():
+    team = team_of(MIXED, 1.0)
+    estimate = estimate_of(team, bent, 2.0)
+    state = np.array(
+        [[lattice.start for lattice in team.lattices], [lattice.goal for lattice in team.lattices]], np.int32
+    )
+    children = best_children(team, estimate.terms, state, 5000)
+    score, primitive = estimate.rescored(team, state, children)
+    assert not np.array_equal(primitive, children.primitive)
+    for row in range(2):
+        count = int(np.isfinite(score[row]).sum())
+        assert count == np.isfinite(children.score[row]).sum() > 100
+        assert np.isfinite(score[row, :count]).all() and (np.diff(score[row, :count]) >= 0).all()
+        before, after = (set(map(tuple, p[row, :count].tolist())) for p in (children.primitive, primitive))
+        assert before == after
+        parents = np.repeat(state[[row]], count, axis=0)
+        child = team.configurations(team.move(parents, primitive[row, :count]))
+        expected = team.move_costs(parents, primitive[row, :count]) + 2 * bent(child)
+        np.testing.assert_allclose(score[row, :count], expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1.0, 50.0])
+def test_finite_estimates_of_a_plain_function_are_taken_as_they_are(factor):
+    team = team_of(DOOR, 0.4)
+    line = straight_line(DOOR)
+    estimate = estimate_of(team, lambda q: factor * line(q), 1.0)
+    state = random_states(team, 60)
+    np.testing.assert_allclose(estimate(team, state), factor * line(team.configurations(state)), rtol=1e-12)
+
+
+def test_a_plain_function_guides_like_its_separable_twin():
+    heuristic = exact(DOOR)
+    options = BLOptions(step=0.4)
+    separable, plain = bl_plan(DOOR, heuristic, options), bl_plan(DOOR, heuristic.__call__, options)
+    assert plain.stats.num_nodes == separable.stats.num_nodes
+    np.testing.assert_allclose(plain.path, separable.path)
+
+
+# Infinite estimates
+
+
+def test_infinite_terms_exceed_all_others_but_are_finite():
+    def per_robot(q):
+        values = q[..., 0].copy()
+        values[q[..., 1] > 5] = np.inf
+        return values
+
+    team = team_of(DOOR, 0.5)
+    estimate = estimate_of(team, Separable(per_robot), 1.0)
+    (table,) = estimate.tables
+    unknown = team.lattices[0].q[:, 1] > 5
+    assert np.isfinite(table).all() and table[unknown].min() > table[~unknown].max()
+
+
+@pytest.mark.parametrize("factor", [1.0, 50.0])
+def test_infinite_joint_estimates_exceed_all_others_but_are_finite(factor):
+    def heuristic(q):
+        return np.where(q[:, 0, 1] > 5, np.inf, factor * q[:, 0, 0])
+
+    team = team_of(DOOR, 0.5)
+    estimate = estimate_of(team, heuristic, 1.0)
+    nodes = np.arange(len(team.lattices[0].q))[:, None]
+    values, unknown = estimate(team, nodes), team.lattices[0].q[:, 1] > 5
+    assert np.isfinite(values).all() and values[unknown].min() > values[~unknown].max()
+
+
+def half_known(q):
+    """No estimate in the upper half, through which every way leads."""
+    return np.where(q[..., 1] > 5, np.inf, np.hypot(q[..., 0] - 8.21, q[..., 1] - 1.94))
+
+
+@pytest.mark.parametrize(
+    "heuristic",
+    [
+        Separable(half_known),
+        lambda q: half_known(q).sum(axis=1),
+        Separable(lambda q: np.full(q.shape[:2], np.inf)),
+        lambda q: np.full(len(q), np.inf),
+    ],
+    ids=["separable", "plain", "nothing-separable", "nothing-plain"],
+)
+def test_infinity_prunes_nothing(heuristic):
+    solution = bl_plan(DOOR, heuristic, BLOptions(step=0.5))
+    report = validate(DOOR, solution.path)
+    assert report.valid, report.message
+
+
+# Refusals
+
+
+@pytest.mark.parametrize("separable", [True, False])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda x: np.full_like(x, np.nan), "NaN"),
+        (lambda x: x[:-1], "shape"),
+        (lambda x: x[..., None], "shape"),
+        (lambda x: 0.0, "shape"),
+        (lambda x: "far", "numbers"),
+        (lambda x: None, "NaN|numbers|shape"),
+    ],
+    ids=["nan", "short", "column", "scalar", "text", "none"],
+)
+def test_a_wrong_heuristic_is_refused(separable, wrong, message):
+    heuristic = Separable(lambda q: wrong(zero().per_robot(q))) if separable else lambda q: wrong(np.zeros(len(q)))
+    with pytest.raises(ValueError, match=message):
+        bl_plan(DOOR, heuristic, BLOptions(step=0.5))
+
+
+def test_one_nan_among_many_is_refused():
+    def heuristic(q):
+        return np.where(np.hypot(q[:, 0, 0] - 2, q[:, 0, 1] - 5) < 1, np.nan, 1.0)
+
+    with pytest.raises(ValueError, match="NaN"):
+        bl_plan(DOOR, heuristic, BLOptions(step=0.4))
+
+
+@pytest.mark.parametrize("separable", [True, False])
+def test_a_negative_estimate_counts_as_0(separable):
+    def dipped(q, least):
+        return np.maximum(zero().per_robot(q) + np.abs(q[..., 0] - 8) - 1, least)
+
+    below, at = (Separable(lambda q, least=least: dipped(q, least)) for least in (-np.inf, 0.0))
+    if not separable:
+        below, at = (lambda q, terms=terms: terms.per_robot(q).sum(axis=1) for terms in (below, at))
+    options = BLOptions(step=0.5)
+    one, other = bl_plan(DOOR, below, options), bl_plan(DOOR, at, options)
+    np.testing.assert_array_equal(one.path, other.path)
+    assert one.stats.num_nodes == other.stats.num_nodes

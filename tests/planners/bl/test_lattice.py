@@ -1,0 +1,294 @@
+from itertools import pairwise, product
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from planner_helpers import FOUR_NEIGHBORS, ROOM, deepest_overlap, graph_of
+
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
+from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
+
+BAR = RectangleRobot(1.3, 0.5)
+WALLS = Workspace(
+    ((0, 0), (6, 5)),
+    [[(2, 0), (2.3, 0), (2.3, 3), (2, 3)], [(4, 2.1), (5, 3), (4.2, 4)], shapely.box(3, 4.3, 3.2, 5)],
+)
+ALONE = {
+    "point": Problem(WALLS, [PointRobot()], [(0.7, 0.6)], [(5.3, 4.7)]),
+    "disc": Problem(WALLS, [DiscRobot(0.4)], [(0.7, 0.6)], [(5.3, 4.5)]),
+    "bar": Problem(WALLS, [BAR], [(0.9, 0.7, 0.2)], [(5.2, 4.5, -6.4)]),
+}
+STEPS = {"point": 0.4, "disc": 0.45, "bar": 0.7}
+
+
+def lattice_of(problem, step, primitives=PRIMITIVES):
+    return build_lattices(problem, step, primitives)[0]
+
+
+def offsets_between(workspace, robot, step, q0, q1):
+    """Columns, rows and turns between the cells of configurations, by the definition of the grid."""
+    width = workspace.bounds.width
+    side = width / np.ceil(width / step - 1e-9)
+    cells = [np.floor((q[:, :2] - workspace.bounds.lo) / side).astype(int) for q in (q0, q1)]
+    cells = [np.clip(cell, 0, np.rint(width / side).astype(int) - 1) for cell in cells]
+    offset = cells[1] - cells[0]
+    if not isinstance(robot, RectangleRobot):
+        return np.column_stack([offset, np.zeros(len(offset), int)])
+    quarters = np.ceil(np.pi / 2 / min(step / robot.circumscribed_radius, np.pi / 4) - 1e-9)
+    turn = np.pi / 2 / quarters
+    sectors = [np.floor(q[:, 2] / turn + 0.5).astype(int) for q in (q0, q1)]
+    turns = (sectors[1] - sectors[0]) % int(4 * quarters)
+    return np.column_stack([offset, np.where(turns > 2 * quarters, turns - int(4 * quarters), turns)])
+
+
+def tours(graph):
+    """Walks along all motions, each from a node back to it."""
+    for component in nx.strongly_connected_components(graph):
+        part = graph.subgraph(component)
+        if part.number_of_edges():
+            yield [edge[0] for edge in nx.eulerian_circuit(part)]
+
+
+# Motions
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_every_motion_is_free_by_the_independent_check(kind):
+    problem, lattice = ALONE[kind], lattice_of(ALONE[kind], STEPS[kind])
+    graph = graph_of(lattice)
+    walked = 0
+    for tour in tours(graph):
+        path = lattice.q[[*tour, tour[0]]][:, None]
+        report = validate(Problem(problem.workspace, problem.robots, path[0], path[0]), path)
+        assert report.valid, report.message
+        walked += len(tour)
+    assert walked == graph.number_of_edges() > 300
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_motions_that_are_missing_collide(kind):
+    problem, step = ALONE[kind], STEPS[kind]
+    robot, lattice = problem.robots[0], lattice_of(problem, step)
+    graph, num_blocked = graph_of(lattice), 0
+    for node in range(0, len(lattice.q), 1 if kind != "bar" else 5):
+        others = np.setdiff1d(np.arange(len(lattice.q)), [node, *graph[node]])
+        offsets = offsets_between(
+            problem.workspace, robot, step, np.repeat(lattice.q[[node]], len(others), axis=0), lattice.q[others]
+        )
+        others = others[[tuple(offset) in PRIMITIVES for offset in offsets.tolist()]]
+        if len(others):
+            ends = lattice.q[others]
+            depth = deepest_overlap(problem.workspace, robot, np.repeat(lattice.q[[node]], len(ends), axis=0), ends)
+            assert (depth > -1e-3).all(), "a motion is blocked that keeps well clear of all walls"
+            num_blocked += len(others)
+    assert num_blocked > 5
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_motions_lead_to_the_cell_of_their_primitive(kind):
+    problem, step = ALONE[kind], STEPS[kind]
+    lattice = lattice_of(problem, step)
+    primitives = [p for p in PRIMITIVES if kind == "bar" or p[2] == 0]
+    assert lattice.cost.shape == (len(lattice.q), 1 + len(primitives))
+    node, primitive = np.nonzero(np.isfinite(lattice.cost[:, 1:]))
+    child = lattice.child[node, primitive + 1]
+    offsets = offsets_between(problem.workspace, problem.robots[0], step, lattice.q[node], lattice.q[child])
+    np.testing.assert_array_equal(offsets, np.array(primitives)[primitive])
+
+
+@pytest.mark.parametrize("kind", ["disc", "bar"])
+def test_cells_without_a_configuration_have_a_blocked_center(kind):
+    problem, step = ALONE[kind], STEPS[kind]
+    robot, lattice, width = problem.robots[0], lattice_of(problem, step), problem.workspace.bounds.width
+    columns, rows = np.ceil(width / step - 1e-9).astype(int)
+    side, missing = width / (columns, rows), []
+    occupied = {tuple(cell) for cell in np.floor(lattice.q[:, :2] / side).astype(int).tolist()}
+    for cell in product(range(columns), range(rows)):
+        if cell not in occupied:
+            missing.append([*((np.array(cell) + 0.5) * side), 0.0][: 3 if kind == "bar" else 2])
+    q = np.array(missing)
+    assert len(q) > 3 and (deepest_overlap(problem.workspace, robot, q, q) > 0).all()
+
+
+def test_staying_costs_nothing_and_blocked_primitives_lead_back():
+    lattice = lattice_of(ALONE["bar"], 0.7)
+    nodes = np.arange(len(lattice.q))
+    np.testing.assert_array_equal(lattice.child[:, 0], nodes)
+    assert (lattice.cost[:, 0] == 0).all()
+    blocked = np.isinf(lattice.cost)
+    assert blocked.any() and (lattice.child[blocked] == np.nonzero(blocked)[0]).all()
+
+
+def test_costs_are_lengths_and_weighted_turns():
+    problem = Problem(ROOM, [BAR], [(5.5, 5.5, 0)], [(1.5, 1.5, 0)], rotation_weight=2.0)
+    lattice = lattice_of(problem, 1.0)
+    turn = np.pi / 2 / np.ceil(np.pi / 2 / min(1 / BAR.circumscribed_radius, np.pi / 4))
+    expected = [0.0, *(np.hypot(dx, dy) + 2.0 * abs(dt) * turn for dx, dy, dt in PRIMITIVES)]
+    np.testing.assert_allclose(lattice.cost[lattice.start], expected, rtol=1e-12)
+
+
+def test_end_and_stride():
+    lattice = lattice_of(ALONE["disc"], 0.45)
+    np.testing.assert_array_equal(lattice.end, lattice.q[lattice.child])
+    lengths = np.linalg.norm(lattice.end - lattice.q[:, None], axis=2)
+    assert lattice.stride == pytest.approx(lengths.max()) and lattice.stride > 0.45
+
+
+# Ends
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("step", [0.9, 2.0, 40.0])
+def test_ends_are_exact(seed, step):
+    rng = np.random.default_rng(seed)
+    problem = Problem(ROOM, [BAR], *np.column_stack([rng.uniform(1, 9, (2, 2)), rng.uniform(-9, 9, 2)])[:, None])
+    lattice = lattice_of(problem, step)
+    np.testing.assert_array_equal(lattice.q[lattice.start], problem.starts[0])
+    np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[0])
+    assert lattice.start != lattice.goal
+
+
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        ((5.1, 5.1, 0), (5.3, 5.2, 0)),
+        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02)),
+        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02 + 4 * np.pi)),
+        ((5.1, 5.1, 3.1), (5.1, 5.1, -3.1)),
+        ((5.1, 5.1, 0), (5.1 + 1e-9, 5.1, 0)),
+        ((0.9, 9.1, 0), (0.7, 9.1, 0)),
+    ],
+    ids=["place", "heading", "heading-wrapped", "half-turn", "near", "corner"],
+)
+def test_ends_in_one_cell_are_told_apart(start, goal):
+    problem = Problem(ROOM, [BAR], [start], [goal])
+    lattice = lattice_of(problem, 1.0)
+    assert lattice.start != lattice.goal
+    np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
+    assert lattice.reaches_goal()
+    cheapest = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    way = np.hypot(goal[0] - start[0], goal[1] - start[1])
+    turn = abs(np.angle(np.exp(1j * (goal[2] - start[2]))))
+    assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
+
+
+def test_a_start_that_is_the_goal():
+    lattice = lattice_of(Problem(ROOM, [DiscRobot(0.4)], [(3.3, 3.4)], [(3.3, 3.4)]), 1.0)
+    assert lattice.start == lattice.goal and lattice.reaches_goal()
+    np.testing.assert_array_equal(lattice.q[lattice.start], (3.3, 3.4))
+
+
+def test_a_lattice_with_no_blocked_cell():
+    lattice = lattice_of(Problem(ROOM, [PointRobot()], [(1, 1)], [(9, 9)]), 1.0)
+    assert len(lattice.q) == 100 and lattice.reaches_goal()
+
+
+def test_touching_ends_are_part_of_the_lattice():
+    problem = Problem(ROOM, [DiscRobot(0.4)], [(0.4, 0.4)], [(9.6, 9.6)])
+    assert lattice_of(problem, 0.5).reaches_goal()
+
+
+# Headings
+
+
+def test_headings_are_periodic():
+    problem = Problem(ROOM, [BAR], [(5.25, 5.25, 0.4)], [(1, 1, 0)])
+    lattice = lattice_of(problem, 0.5)
+    left, right = (1 + PRIMITIVES.index((0, 0, turn)) for turn in (1, -1))
+    for primitive, back in ((left, right), (right, left)):
+        nodes = [lattice.start]
+        while True:
+            assert np.isfinite(lattice.cost[nodes[-1], primitive])
+            assert lattice.child[lattice.child[nodes[-1], primitive], back] == nodes[-1]
+            nodes.append(int(lattice.child[nodes[-1], primitive]))
+            if nodes[-1] == lattice.start:
+                break
+        turned = sum(lattice.cost[node, primitive] for node in nodes[:-1]) / BAR.circumscribed_radius
+        assert turned == pytest.approx(2 * np.pi) and len(nodes) > 4
+
+
+# Reaching the goal
+
+
+@pytest.mark.parametrize("step", [0.2, 0.4, 0.5, 1.0])
+def test_passages_narrower_than_a_cell_are_found(step):
+    assert lattice_of(scenes.single_door(), step).reaches_goal()
+
+
+def random_boxes(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(0.8, 4.5, (6, 2))
+    sizes = rng.uniform(0.05, 1.6, (6, 2))
+    return Workspace(
+        ((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)]
+    )
+
+
+def test_reaches_goal_as_networkx_says():
+    answers = []
+    for seed, step, primitives in product(
+        range(3), (0.5, 1.5), (PRIMITIVES, FOUR_NEIGHBORS[::2], ((2, 1, 0), (-1, 2, 0)))
+    ):
+        try:
+            problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
+        except ValueError:  # no way for the disc
+            continue
+        lattice = lattice_of(problem, step, primitives)
+        answers.append(lattice.reaches_goal())
+        assert answers[-1] == nx.has_path(graph_of(lattice), lattice.start, lattice.goal)
+    assert {True, False} == set(answers)
+
+
+def test_primitives_of_four_neighbors():
+    lattice = lattice_of(ALONE["point"], 0.5, FOUR_NEIGHBORS)
+    assert lattice.child.shape[1] == 5
+    away = [lattice.start, lattice.goal]
+    inner = np.setdiff1d(np.arange(len(lattice.q)), [*away, *lattice.child[away].ravel()])
+    moves = (lattice.end - lattice.q[:, None])[inner]
+    straight = np.isclose(moves, 0).any(axis=2) | np.isinf(lattice.cost[inner])
+    assert straight.mean() > 0.8, "all but those to cells whose center is blocked run along an axis"
+
+
+def test_without_turns_a_heading_is_never_left():
+    translations = PRIMITIVES[:8]
+    turned = Problem(ROOM, [BAR], [(2, 2, 0)], [(8, 8, 2)])
+    lattice = lattice_of(turned, 1.0, translations)
+    assert not lattice.reaches_goal() and lattice_of(turned, 1.0).reaches_goal()
+    assert lattice_of(Problem(ROOM, [BAR], [(2, 2, 0)], [(8, 8, 0)]), 1.0, translations).reaches_goal()
+
+
+# Teams
+
+
+def test_equal_robots_share_motions_and_have_their_own_ends():
+    problem = Problem(
+        WALLS, [DiscRobot(0.4)] * 2 + [PointRobot()], [(0.7, 0.6), (0.9, 4), (1.5, 2)], [(5, 1), (3, 1), (3, 3)]
+    )
+    first, second, third = build_lattices(problem, 0.5, PRIMITIVES)
+    for lattice, start, goal in zip((first, second, third), problem.starts, problem.goals, strict=True):
+        np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
+    alone = [
+        lattice_of(Problem(WALLS, [robot], [start], [goal]), 0.5)
+        for robot, start, goal in zip(problem.robots, problem.starts, problem.goals, strict=True)
+    ]
+    for lattice, twin in zip((first, second, third), alone, strict=True):
+        for name in ("q", "child", "cost"):
+            np.testing.assert_array_equal(getattr(lattice, name), getattr(twin, name))
+
+
+def test_a_shared_cell_of_one_robot_does_not_touch_its_twin():
+    problem = Problem(ROOM, [DiscRobot(0.4)] * 2, [(3.1, 3.1), (7, 7)], [(3.2, 3.3), (1, 7)])
+    near, far = build_lattices(problem, 1.0, PRIMITIVES)
+    assert near.start != near.goal and far.start != far.goal
+    twin = lattice_of(Problem(ROOM, [DiscRobot(0.4)], [(7, 7)], [(1, 7)]), 1.0)
+    np.testing.assert_array_equal(far.q, twin.q)
+
+
+def test_each_branch_of_a_lattice_is_a_path():
+    problem = scenes.single_door()
+    lattice = lattice_of(problem, 0.4)
+    nodes = nx.dijkstra_path(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    report = validate(problem, lattice.q[nodes][:, None])
+    cheapest = sum(graph_of(lattice).edges[edge]["cost"] for edge in pairwise(nodes))
+    assert report.valid and report.cost == pytest.approx(cheapest)

@@ -1,0 +1,282 @@
+import heapq
+from itertools import pairwise, product
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from planner_helpers import FOUR_NEIGHBORS, apart, effort, exact, graph_of, hallway, team_of
+
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
+from plr_jax.planners import Status, straight_line, zero
+from plr_jax.planners.bl.heuristic_table import estimate_of
+from plr_jax.planners.bl.lattice import PRIMITIVES
+from plr_jax.planners.bl.search import Search, Tree
+
+BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
+LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])
+CELL = Problem(Workspace(((0, 0), (3, 2))), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (2.5, 1.5)], [(2.5, 1.5), (0.5, 0.5)])
+MIXED = Problem(
+    Workspace(((0, 0), (2, 2))),
+    [DiscRobot(0.3), RectangleRobot(0.8, 0.3)],
+    [(0.5, 0.5, 1), (1.5, 1.5, 0)],
+    [(1.5, 1.5, 1), (0.5, 0.5, 0)],
+)
+
+
+def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, limits=None, **options):
+    team = team_of(problem, step, primitives)
+    estimate = estimate_of(team, heuristic or straight_line(problem), weight)
+    cells = [np.arange(len(lattice.q)) for lattice in team.lattices]
+    return Search(
+        team, estimate, cells, **{"batch": 1, "branching": 1, "width": 1024, **options}, effort=limits or effort()
+    )
+
+
+def run_on(search):
+    """Search until something other than a pause comes of it."""
+    status, turn = None, 256
+    while status is None:
+        status = search.run(turn)
+        turn *= 2
+    return status
+
+
+def reachable(team):
+    """All joint configurations that joint motions reach, one after the other."""
+    start = tuple(lattice.start for lattice in team.lattices)
+    primitive = np.array(list(product(*(range(lattice.child.shape[1]) for lattice in team.lattices))), dtype=np.uint8)
+    reached, newest = {start}, [start]
+    while newest:
+        state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)
+        free = np.isfinite(team.move_costs(state, primitive))
+        free &= apart(team, state, primitive)
+        for child in map(tuple, team.move(state[free], primitive[free]).tolist()):
+            if child not in reached:
+                reached.add(child)
+                newest.append(child)
+    return reached
+
+
+def nodes_by_the_book(lattice, table, weight):
+    """Nodes in the order in which best-first search with partial expansion makes them, one robot and child a time."""
+    term = (lattice.cost + weight * table[lattice.child]).astype(np.float32)
+    states, costs, claimed, found = [lattice.start], [0.0], {lattice.start}, lattice.start == lattice.goal
+    frontier, pushed, left = [(weight * table[lattice.start], 0, 0)], 0, {}
+    while frontier and not found:
+        node = heapq.heappop(frontier)[2]
+        state = states[node]
+        if node not in left:
+            order = np.argsort(term[state], kind="stable")
+            left[node] = [int(p) for p in order if np.isfinite(term[state, p])]
+        unclaimed = [p for p in left[node] if lattice.child[state, p] not in claimed]
+        if unclaimed:
+            best, child = unclaimed[0], int(lattice.child[state, unclaimed[0]])
+            states.append(child)
+            costs.append(costs[node] + lattice.cost[state, best])
+            claimed.add(child)
+            pushed += 1
+            heapq.heappush(frontier, (costs[node] + term[state, best], -pushed, len(states) - 1))
+            found = child == lattice.goal
+        left[node] = [p for p in unclaimed[1:] if lattice.child[state, p] not in claimed]
+        if left[node]:
+            pushed += 1
+            heapq.heappush(frontier, (costs[node] + term[state, left[node][0]], -pushed, node))
+    return states, costs
+
+
+# What is found
+
+
+@pytest.mark.parametrize("branching", [1, 10_000])
+def test_without_heuristic_and_with_equal_motions_the_cost_is_that_of_dijkstra(branching):
+    # A cell is claimed when a child is made, not when it is expanded. On four neighbors of equal cost, the nodes of
+    # one cost come before those of the next, and no two of one cost are neighbors: then the first claim is the best.
+    search = search_of(LABYRINTH, 1.0, zero(), 0.0, FOUR_NEIGHBORS, branching=branching)
+    (lattice,) = search.team.lattices
+    assert run_on(search) is Status.SOLVED
+    expected = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    assert search.tree.cost[search.found] == expected == 24.0
+
+
+def test_without_heuristic_every_cell_has_its_distance_where_motions_are_equal():
+    search = search_of(LABYRINTH, 1.0, zero(), 0.0, FOUR_NEIGHBORS)
+    search.goal = np.array([-1])
+    (lattice,) = search.team.lattices
+    assert run_on(search) is Status.EXHAUSTED
+    expected = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
+    costs = dict(zip(search.state[:, 0].tolist(), search.tree.cost[: search.tree.size].tolist(), strict=True))
+    assert costs == expected
+
+
+@pytest.mark.parametrize(
+    ("problem", "step", "weight"),
+    [
+        (scenes.single_door(), 0.4, 0.0),
+        (scenes.single_door(), 0.4, 1.0),
+        (scenes.maze(), 0.04, 2.0),
+        (LABYRINTH, 0.6, 3.0),
+    ],
+    ids=["door-0", "door-1", "maze-2", "labyrinth-3"],
+)
+def test_nodes_come_in_the_order_of_the_book(problem, step, weight):
+    search = search_of(problem, step, weight=weight)
+    assert run_on(search) is Status.SOLVED
+    states, costs = nodes_by_the_book(search.team.lattices[0], search.estimate.tables[0], weight)
+    assert search.state[:, 0].tolist() == states
+    np.testing.assert_allclose(search.tree.cost[: search.tree.size], costs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("branching", [1, 3, 100])
+@pytest.mark.parametrize("batch", [1, 16])
+@pytest.mark.parametrize("weight", [0.0, 1.0, 5.0])
+def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(branching, batch, weight):
+    problem = scenes.single_door()
+    search = search_of(problem, 0.5, weight=weight, branching=branching, batch=batch)
+    assert run_on(search) is Status.SOLVED
+    (lattice,), nodes = search.team.lattices, search.branch[:, 0].tolist()
+    graph = graph_of(lattice)
+    cost = sum(graph.edges[edge]["cost"] for edge in pairwise(nodes))
+    assert (nodes[0], nodes[-1]) == (lattice.start, lattice.goal)
+    assert search.tree.cost[search.found] == pytest.approx(cost)
+    assert cost >= nx.dijkstra_path_length(graph, lattice.start, lattice.goal, "cost") - 1e-9
+    assert validate(problem, search.team.configurations(search.branch)).valid
+
+
+@pytest.mark.parametrize("branching", [1, 1000])
+def test_teams_with_few_or_many_children_at_a_time(branching):
+    problem = scenes.cross(2)
+    search = search_of(problem, 0.5, exact(problem), 2.0, branching=branching, batch=16)
+    assert run_on(search) is Status.SOLVED
+    report = validate(problem, search.team.configurations(search.branch))
+    assert report.valid and report.cost == pytest.approx(search.tree.cost[search.found])
+
+
+def test_a_start_that_is_the_goal_is_found_at_once():
+    problem = Problem(BLOCKS, [DiscRobot(0.3), PointRobot()], [(0.5, 0.5), (4, 4)], [(0.5, 0.5), (4, 4)])
+    search = search_of(problem, 1.0)
+    assert search.run(10) is Status.SOLVED
+    assert len(search.branch) == 1 and search.effort.num_expansions == 0
+
+
+# What is exhausted
+
+
+@pytest.mark.parametrize(
+    ("problem", "options"),
+    [
+        (hallway(2), {"width": 1}),
+        (hallway(4), {}),
+        (hallway(4), {"width": 1}),
+        (CELL, {}),
+        (CELL, {"batch": 16, "branching": 100}),
+        (CELL, {"width": 1}),
+        (CELL, {"width": 5, "branching": 2, "batch": 4}),
+        (MIXED, {}),
+        (MIXED, {"width": 3, "batch": 8}),
+    ],
+    ids=lambda value: value.workspace.bounds.hi.tolist().__repr__() if isinstance(value, Problem) else str(value),
+)
+def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, options):
+    search = search_of(problem, 1.0, **options)
+    search.goal = np.full(2, -1)  # nowhere
+    expected = reachable(search.team)
+    assert run_on(search) is Status.EXHAUSTED
+    states = list(map(tuple, search.state.tolist()))
+    assert len(states) == len(set(states)) == search.effort.num_nodes and set(states) == expected
+    assert not search.kept and search.effort.num_children_valid >= len(states) - 1
+
+
+def test_robots_that_cannot_pass_exhaust_the_frontier():
+    search = search_of(hallway(6), 1.0)
+    assert run_on(search) is Status.EXHAUSTED and search.found is None
+    assert search.effort.num_nodes == 15, "two of six cells, in their order"
+
+
+def test_three_robots_whose_product_is_cut_reach_every_state():
+    ends = [(0.5, 0.5), (1.5, 0.5), (2.5, 1.5)]
+    problem = Problem(Workspace(((0, 0), (3, 2))), [DiscRobot(0.4)] * 3, ends, ends[::-1])
+    everything, cut = search_of(problem, 1.0), search_of(problem, 1.0, width=8, batch=4)
+    for search in (everything, cut):
+        search.goal = np.full(3, -1)
+        assert run_on(search) is Status.EXHAUSTED
+    expected = reachable(everything.team)
+    assert len(expected) > 20
+    assert set(map(tuple, everything.state.tolist())) == set(map(tuple, cut.state.tolist())) == expected
+    assert cut.effort.num_expansions > everything.effort.num_expansions, "nodes are expanded again, wider"
+
+
+def test_larger_cells_are_claimed_once():
+    problem = scenes.four_rooms(2)
+    team = team_of(problem, 0.5)
+    cells = [
+        np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in team.lattices
+    ]
+    search = Search(team, estimate_of(team, zero(), 0.0), cells, 16, 1, 1024, effort(max_expansions=300))
+    search.run(10_000)
+    claimed = [tuple(cell[s] for cell, s in zip(cells, state, strict=True)) for state in search.state]
+    assert len(set(claimed)) == len(claimed) > 40
+
+
+# Limits, pauses and determinism
+
+
+def test_limit_on_expansions():
+    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, batch=8, limits=effort(max_expansions=40))
+    assert search.run(10_000) is Status.EXPANSION_LIMIT
+    assert 40 <= search.effort.num_expansions < 40 + 8 and search.found is None
+
+
+def test_limit_on_memory():
+    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, limits=effort(max_memory=200_000))
+    assert search.run(10_000) is Status.MEMORY_LIMIT
+    assert search.effort.memory >= 200_000 and 1 < search.tree.size < 1000
+
+
+def test_limit_on_time():
+    search = search_of(scenes.four_rooms(2), 0.4, limits=effort(seconds=0.0))
+    assert search.run(10_000) is Status.TIME_LIMIT and search.tree.size == 1
+
+
+def test_memory_counts_what_is_kept_and_forgets_what_is_used_up():
+    search = search_of(CELL, 1.0)
+    search.goal = np.full(2, -1)
+    assert run_on(search) is Status.EXHAUSTED
+    per_node = search.effort.memory / (search.tree.size - 1)
+    assert per_node == int(per_node) and per_node > 100, "only nodes are left"
+
+
+def test_a_paused_search_goes_on_where_it_was():
+    problem = scenes.four_rooms(2)
+    whole, paused = (search_of(problem, 0.4, weight=1.0, batch=16) for _ in range(2))
+    assert run_on(whole) is Status.SOLVED
+    pauses, turn = 0, 5
+    while (status := paused.run(turn)) is None:
+        assert paused.effort.num_expansions >= turn
+        turn, pauses = turn + 5, pauses + 1
+    assert status is Status.SOLVED and pauses > 2
+    np.testing.assert_array_equal(paused.state, whole.state)
+    np.testing.assert_array_equal(paused.branch, whole.branch)
+
+
+def test_two_searches_do_the_same_bit_for_bit():
+    problem = scenes.cross(3)
+    runs = [search_of(problem, 0.4, weight=2.0, batch=16) for _ in range(2)]
+    for search in runs:
+        run_on(search)
+    first, second = runs
+    np.testing.assert_array_equal(first.state, second.state)
+    np.testing.assert_array_equal(first.tree.cost[: first.tree.size], second.tree.cost[: second.tree.size])
+    assert first.frontier == second.frontier and first.effort.memory == second.effort.memory
+
+
+# The tree
+
+
+def test_a_tree_grows_and_keeps_its_branches():
+    tree = Tree.of(np.array([7, 8]))
+    for node in range(1, 3000):
+        assert tree.add(np.array([node, -node]), float(node), node // 2) == node
+    assert tree.size == 3000
+    assert tree.branch(2999)[1:].tolist() == [[n, -n] for n in (1, 2, 5, 11, 23, 46, 93, 187, 374, 749, 1499, 2999)]
+    assert tree.branch(0).tolist() == [[7, 8]] and tree.cost[2999] == 2999.0

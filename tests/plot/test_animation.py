@@ -1,0 +1,264 @@
+import json
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from plr_jax import plot, scenes
+from plr_jax._problem import Problem, makespan
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.plot._robots import ROBOT_COLORS
+from plr_jax.plot._timeline import timeline
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+
+ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
+STARTS = np.array([(1, 1, 0), (1, 3, 3.0), (1, 5, 0)])
+GOALS = np.array([(4, 1, 0), (1, 3, -3.0), (1, 5, 0)])
+# The disc goes 3 in the first motion; in the second and fourth nothing moves; in the third the rectangle turns
+# from heading 3 to -3: by 2 pi - 6, through pi, at a cost of 10 a radian.
+TEAM = Problem(Workspace(((0, 0), (10, 6))), ROBOTS, STARTS, GOALS, rotation_weight=10)
+MIDDLE = np.array([(4, 1, 0), (1, 3, 3.0), (1, 5, 0)])
+PATH = np.array([STARTS, MIDDLE, MIDDLE, GOALS, GOALS])
+TURN = 2 * np.pi - 6
+NODE = shutil.which("node")
+
+
+def test_motions_take_as_long_as_their_largest_cost_and_idle_steps_are_skipped():
+    motion = timeline(TEAM, PATH)
+    np.testing.assert_allclose(motion.times, [0, 3, 3 + 10 * TURN])
+    assert motion.duration == pytest.approx(makespan(TEAM, PATH))
+    np.testing.assert_array_equal(motion.configurations[:, :, :2], PATH[[0, 1, 3]][:, :, :2])
+
+
+def test_robots_are_where_their_motion_has_brought_them():
+    motion = timeline(TEAM, PATH)
+    at = motion.at(np.array([-1.0, 0.0, 1.0, 3.0, 3 + 2.5 * TURN, motion.duration, 1e9]))
+    np.testing.assert_allclose(at[:, 0, 0], [1, 1, 2, 4, 4, 4, 4])
+    np.testing.assert_allclose(at[:, 1, 2], 3 + TURN * np.array([0, 0, 0, 0, 0.25, 1, 1]))
+    assert (at[:, 2] == STARTS[2]).all()
+    assert np.cos(at[-1, 1, 2]) == pytest.approx(np.cos(-3.0))
+
+
+def test_rectangles_turn_through_pi_and_not_the_long_way():
+    headings = timeline(TEAM, PATH).at(np.linspace(3, 3 + 10 * TURN, 20))[:, 1, 2]
+    assert (np.diff(headings) > 0).all()
+    assert np.ptp(headings) == pytest.approx(TURN)
+    back = timeline(TEAM, PATH[::-1]).configurations[:, 1, 2]
+    np.testing.assert_allclose(back, [-3, -3 - TURN, -3 - TURN])
+
+
+def test_a_turn_that_costs_nothing_takes_no_time():
+    free = Problem(TEAM.workspace, [ROBOTS[1]], [(1, 3, 0)], [(5, 3, 1)], rotation_weight=0)
+    motion = timeline(free, [[(1, 3, 0)], [(3, 3, 0)], [(3, 3, 1)], [(5, 3, 1)]])
+    np.testing.assert_array_equal(motion.times, [0, 2, 2, 4])
+    at = motion.at(np.array([1.9, 2.0, 3.0]))[:, 0]
+    np.testing.assert_allclose(at, [(2.9, 3, 0), (3, 3, 1), (4, 3, 1)])
+
+
+def test_a_part_of_a_path_holds_every_step_in_it():
+    part = timeline(TEAM, PATH).between(1.0, 3 + 5 * TURN)
+    np.testing.assert_allclose(part[:, 0, 0], [2, 4, 4])
+    np.testing.assert_allclose(part[:, 1, 2], [3, 3, 3 + TURN / 2])
+
+
+def test_a_gif_has_its_frames_and_lasts_as_long_as_asked(tmp_path):
+    animation = plot.animate(TEAM, PATH, seconds=1.5, frames_per_second=10)
+    animation.save(tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.n_frames == animation.num_frames == 16
+        durations = []
+        for k in range(image.n_frames):
+            image.seek(k)
+            durations.append(image.info["duration"])
+        assert durations[:-1] == [100] * 15 and durations[-1] > 1000
+        assert image.info["loop"] == 0
+
+
+def pixels(path, frame):
+    with Image.open(path) as image:
+        image.seek(frame)
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+def test_frames_show_the_robots_where_they_are(tmp_path):
+    plot.animate(TEAM, PATH, seconds=1, frames_per_second=10).save(tmp_path / "a.gif")
+    first, last = (pixels(tmp_path / "a.gif", frame) for frame in (0, 10))
+    height, width = first.shape[:2]
+    panel = 10 / (width - 2 * 0.08 * 120)  # workspace units a pixel, within the margins
+    for image, center in ((first, 1), (last, 4)):
+        disc = (np.abs(image - 255 * np.array(to_rgb(ROBOT_COLORS[0]))) < 2).all(axis=-1)
+        disc[:, : int((center - 0.4) / panel)] = False  # the trail
+        disc[:, int((center + 0.8) / panel) :] = False  # the outline of the goal
+        rows, columns = np.nonzero(disc)
+        assert (columns.mean() - 0.08 * 120) * panel == pytest.approx(center, abs=0.1)
+        assert (height - 0.08 * 120 - rows.mean()) * panel == pytest.approx(1, abs=0.1)
+    assert (first[0] == 255).all()  # the page is white, not nearly white
+    assert (first[height // 2, width // 2] == 255).all()
+
+
+def test_the_same_path_gives_the_same_bytes(tmp_path):
+    for ending in ("gif", "html"):
+        for name in "ab":
+            plot.animate(TEAM, PATH, seconds=0.5).save(tmp_path / f"{name}.{ending}")
+        assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
+
+
+def page_of(animation, folder):
+    animation.save(folder / "page.html")
+    return (folder / "page.html").read_text(encoding="utf-8")
+
+
+def motion_in(page):
+    return json.loads(re.search(r"^const \{.*?\} = (\{.*\});$", page, re.MULTILINE).group(1))
+
+
+def test_a_page_holds_the_poses_and_times(tmp_path):
+    motion = motion_in(page_of(plot.animate(TEAM, PATH, seconds=5), tmp_path))
+    duration = 3 + 10 * TURN
+    assert motion["seconds"] == 5
+    assert motion["duration"] == pytest.approx(duration)
+    np.testing.assert_allclose(motion["times"], [0, 3 / duration, 1], atol=1e-6)
+    assert motion["steps"][0] == [[1, 1], [1, 3, 3], [1, 5]]
+    assert motion["steps"][1] == [[4, 1], [1, 3, 3], [1, 5]]
+    np.testing.assert_allclose(motion["steps"][2][1], [1, 3, 3 + TURN], atol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
+def test_poses_are_exact_to_less_than_a_pixel_at_any_scale(tmp_path, scale):
+    goal = np.array([(0.123456789 * scale, 0.987654321 * scale)])
+    box = Workspace(((0, 0), (scale, scale)))
+    problem = Problem(box, [PointRobot()], [(0.5 * scale, 0.5 * scale)], goal)
+    motion = motion_in(page_of(plot.animate(problem, [problem.starts, goal]), tmp_path))
+    np.testing.assert_allclose(motion["steps"][-1], goal, atol=1e-4 * scale)
+    assert motion["times"] == [0, 1]
+
+
+def test_a_page_loads_nothing_and_has_no_gaps(tmp_path):
+    page = page_of(plot.animate(TEAM, PATH), tmp_path)
+    assert not re.search(r"https?:|//[a-z]|\bsrc=|\bhref=|@import|url\(|fetch\(|import ", page)
+    assert "{{" not in page and "}}" not in page.split("<script>")[0]
+    svg = ElementTree.fromstring(re.search(r"<svg viewBox.*?</svg>", page, re.DOTALL).group(0))
+    names = [e.get("id") for e in svg.iter("g")]
+    assert names == ["place0", "turn0", "place1", "turn1", "place2", "turn2"]
+    trails = [e for e in svg.iter("polyline") if e.get("class") == "trail"]
+    assert [e.get("stroke") for e in trails] == list(ROBOT_COLORS[:3])
+    assert trails[0].get("points").split()[0] == "52.00,260.00"  # (1, 1) at 52 pixels a unit, y downward from 6
+    numbers = [e.text for e in svg.iter("text")]
+    assert numbers == ["0", "1"]  # a dot has no room for one
+
+
+class Frames(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.others = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        (self.found if tag == "iframe" else self.others).append(dict(attrs))
+
+
+def test_animations_in_a_notebook_are_frames_that_share_nothing(tmp_path):
+    animations = [plot.animate(TEAM, PATH, seconds=s) for s in (3, 4)]
+    notebook = Frames("".join(animation._repr_html_() for animation in animations))
+    assert len(notebook.found) == 2
+    assert notebook.others == []  # no script or id outside the frames
+    for frame, animation in zip(notebook.found, animations, strict=True):
+        assert frame["srcdoc"] == page_of(animation, tmp_path)
+        assert frame["sandbox"] == "allow-scripts"
+        assert int(frame["width"]) > int(frame["height"]) > 300
+
+
+STAGE = """
+const elements = {}, document = { getElementById: id => elements[id] ??= {
+  attributes: {}, listeners: {}, setAttribute(k, v) { this.attributes[k] = v; },
+  addEventListener(kind, f) { this.listeners[kind] = f; } } };
+const matchMedia = () => ({ matches: false });
+let next = null;
+const requestAnimationFrame = f => { next = f; };
+const frame = now => { const f = next; next = null; f(now); };
+const entries = () => Object.entries(elements);
+const report = () => Object.fromEntries(entries().map(([k, e]) => [k, [{ ...e.attributes }]]));
+const reports = [];
+"""
+
+
+def played(page, script):
+    """What the page's script does on a stage that keeps the attributes it sets."""
+    if NODE is None:
+        pytest.skip("node is not installed")
+    source = STAGE + re.search(r"<script>(.*)</script>", page, re.DOTALL).group(1)
+    source += script + "\nconsole.log(JSON.stringify(reports));"
+    done = subprocess.run([NODE, "-e", source], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def test_the_player_shows_what_the_timeline_says(tmp_path):
+    animation = plot.animate(TEAM, PATH)
+    shares = [0.0, 0.2, 0.51, 0.7, 1.0]
+    script = f"for (const share of {shares}) {{ show(share); reports.push(report()); }}"
+    reports = played(page_of(animation, tmp_path), script)
+    poses = animation.motion.at(np.array(shares) * animation.motion.duration)
+    for shown, q in zip(reports, poses, strict=True):
+        for i in range(3):
+            place = re.fullmatch(r"translate\((.*) (.*)\)", shown[f"place{i}"][0]["transform"])
+            np.testing.assert_allclose(
+                list(map(float, place.groups())), [52 * q[i, 0], 52 * (6 - q[i, 1])], atol=0.02
+            )
+        turn = re.fullmatch(r"rotate\((.*)\)", shown["turn1"][0]["transform"])
+        assert float(turn.group(1)) == pytest.approx(-np.degrees(q[1, 2]), abs=0.02)
+        assert "transform" not in shown["turn0"][0]
+        trail = float(shown["trail0"][0]["stroke-dasharray"].split()[0])
+        assert trail == pytest.approx(52 * (q[0, 0] - 1), abs=0.02)
+
+
+def test_the_player_plays_pauses_slides_and_begins_again(tmp_path):
+    script = """
+    const log = () => reports.push(elements.time.value);
+    frame(0); log(); frame(1000); log(); frame(4000); log(); frame(5000); log();  // 4 s, and a hold of 1.2 s
+    frame(5400); log();
+    elements.play.listeners.click(); frame(6000); log();
+    elements.time.listeners.input({ target: { value: "0.5" } }); log();
+    elements.play.listeners.click(); frame(9000); frame(9400); log();
+    """
+    reports = played(page_of(plot.animate(TEAM, PATH, seconds=4), tmp_path), script)
+    np.testing.assert_allclose(reports, [0, 0.25, 1, 1, 0.05, 0.05, 0.5, 0.6], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"path": PATH[:, 0]}, "A path must have shape"),
+        ({"path": PATH[:1]}, "nothing to animate: no robot moves in the path's 1 step"),
+        ({"path": PATH[[0, 0]]}, "nothing to animate: no robot moves in the path's 2 step"),
+        ({"path": np.where(PATH == 4, np.inf, PATH)}, "A path must be finite, got .* in step 1"),
+        ({"seconds": 0}, "seconds must be a positive finite number"),
+        ({"seconds": float("inf")}, "seconds must be a positive finite number"),
+        ({"frames_per_second": 0}, "frames_per_second must be above 0 and at most 50"),
+        ({"frames_per_second": 60}, "frames_per_second must be above 0 and at most 50"),
+    ],
+)
+def test_what_cannot_be_animated_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        plot.animate(TEAM, **({"path": PATH} | arguments))
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a", "gif"])
+def test_other_endings_are_refused_and_nothing_is_written(tmp_path, name):
+    with pytest.raises(ValueError, match=r"written as \.gif or \.html"):
+        plot.animate(TEAM, PATH).save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rectangles_are_animated(tmp_path):
+    problem = scenes.tangle()
+    animation = plot.animate(problem, [problem.starts, problem.goals], seconds=0.2, frames_per_second=10)
+    animation.save(tmp_path / "A.GIF")
+    with Image.open(tmp_path / "A.GIF") as image:
+        assert image.n_frames == 3
+        assert image.width > image.height

@@ -1,0 +1,181 @@
+import matplotlib as mpl
+import numpy as np
+import pytest
+import shapely
+from matplotlib.collections import PathCollection
+from matplotlib.colors import same_color
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from plr_jax import plot, scenes
+from plr_jax._problem import Problem
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.plot._robots import ROBOT_COLORS, ink_on
+from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, footprint
+
+# Robots of every kind and of different sizes; the headings of the round ones mean nothing.
+ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
+STARTS = [(1, 1, 0), (1, 3, 0), (1, 5, 0)]
+GOALS = [(8, 1, 0), (8, 3, np.pi / 2), (8, 5, 0)]
+TEAM = Problem(Workspace(((0, 0), (10, 6))), ROBOTS, STARTS, GOALS)
+# The disc and the point go straight; the rectangle waits during the first half of the time, then goes.
+PATH = np.array([STARTS, [(8, 1, 0), (1, 3, 0), (8, 5, 0)], GOALS])
+# An L of two motions, of lengths 3 and 1.
+CORNER = Problem(Workspace(((0, 0), (5, 3))), [DiscRobot(0.5)], [(1, 1)], [(4, 2)])
+CORNER_PATH = np.array([[(1, 1)], [(4, 1)], [(4, 2)]])
+
+
+def polygons(ax, solid):
+    """Robots drawn as solid bodies (True), as faded ones (False), or as dashed outlines (None)."""
+    found = [patch for patch in ax.patches if type(patch) is Polygon and patch.get_closed()]
+    if solid is None:
+        return [p for p in found if not p.get_fill() and p.get_linestyle() != "-" and p.get_linestyle() != "solid"]
+    return [p for p in found if p.get_fill() and (p.get_facecolor()[3] == 1.0) == solid]
+
+
+def centers(patches):
+    return np.array([patch.get_xy()[:-1].mean(axis=0) for patch in patches])
+
+
+def colors(patches):
+    return [mpl.colors.to_hex(patch.get_edgecolor()).upper() for patch in patches]
+
+
+def numbers(ax):
+    return sorted(text.get_text() for text in ax.texts)
+
+
+def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals():
+    ax = plot.plot_problem(TEAM)
+    solid, dashed = polygons(ax, True), polygons(ax, None)
+    np.testing.assert_allclose(centers(solid), np.array(STARTS)[:, :2], atol=1e-12)
+    np.testing.assert_allclose(centers(dashed), np.array(GOALS)[:, :2], atol=1e-12)
+    assert colors(dashed) == list(ROBOT_COLORS[:3])
+    assert all(same_color(body.get_facecolor(), color) for body, color in zip(solid, ROBOT_COLORS, strict=False))
+    assert numbers(ax) == ["0", "0", "1", "1", "2", "2"]
+
+
+def test_bodies_have_the_size_and_heading_of_the_robots():
+    ax = plot.plot_problem(TEAM)
+    disc, rectangle, point = (shapely.Polygon(patch.get_xy()) for patch in polygons(ax, None))
+    assert disc.area == pytest.approx(np.pi * 0.5**2, rel=0.003)
+    assert rectangle.equals_exact(footprint(ROBOTS[1], np.array(GOALS[1])), 1e-12)
+    assert 0 < point.area < 0.1
+
+
+def test_a_bar_shows_where_a_rectangle_heads():
+    turned = Problem(TEAM.workspace, [ROBOTS[1]], [(2, 3, np.pi / 2)], [(8, 3, np.pi)])
+    ax = plot.plot_problem(turned)
+    (bar,) = ax.lines
+    np.testing.assert_allclose(bar.get_xydata().mean(axis=0), [2, 3 + 0.5 - 0.2 * 0.4])
+    (front,) = (patch for patch in ax.patches if type(patch) is Polygon and not patch.get_closed())
+    np.testing.assert_allclose(front.get_xy().mean(axis=0), [8 - 0.5, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [TEAM, scenes.tangle(), scenes.maze(), *(scenes.four_rooms(n) for n in (2, 4, 8)), scenes.cross(3)],
+    ids=["team", "tangle", "maze", "four_rooms_2", "four_rooms_4", "four_rooms_8", "cross_3"],
+)
+def test_numbers_overlap_nothing_that_would_hide_them(problem):
+    ax = plot.plot_problem(problem)
+    ax.figure.canvas.draw()
+    to_data = ax.transData.inverted()
+    boxes = [shapely.box(*to_data.transform(text.get_window_extent()).ravel()) for text in ax.texts]
+    bodies = [shapely.Polygon(patch.get_xy()) for patch in polygons(ax, True)]
+    assert len(boxes) == 2 * len(problem.robots)
+    for k, box in enumerate(boxes):
+        assert not any(box.intersects(other) for other in boxes[k + 1 :])
+        assert shapely.box(*ax.viewLim.extents).contains(box)
+        # On its own body in an ink that contrasts with it, or on no body at all.
+        under = [i for i, body in enumerate(bodies) if body.intersects(box)]
+        if under:
+            assert [ax.texts[k].get_text()] == [str(i) for i in under]
+            assert ax.texts[k].get_color() == ink_on(ROBOT_COLORS[under[0]])
+
+
+def test_a_path_is_a_line_a_robot_with_a_solid_body_at_its_end():
+    ax = plot.plot_path(TEAM, PATH)
+    lines = [line for line in ax.lines if line.get_color() in ROBOT_COLORS]
+    for i, line in enumerate(lines):
+        assert line.get_color() == ROBOT_COLORS[i]
+        np.testing.assert_allclose(line.get_xydata(), PATH[:, i, :2])
+    assert len(lines) == 3
+    np.testing.assert_allclose(centers(polygons(ax, True)), np.array(GOALS)[:, :2], atol=1e-12)
+    assert numbers(ax) == ["0", "1", "2"]
+
+
+def test_faded_bodies_are_evenly_spaced_in_time_and_drawn_once_where_robots_wait():
+    ax = plot.plot_path(CORNER, CORNER_PATH, num_poses=4)
+    np.testing.assert_allclose(centers(polygons(ax, False)), [(1, 1), (2, 1), (3, 1), (4, 1)], atol=1e-12)
+    assert len(polygons(plot.plot_path(CORNER, CORNER_PATH, num_poses=0), False)) == 0
+    waits = np.array([[(1, 1), (9, 1)], [(3, 1), (9, 1)], [(3, 1), (9, 3)]])
+    pair = Problem(Workspace(((0, 0), (10, 4))), [DiscRobot(0.4)] * 2, waits[0], waits[-1])
+    faded = centers(polygons(plot.plot_path(pair, waits, num_poses=4), False))
+    np.testing.assert_allclose(faded, [(1, 1), (2, 1), (3, 1), (9, 1), (9, 2)], atol=1e-12)
+
+
+def test_a_part_of_a_path_ends_where_the_next_begins():
+    first = plot.plot_path(CORNER, CORNER_PATH, end=0.5)
+    second = plot.plot_path(CORNER, CORNER_PATH, begin=0.5)
+    np.testing.assert_allclose(first.lines[0].get_xydata(), [(1, 1), (3, 1)])
+    np.testing.assert_allclose(second.lines[0].get_xydata(), [(3, 1), (4, 1), (4, 2)])
+    np.testing.assert_allclose(centers(polygons(first, True)), [(3, 1)], atol=1e-12)
+    np.testing.assert_allclose(centers(polygons(second, False))[0], (3, 1), atol=1e-12)
+
+
+def test_a_path_of_one_step_is_its_bodies():
+    ax = plot.plot_path(CORNER, CORNER_PATH[:1])
+    np.testing.assert_allclose(centers(polygons(ax, True)), [(1, 1)], atol=1e-12)
+
+
+def test_samples_are_points_in_the_colors_of_the_robots():
+    samples = np.array([STARTS, GOALS, PATH[1]])
+    ax = plot.plot_samples(TEAM, samples)
+    (points,) = (c for c in ax.collections if isinstance(c, PathCollection))
+    np.testing.assert_array_equal(points.get_offsets(), samples[..., :2].reshape(-1, 2))
+    assert [mpl.colors.to_hex(c).upper() for c in points.get_facecolors()] == list(ROBOT_COLORS[:3]) * 3
+    assert len(polygons(ax, True)) == len(polygons(ax, None)) == 3
+    assert len(plot.plot_samples(TEAM, samples[:0]).collections[0].get_offsets()) == 0
+
+
+def test_published_trajectories_can_be_drawn(data_dir):
+    folder = data_dir / "dbcbs"
+    problem = scenes.read_dbcbs(folder / "classic.yaml")
+    path = scenes.read_trajectories(folder / "solutions" / "classic_solution.yaml")[..., : problem.dof]
+    ax = plot.plot_path(problem, path)
+    np.testing.assert_allclose(centers(polygons(ax, True)), path[-1, :, :2], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"path": CORNER_PATH[0]}, "A path must have shape"),
+        ({"path": np.full((2, 1, 2), np.nan)}, "A path must be finite, got .* in step 0"),
+        ({"begin": 0.5, "end": 0.5}, "begin and end must be shares"),
+        ({"begin": -0.1}, "begin and end must be shares"),
+        ({"end": float("nan")}, "begin and end must be shares"),
+        ({"num_poses": -1}, "num_poses must be at least 0"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        plot.plot_path(CORNER, **({"path": CORNER_PATH} | arguments))
+
+
+@pytest.mark.parametrize("samples", [np.zeros((3, 2)), np.zeros((3, 2, 2)), [["a"]]])
+def test_samples_of_another_shape_are_refused(samples):
+    with pytest.raises(ValueError, match=r"Samples must .* \(n, robots, dof\) = \(n, 1, 2\)"):
+        plot.plot_samples(CORNER, samples)
+
+
+def test_given_axes_are_drawn_on_and_nothing_is_cut_off(tmp_path):
+    ax = Figure().add_subplot()
+    assert plot.plot_problem(TEAM, ax) is ax
+    assert plot.plot_path(TEAM, PATH, ax) is ax
+    assert plot.plot_samples(TEAM, PATH, ax) is ax
+    for ax in (plot.plot_problem(TEAM), plot.plot_path(TEAM, PATH), plot.plot_samples(TEAM, PATH)):
+        plot.save(ax, tmp_path / "picture.png")
+        page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
+        assert content.x0 >= page.x0 and content.y0 >= page.y0
+        assert content.x1 <= page.x1 and content.y1 <= page.y1

@@ -1,0 +1,219 @@
+import subprocess
+import sys
+from dataclasses import dataclass, field
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+
+from plr_jax import plot
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.plot._surface import _plane_pieces
+
+# A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
+WORKSPACE = Workspace(
+    ((0, 0), (2, 1)), [[(0.9, 0.0), (1.1, 0.0), (1.1, 0.5), (0.9, 0.5)],
+                       [(0.3, 0.3), (0.6, 0.3), (0.6, 0.6), (0.3, 0.6)]]
+)  # fmt: skip
+
+
+@dataclass
+class ThreeCells:
+    """Distance x + 2y on the left half, 3 on the lower right quarter, none on the upper right one."""
+
+    domain: Box = field(default_factory=lambda: Box((0, 0), (2, 1)))
+    leaf_boxes = (
+        np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]]),
+        np.array([[1.0, 1.0], [2.0, 0.5], [2.0, 1.0]]),
+    )
+    slope: np.ndarray = field(default_factory=lambda: np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
+    intercept: np.ndarray = field(default_factory=lambda: np.array([0.0, 3.0, np.inf]))
+
+    def __call__(self, x):
+        left = x[..., 0] + 2 * x[..., 1]
+        return np.where(x[..., 0] < 1, left, np.where(x[..., 1] < 0.5, 3.0, np.inf))
+
+
+def texts(ax):
+    """Every label of the picture, color bars included."""
+    found = []
+    for axes in [*ax.figure.axes, *ax.child_axes]:
+        found += [axes.get_title(), axes.get_xlabel(), axes.get_ylabel()]
+    return " ".join(found)
+
+
+def test_cells_are_drawn_as_closed_rectangles():
+    ax = plot.plot_cells(ThreeCells())
+    (lines,) = (c for c in ax.collections if isinstance(c, LineCollection))
+    boxes = [(*path.vertices.min(axis=0), *path.vertices.max(axis=0)) for path in lines.get_paths()]
+    assert boxes == [(0, 0, 1, 1), (1, 0, 2, 0.5), (1, 0.5, 2, 1)]
+    assert all((path.vertices[0] == path.vertices[-1]).all() for path in lines.get_paths())
+
+
+def test_contours_show_the_values_where_they_are_and_nothing_elsewhere():
+    ax = plot.plot_contours(ThreeCells(), goal=(0.0, 0.0), resolution=20)
+    values = ax.images[0].get_array()
+    assert values.shape == (10, 20)
+    assert values[0, 0] == pytest.approx(0.05 + 2 * 0.05)
+    assert values[9, 0] == pytest.approx(0.05 + 2 * 0.95)
+    assert values[0, 19] == 3.0
+    assert values.mask[5:, 10:].all()
+    assert values.mask.sum() == 50
+    assert tuple(ax.images[0].get_extent()) == (0, 2, 0, 1)
+    (star,) = (line for line in ax.lines if line.get_marker() == "*")
+    np.testing.assert_array_equal(star.get_xydata(), [[0, 0]])
+
+
+def test_values_inside_obstacles_set_no_scale():
+    right_blocked = Workspace(((0, 0), (2, 1)), [[(0.5, -1), (3, -1), (3, 2), (0.5, 2)]])
+    image = plot.plot_contours(ThreeCells(), workspace=right_blocked, resolution=20).images[0]
+    assert image.get_clim() == (0.0, pytest.approx(0.45 + 2 * 0.95))
+    with pytest.raises(ValueError, match="no point has an answer"):
+        plot.plot_contours(ThreeCells(), workspace=Workspace(((1, 0.5), (2, 1))))
+
+
+def test_obstacles_cover_the_blocked_region_and_only_that():
+    ax = plot.plot_workspace(WORKSPACE)
+    patches = [patch for patch in ax.patches if isinstance(patch, PathPatch)]
+    assert len(patches) == 2
+    blocked = np.array([(1.0, 0.2), (0.45, 0.45)])
+    free = np.array([(0.5, 0.2), (1.0, 0.7), (1.5, 0.5)])
+    covered = np.any([patch.get_path().contains_points(np.vstack([blocked, free])) for patch in patches], axis=0)
+    np.testing.assert_array_equal(covered, [True, True, False, False, False])
+
+
+def test_an_obstacle_around_a_room_keeps_the_room_open():
+    ring = Workspace.from_polygons(
+        [
+            {"outer": [(0, 0), (9, 0), (9, 9), (0, 9)], "holes": [[(2, 2), (7, 2), (7, 7), (2, 7)]]},
+            {"outer": [(4, 4), (5, 4), (5, 5), (4, 5)], "holes": []},
+        ]
+    )
+    (patch,) = plot.plot_workspace(ring).patches
+    assert patch.get_path().contains_point((3, 3))
+    assert len(patch.get_path().to_polygons()) == 2
+
+
+def test_error_picture_shows_the_errors_and_marks_missing_answers():
+    errors = np.array([[0.0, 0.1, np.nan, 0.3], [np.inf, 0.2, np.nan, 0.0]])
+    ax = plot.plot_error(errors, WORKSPACE)
+    image, unanswered = ax.images
+    np.testing.assert_array_equal(image.get_array().mask, ~np.isfinite(errors))
+    np.testing.assert_array_equal(image.get_array().filled(9.0)[np.isfinite(errors)], errors[np.isfinite(errors)])
+    assert image.get_clim() == (0.0, pytest.approx(0.3, rel=0.01))
+    np.testing.assert_array_equal(unanswered.get_array().mask, ~np.isposinf(errors))
+    assert "max 0.3, mean 0.12" in texts(ax)
+    assert plot.plot_error(errors, WORKSPACE, largest=0.5).images[0].get_clim() == (0.0, 0.5)
+    assert len(plot.plot_error(np.nan_to_num(errors, posinf=0.0), WORKSPACE).images) == 1
+
+
+def test_a_picture_of_no_error_at_all_is_refused():
+    with pytest.raises(ValueError, match="no error is finite"):
+        plot.plot_error(np.full((2, 2), np.nan), WORKSPACE)
+
+
+def test_surface_pieces_lie_in_the_planes_of_their_leaves():
+    pieces = _plane_pieces(ThreeCells(), None)
+    assert len(pieces) == 2
+    np.testing.assert_allclose(pieces[0], [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
+    np.testing.assert_allclose(pieces[1][:, 2], 3.0)
+
+
+def test_surface_is_cut_to_free_space():
+    pieces = _plane_pieces(ThreeCells(), WORKSPACE)
+    area = 0.0
+    for x, y, _ in (piece.T for piece in pieces):
+        area += abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+    # The left cell less the hole and half the wall; the lower right one less the other half.
+    assert area == pytest.approx((1 - 0.09 - 0.05) + (0.5 - 0.05))
+
+
+def test_leaves_inside_an_obstacle_have_no_surface():
+    left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
+    (piece,) = _plane_pieces(ThreeCells(), left_blocked)
+    np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
+
+
+def test_surface_draws_every_piece_once():
+    for workspace in (None, WORKSPACE):
+        ax = plot.plot_surface(ThreeCells(), workspace=workspace)
+        (surface,) = ax.collections
+        assert len(surface.get_facecolor()) == len(_plane_pieces(ThreeCells(), workspace))
+
+
+def test_a_surface_without_answers_is_refused():
+    empty = ThreeCells(intercept=np.full(3, np.inf))
+    with pytest.raises(ValueError, match="no leaf has an answer"):
+        plot.plot_surface(empty)
+
+
+@pytest.mark.parametrize("draw", [plot.plot_cells, plot.plot_contours, plot.plot_surface])
+def test_only_two_dimensions_can_be_drawn(draw):
+    with pytest.raises(ValueError, match="Only a 2-D PLR can be drawn, got one of 3"):
+        draw(ThreeCells(domain=Box((0, 0, 0), (1, 1, 1))))
+
+
+def all_pictures():
+    errors = np.array([[0.0, 0.00123], [0.00254, 0.00377]])
+    return {
+        "contours": plot.plot_contours(ThreeCells(), workspace=WORKSPACE),
+        "cells": plot.plot_cells(ThreeCells(), workspace=WORKSPACE),
+        "error": plot.plot_error(errors, WORKSPACE),
+        "surface": plot.plot_surface(ThreeCells(), workspace=WORKSPACE),
+    }
+
+
+def test_axes_and_color_bars_are_labeled_with_units():
+    for name, ax in all_pictures().items():
+        assert "x (workspace units)" in texts(ax)
+        assert "y (workspace units)" in texts(ax)
+        if name != "cells":
+            assert "distance to the goal (workspace units)" in texts(ax) or "error" in texts(ax)
+        if name != "surface":
+            assert ax.get_aspect() == 1.0
+
+
+def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(tmp_path):
+    """Legible on a dark page means: the page is ours, not the reader's."""
+    from matplotlib.image import imread
+
+    for name, ax in all_pictures().items():
+        path = tmp_path / f"{name}.png"
+        plot.save(ax, path)
+        pixels = imread(path)
+        assert pixels.shape[2] == 3 or (pixels[..., 3] == 1.0).all()
+        assert (pixels[0, 0, :3] == 1.0).all()
+        assert pixels[..., :3].min() < 0.25
+
+
+def test_nothing_is_cut_off_at_the_edge_of_the_picture(tmp_path):
+    for name, ax in all_pictures().items():
+        plot.save(ax, tmp_path / "picture.png")
+        page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
+        assert content.x0 >= page.x0 and content.y0 >= page.y0, name
+        assert content.x1 <= page.x1 and content.y1 <= page.y1, name
+
+
+def test_given_axes_are_drawn_on():
+    figure = Figure()
+    flat, solid = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    assert plot.plot_error(np.array([[0.1]]), WORKSPACE, flat) is flat
+    assert flat.get_xlim() == (0, 2)
+    assert "x (workspace units)" in texts(flat)
+    assert plot.plot_surface(ThreeCells(), solid) is solid
+    assert len(figure.axes) == 3  # the two given and a color bar for the surface
+    ax = plot.plot_contours(ThreeCells())
+    assert plot.plot_cells(ThreeCells(), ax) is ax
+    assert plot.plot_workspace(WORKSPACE, ax) is ax
+
+
+def test_global_state_stays_as_it_is():
+    before = dict(mpl.rcParams)
+    all_pictures()
+    assert dict(mpl.rcParams) == before
+    code = "import sys, plr_jax.plot; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

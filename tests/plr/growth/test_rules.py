@@ -1,0 +1,59 @@
+import numpy as np
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
+from plr_jax.plr.growth.rules import MAX_ASPECT_BITS
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_samples import fit_cells
+from plr_jax.plr.sampling.pattern import sample_pattern
+
+SQUARE = Box((0, 0), (1, 1))
+
+
+def fit(distance_fn, cells=None, weight_fn=None):
+    cells = Cells.root(2) if cells is None else cells
+    return fit_cells(cells, SQUARE, distance_fn, weight_fn, sample_pattern(2, 64, 0.0, 0))
+
+
+def test_best_axis_is_the_one_along_which_the_function_bends():
+    assert best_axis(fit(lambda x: np.abs(x[:, 0] - 0.5) + x[:, 1]))[0] == 0
+    assert best_axis(fit(lambda x: np.abs(x[:, 1] - 0.5) + x[:, 0]))[0] == 1
+
+
+def test_best_axis_never_makes_needles():
+    cells, aspects = Cells.root(2), set()
+    for _ in range(10):
+        cells = cells.split(best_axis(fit(lambda x: (x[:, 0] > 1 / 3) * 1.0, cells)))
+        aspects.add(int(np.ptp(cells.depth, axis=1).max()))
+    assert max(aspects) == MAX_ASPECT_BITS
+
+
+def test_cyclic_axis_takes_turns():
+    cells = Cells.root(2)
+    for axis in (0, 1, 0, 1):
+        chosen = cyclic_axis(fit(lambda x: x[:, 0], cells))
+        assert (chosen == axis).all()
+        cells = cells.split(chosen)
+
+
+def test_largest_error_is_the_largest_weighted_residual():
+    found = fit(lambda x: (x[:, 0] > 0.9) * 1.0, weight_fn=lambda x: 2.0 - x[:, 0])
+    x = found.cells.points(found.pattern.u, SQUARE)[0]
+    expected = np.max((2 - x[:, 0]) * np.abs(found.residual[0]))
+    np.testing.assert_allclose(largest_error(found), expected)
+    assert expected > 0.1
+
+
+def test_center_error_looks_at_the_center_unless_it_is_blocked():
+    bump = fit(lambda x: 1.0 * (np.abs(x - 0.5).max(axis=1) < 0.01))
+    assert center_error(bump)[0] == np.abs(bump.residual[0, 0]) > 0.5
+    corner = fit(lambda x: 1.0 * (x.min(axis=1) > 0.9))
+    assert center_error(corner)[0] < largest_error(corner)[0]
+    blocked = fit(lambda x: np.where(np.abs(x - 0.5).max(axis=1) < 0.1, np.inf, x[:, 0] > 0.5))
+    assert center_error(blocked)[0] == largest_error(blocked)[0] > 0.1
+
+
+def test_maximum_depth_splits_all_but_blocked_cells():
+    halves = Cells.root(2).split(np.array([0]))
+    priority = maximum_depth(fit(lambda x: np.where(x[:, 0] < 0.5, 1.0, np.inf), halves))
+    np.testing.assert_array_equal(priority, [np.inf, 0])

@@ -1,0 +1,27 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from plr_helpers import random_partition
+
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.levels import cells_of, levels_of
+
+
+@given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
+def test_levels_give_back_the_same_leaves(seed, dim, num_splits):
+    leaves = random_partition(seed, dim, num_splits)
+    shuffled = leaves[np.random.default_rng(seed).permutation(len(leaves))]
+    levels, order = levels_of(shuffled)
+    again = cells_of(levels, dim)
+    np.testing.assert_array_equal(again.depth, shuffled.depth[order])
+    np.testing.assert_array_equal(again.position, shuffled.position[order])
+
+
+def test_the_deepest_path_fits():
+    leaves = Cells.root(1)
+    for _ in range(60):
+        leaves = leaves[[0]].split(np.array([0])).append(leaves[1:])
+    levels, order = levels_of(leaves)
+    assert len(levels) == 61
+    np.testing.assert_array_equal(order, np.arange(61))
+    np.testing.assert_array_equal(cells_of(levels, 1).position, leaves.position)

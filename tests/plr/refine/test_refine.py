@@ -1,0 +1,238 @@
+import subprocess
+import sys
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from plr_helpers import UNIT, leaf_by_search, points
+
+import plr_jax.plr.refine.objective as minimize_module
+from plr_jax import construct, cyclic_axis, from_bytes, load, maximum_depth, save
+from plr_jax.plr.refine.losses import eikonal, jumps, quantile
+from plr_jax.plr.refine.refine import RefinementInterrupted, refine
+from plr_jax.plr.sampling.face_samples import sample_faces
+
+
+def lstsq_twin(plr, x, distance, weight):
+    """Slopes and values at the centers of each leaf's own least-squares plane, one leaf at a time."""
+    leaf, (lo, hi) = leaf_by_search(plr, x), plr.leaf_boxes
+    planes = {}
+    for i in np.unique(leaf):
+        mine = leaf == i
+        if np.count_nonzero(weight[mine]) < 12:
+            continue
+        root = np.sqrt(weight[mine])
+        design = np.concatenate([np.ones((mine.sum(), 1)), x[mine] - (lo + hi)[i] / 2], axis=1)
+        planes[i] = np.linalg.lstsq(design * root[:, None], distance[mine] * root, rcond=None)[0]
+    return planes
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_squared_loss_alone_gives_each_cells_least_squares_plane(wall, weighted):
+    plr, x, distance = wall
+    weight = np.random.default_rng(0).integers(0, 4, len(x)).astype(float) if weighted else np.ones(len(x))
+    refined, report = refine(plr, x, distance, weight=weight if weighted else None, held_out=0)
+    twin = lstsq_twin(plr, x, distance, weight)
+    assert len(twin) == plr.num_leaves - np.count_nonzero(plr.planes.unreachable) - report.num_kept
+    center = np.sum(refined.leaf_boxes, axis=0) / 2
+    for i, plane in twin.items():
+        np.testing.assert_allclose(refined.slope[i], plane[1:], atol=3e-5)
+        np.testing.assert_allclose(refined.intercept[i] + refined.slope[i] @ center[i], plane[0], atol=1e-6)
+    assert report.refined.held_out is None
+    assert report.refined.training.rms <= report.given.training.rms or weighted
+
+
+def test_the_descent_finds_the_least_squares_planes_from_another_start(wall):
+    """The start is the best for ``error**2``; the planes best for ``(error - 0.005)**2`` lie 0.005 higher."""
+    plr, x, distance = wall
+    closed, _ = refine(plr, x, distance, held_out=0)
+    raised, report = refine(plr, x, distance, loss=_squared_from_above, held_out=0)
+    enough = np.bincount(leaf_by_search(plr, x), minlength=plr.num_leaves) >= 12
+    x = x[enough[leaf_by_search(plr, x)]]
+    np.testing.assert_allclose(np.asarray(raised(x)) - np.asarray(closed(x)), 0.005, atol=1e-4)
+    assert report.objective[1] < report.objective[0]
+
+
+def _squared_from_above(error):
+    return (error - 0.005) ** 2
+
+
+def test_points_of_large_weight_are_fitted_better(wall):
+    plr, x, distance = wall
+    favored = x[:, 0] + x[:, 1] < 0.8
+    noisy = distance + 0.1 * np.sin(40 * x[:, 0])
+    error = [
+        np.abs(np.asarray(refine(plr, x, noisy, weight=w, held_out=0)[0](x[favored]), float) - noisy[favored])
+        for w in (np.ones(len(x)), np.where(favored, 1000.0, 1.0))
+    ]
+    assert np.mean(error[1] ** 2) < np.mean(error[0] ** 2)
+
+
+def test_huge_weights_are_weights(wall):
+    plr, x, distance = wall
+    huge, one = (refine(plr, x, distance, weight=np.full(len(x), w), num_steps=1)[0] for w in (1e308, 1.0))
+    assert huge.to_bytes() == one.to_bytes()
+
+
+def test_a_loss_without_a_gradient_leaves_a_finite_objective(wall):
+    plr, x, distance = wall
+    _, report = refine(plr, x, distance, loss=lambda e: e**2 + jnp.sqrt(0 * e**2), num_steps=50)
+    assert report.objective[1] == report.objective[0]
+
+
+def test_the_same_seed_gives_the_same_file_and_another_seed_another(wall):
+    plr, x, distance = wall
+    first, second, third = (
+        refine(plr, x, distance, loss=quantile(0.1), num_steps=50, seed=seed)[0] for seed in (0, 0, 1)
+    )
+    assert first.to_bytes() == second.to_bytes() != third.to_bytes()
+
+
+def test_a_refined_plr_is_an_ordinary_one(wall, tmp_path):
+    plr, x, distance = wall
+    refined, report = refine(plr, x, distance, loss=quantile(0.05))
+    save(refined, tmp_path / "refined.plr")
+    again = load(tmp_path / "refined.plr")
+    np.testing.assert_array_equal(again(x), refined(x))
+    assert again.num_bytes == report.refined.num_bytes == plr.num_bytes
+    np.testing.assert_array_equal(refined.cells.depth, plr.cells.depth)
+    np.testing.assert_array_equal(refined.cells.position, plr.cells.position)
+
+
+def test_unreachable_leaves_stay_so_and_leaves_with_few_points_keep_their_plane():
+    in_wall = lambda x: np.where((x[:, 0] > 0.5) & (x[:, 1] < 0.5), np.inf, 1 + x[:, 0])  # noqa: E731
+    plr = construct(in_wall, UNIT, max_depth=6, should_split=maximum_depth, split=cyclic_axis)
+    assert plr.planes.unreachable.any()
+    x = points(4000, 9)
+    x = x[(x[:, 0] < 0.5) & np.isfinite(in_wall(x))]
+    refined, report = refine(plr, x, 3 - x[:, 0], penalties=[eikonal(1e-3), jumps(sample_faces(plr, in_wall), 1.0)])
+    np.testing.assert_array_equal(refined.planes.unreachable, plr.planes.unreachable)
+    center, half = plr.planes.decode()
+    new_center, new_half = refined.planes.decode()
+    right = (plr.leaf_boxes[0][:, 0] >= 0.5) & ~plr.planes.unreachable
+    assert report.num_kept == right.sum() > 0
+    np.testing.assert_array_equal(new_center[right], center[right])
+    np.testing.assert_array_equal(new_half[right], half[right])
+    assert np.isinf(np.asarray(refined(np.array([[0.99, 0.01]]))))
+
+
+def test_max_bytes_takes_bits_from_the_coefficients(wall):
+    plr, x, distance = wall
+    smaller = plr.num_bytes - 200
+    refined, _ = refine(plr, x, distance, max_bytes=smaller)
+    assert refined.num_bytes <= smaller and refined.planes.bits < 32
+    with pytest.raises(ValueError, match="max_bytes=100 is too small for 60 leaves"):
+        refine(plr, x, distance, max_bytes=100)
+
+
+def test_the_report(wall, wall_faces):
+    plr, x, distance = wall
+    half = np.where(np.arange(len(x)) < 100, np.inf, distance)
+    refined, report = refine(plr, x, half, faces=wall_faces)
+    assert report.num_unreachable == 100
+    total = report.refined.training.num_points + report.refined.held_out.num_points
+    assert total == len(x) - 100 and report.refined.held_out.num_points == total // 5
+    everywhere = np.asarray(refined(x[100:]), float) - distance[100:]
+    shares = [report.refined.training.num_points / total, report.refined.held_out.num_points / total]
+    parts = [report.refined.training, report.refined.held_out]
+    assert sum(s * e.mean for s, e in zip(shares, parts, strict=True)) == pytest.approx(np.abs(everywhere).mean())
+    assert max(e.max for e in parts) == np.abs(everywhere).max()
+    assert max(e.max_over for e in parts) == everywhere.max()
+    assert sum(s * e.over for s, e in zip(shares, parts, strict=True)) == pytest.approx(np.mean(everywhere > 0))
+    assert report.refined.held_out.loss == pytest.approx(report.refined.held_out.rms**2, rel=1e-5)
+    assert report.refined.jump_rms == pytest.approx(np.sqrt(np.mean(wall_faces.jumps(refined) ** 2)))
+    lines = str(report).splitlines()
+    assert lines[1].startswith("given") and "least squares" in lines[2] and lines[3].startswith("refined")
+    assert f"{report.refined.held_out.mean:.3g}" in lines[3] and "held-out" in lines[4]
+
+
+def test_an_interrupt_keeps_the_best_so_far(wall, monkeypatch):
+    plr, x, distance = wall
+    descend, calls = minimize_module._descend, []
+
+    def interrupted(*arguments):
+        calls.append(None)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return descend(*arguments)
+
+    monkeypatch.setattr(minimize_module, "_descend", interrupted)
+    with pytest.warns(RefinementInterrupted, match="after 100 of 400"):
+        refined, report = refine(plr, x, distance, loss=quantile(0.05))
+    assert report.num_steps == 100 and report.objective[1] < report.objective[0]
+    assert abs(report.refined.held_out.over - 0.05) < 0.02
+    assert from_bytes(refined.to_bytes()).num_leaves == plr.num_leaves
+
+
+def test_no_warning_without_an_interrupt(wall):
+    plr, x, distance = wall
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert refine(plr, x, distance, num_steps=1)[1].num_steps == 50
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"x": np.zeros((5, 3))}, r"x must have shape \(n, 2\)"),
+        ({"x": np.full((5, 2), 2.0)}, r"All points must lie in .*got \[2.0, 2.0\]"),
+        ({"x": np.full((5, 2), np.nan)}, "All points must lie in"),
+        ({"distance": np.zeros(4)}, r"distance must have one number a point, shape \(5,\), got \(4,\)"),
+        ({"distance": ["a"] * 5}, "distance must be numbers"),
+        ({"distance": np.ones(5) + 1j}, "distance must be numbers"),
+        ({"distance": np.full(5, np.nan)}, "A distance must be a number, or inf"),
+        ({"distance": np.full(5, -np.inf)}, "A distance must be a number, or inf"),
+        ({"distance": np.full(5, np.inf)}, "No leaf of .* points of positive weight"),
+        ({"weight": np.full(5, -1.0)}, "A weight must be finite and >= 0, got -1"),
+        ({"weight": np.zeros(3)}, "weight must have one number a point"),
+        ({}, "No leaf of .* has 12 points"),
+        ({"num_steps": 0}, "num_steps must be an integer >= 1"),
+        ({"held_out": 1.0}, "held_out must be a share"),
+        ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
+        ({"seed": -1}, "seed must be an integer >= 0"),
+    ],
+)
+def test_bad_arguments_are_named(wall, change, message):
+    arguments = {"x": points(5, 0), "distance": np.ones(5), **change}
+    with pytest.raises(ValueError, match=message):
+        refine(wall[0], **arguments)
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (
+            "refine(construct_continuous(cone, box), x, cone(x))",
+            "Only a PLR, as construct builds, has planes to move",
+        ),
+        (
+            "refine(construct(cone, box), x, cone(x), loss='quantile')",
+            "such as squared or quantile(0.05), got 'quant",
+        ),
+        ("refine(construct(cone, box), x, cone(x), penalties=eikonal())", "list of functions, such as [eikonal()]"),
+    ],
+)
+def test_arguments_of_another_kind_are_named(call, message):
+    """Outside of these tests, where annotations are not enforced."""
+    code = f"""
+import numpy as np
+from plr_jax.plr import construct, construct_continuous, eikonal, refine
+x, box = np.random.default_rng(0).random((500, 2)), ([0, 0], [1, 1])
+cone = lambda x: np.hypot(*x.T)
+{call}
+"""
+    environment = {"PYTHONPATH": ":".join(sys.path)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert "ValueError" in done.stderr and message in done.stderr
+
+
+def test_double_precision_changes_nothing_but_rounding(wall, wall_faces):
+    plr, x, distance = wall
+    arguments = {"loss": quantile(0.2), "penalties": [eikonal(1e-3), jumps(wall_faces, 1e-3)], "num_steps": 200}
+    single, _ = refine(plr, x, distance, **arguments)
+    with jax.enable_x64(True):
+        double, _ = refine(from_bytes(plr.to_bytes()), x, distance, **arguments)
+    np.testing.assert_allclose(double(x), single(x), atol=1e-4)
