@@ -32,13 +32,11 @@ from .planners import zero as zero
 from .plr import PLR as PLR
 from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
-from .plr import ContinuousPLR as ContinuousPLR
 from .plr import Refinement as Refinement
 from .plr import RefinementInterrupted as RefinementInterrupted
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
 from .plr import construct as construct
-from .plr import construct_continuous as construct_continuous
 from .plr import cyclic_axis as cyclic_axis
 from .plr import evaluate as evaluate
 from .plr import from_bytes as from_bytes

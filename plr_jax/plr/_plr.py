@@ -1,29 +1,34 @@
-"""The piecewise linear regression: a partition of a box and a plane in every leaf, ready to be queried."""
+"""The piecewise linear regression: a partition of a box and a function in every leaf, ready to be queried."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr._stored import StoredFunction, as_padded_array
-from plr_jax.plr.file.plr_file import decode, encode
-from plr_jax.plr.leaves.plane.codec import LARGEST, StoredPlanes
+from plr_jax.plr._file import Contents, decode, decode_cells, encode
+from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
+from plr_jax.plr.leaves.base import LeafModel, values_at_centers
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.neighbors import fill_unreachable
+from plr_jax.plr.partition.neighbors import neighbor_of_largest_contact
+from plr_jax.plr.partition.tree import Level, levels_of
+from plr_jax.plr.query.lookup import evaluate_tables, lookup
 from plr_jax.plr.query.stack import TableStack
-from plr_jax.plr.query.tables import Frame, Tables, build_tables, evaluate_tables, lookup, table_corners
+from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
+
+_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class PLR(StoredFunction):
-    """A distance function stored as planes over a binary space partition (Section III of the paper).
+class PLR:
+    """A distance function stored over a binary space partition (Section III of the paper).
 
     Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
     jitted function can close over it or take it as an argument. Inside such a function it can be queried; its
@@ -34,10 +39,16 @@ class PLR(StoredFunction):
         file: The bytes that :func:`save` writes, padded with zeros to a power of two.
     """
 
+    tables: Tables
+    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        if not isinstance(x, jax.Array):
-            x = as_array(x)
+        if isinstance(x, jax.Array):
+            return _evaluate(self.tables, x)
+        x = as_array(x)
+        if x.dtype == np.float64 and self._far_corner is not None and x.shape[-1:] == (self.dim,):
+            return _evaluate(self._tables_from_corner, x - self._far_corner)
         return _evaluate(self.tables, x)
 
     @staticmethod
@@ -45,39 +56,81 @@ class PLR(StoredFunction):
         """One function of all robots' PLRs: a batch of joint configurations in one compiled call.
 
         Args:
-            plrs: One PLR a robot; they may differ in size and dimension.
+            plrs: One PLR a robot; they may differ in size, dimension and leaf model.
 
         Returns:
             A function of joint configurations ``(n, robots, dof)``, NumPy, that returns each robot's distance
             ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
 
         Raises:
-            ValueError: If one is not a plain PLR. When called, if the robots are not as many as the PLRs, or a PLR
+            ValueError: If one is not a PLR. When called, if the robots are not as many as the PLRs, or a PLR
                 has more dimensions than there are coordinates.
         """
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
-                raise ValueError(f"Only plain PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
-        return TableStack(tuple(plr.tables for plr in plrs))
+                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
+        is_near = [plr._far_corner is None for plr in plrs]
+        tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
+        return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file, which :func:`save` writes."""
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def leaf(self) -> LeafModel:
+        """The leaf model; ``leaf.name`` is what :func:`construct` calls it."""
+        return self.tables.leaf
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.tables.dim
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file."""
+        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
-    def _leaves(self) -> tuple[Box, Cells, StoredPlanes]:
-        return decode(self.to_bytes())
-
-    @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
-        return self._leaves[0]
+        return Container.from_bytes(self.to_bytes()).domain
 
-    @property
+    @cached_property
     def cells(self) -> Cells:
         """The leaves' cells, in the order of the tree's left-to-right traversal."""
-        return self._leaves[1]
+        return decode_cells(self.to_bytes())
 
     @property
-    def planes(self) -> StoredPlanes:
-        """The leaves' planes as the file stores them."""
-        return self._leaves[2]
+    def stored(self) -> Any:
+        """What the leaf model stores of the leaves, exactly as in the file."""
+        return self._contents.stored
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves of the partition."""
+        return len(self.cells)
+
+    @property
+    def depth(self) -> int:
+        """Largest number of splits between the root and a leaf."""
+        return int(self.cells.depth.sum(axis=1).max())
+
+    @property
+    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
+        """Lower and upper corners of the leaves."""
+        return self.cells.boxes(self.domain)
+
+    @property
+    def unreachable(self) -> Bool[np.ndarray, "leaves"]:
+        """Leaves of which nothing was found to reach the goal; they borrow a neighbor's plane or answer ``inf``."""
+        return self.leaf.unreachable(self.stored)
 
     @property
     def num_unreachable(self) -> int:
@@ -86,70 +139,119 @@ class PLR(StoredFunction):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's plane, the gradient of the PLR in that leaf."""
-        return np.asarray(self.tables.coefficients[1:], np.float64)[:, : self.num_leaves].T
+        """Slope of every leaf's plane; of a leaf that holds another function, that of its mean plane."""
+        return self._planes[1]
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Intercept of every leaf: its plane is ``slope . x + intercept``; ``inf`` in an unreachable leaf."""
-        at_corner = np.asarray(self.tables.coefficients[0], np.float64)[: self.num_leaves]
-        return at_corner - self.slope @ np.asarray(self.tables.frame[Frame.LO], np.float64)
+        """Intercept of every leaf's (mean) plane ``slope . x + intercept``; ``inf`` where a leaf answers it."""
+        return self._planes[0]
 
     def __repr__(self) -> str:
-        return f"PLR(dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, {self.domain})"
+        return (
+            f"PLR({self.leaf.name!r}, dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, "
+            f"{self.domain})"
+        )
+
+    @cached_property
+    def _contents(self) -> Contents:
+        return decode(self.to_bytes())
+
+    @cached_property
+    def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        coefficients, is_inf = filled_coefficients(self._contents)
+        center, half = values_at_centers(self.leaf, coefficients, self.dim)
+        lo, hi = self.leaf_boxes
+        slope = half * 2 / (hi - lo)
+        return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
+
+    @cached_property
+    def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
+        """The rounded lower corner of a domain so far from the origin that points are counted from there.
+
+        On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
+        """
+        if isinstance(self.tables.frame, jax.core.Tracer) or jax.config.jax_enable_x64:
+            return None
+        frame = np.asarray(self.tables.frame, np.float64)
+        lo, hi = frame[Frame.LO], frame[Frame.HI]
+        return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
+
+    @cached_property
+    def _tables_from_corner(self) -> Tables:
+        return self.tables.from_corner(self.domain)
 
 
 def plr_from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold.
-
-    Args:
-        data: What :meth:`PLR.to_bytes` gave.
-
-    Raises:
-        ValueError: If the bytes are not those of a PLR file of a version this release reads, or its planes are
-            beyond 32-bit floats.
-    """
-    return _assemble(data, *decode(data))
+    """The PLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    return _assemble(data, decode(data))
 
 
-def plr_of_leaves(domain: Box, cells: Cells, planes: StoredPlanes) -> PLR:
-    """The PLR of these leaves, in any order: the one that its file gives, bit for bit, without reading it."""
-    data, order = encode(domain, cells, planes)
-    return _assemble(data, domain, cells[order], planes[order])
+def plr_of_leaves(contents: Contents, levels: list[Level]) -> PLR:
+    """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
+    return _assemble(encode(contents, levels), contents)
 
 
-def _assemble(data: bytes, domain: Box, cells: Cells, planes: StoredPlanes) -> PLR:
-    """Fill unreachable leaves from their neighbors, and build the tables. Every PLR comes into being here."""
-    center, half = planes.decode()
-    lo, hi = cells.boxes(domain)
-    corner = table_corners(domain)[0]
-    slope = half * 2 / (hi - lo)
-    if not max(np.abs(slope).max(), np.abs(center[~planes.unreachable]).max(initial=0.0)) < LARGEST:
+def _assemble(data: bytes, contents: Contents) -> PLR:
+    """Every PLR comes into being here."""
+    coefficients, is_inf = filled_coefficients(contents)
+    if not (np.abs(coefficients) < LARGEST).all():  # NaN is not
+        raise ValueError("its distances are too large for 32-bit floats; scale them down")
+    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
+    numbers = leaf.numbers(domain, cells, coefficients, is_inf)
+    if not (np.abs(numbers[~is_inf]) < LARGEST).all():
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    to_center = (lo + hi) / 2 - corner
-    at_corner = np.where(planes.unreachable, 0.0, center) - np.sum(slope * to_center, axis=1)
-    slope, at_corner = fill_unreachable(cells, planes.unreachable, slope, at_corner)
-    return PLR(build_tables(domain, cells, np.column_stack([at_corner, slope])), as_padded_array(data))
+    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), as_padded_array(data))
 
 
-def evaluate(plr: StoredFunction, x: ArrayLike) -> Float[Array, "*batch"]:
-    """Approximate distance at each point: the plane of the leaf that holds it (Section III-A of the paper).
+def filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
+    """Coefficients of all leaves, and which answer ``inf``.
 
-    Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is the leaf's slope.
+    An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
+    corner, so that a free point beside or in a wall has an answer. One that touches none answers ``inf``.
+    """
+    leaf, cells, unreachable = contents.leaf, contents.cells, contents.leaf.unreachable(contents.stored)
+    coefficients = leaf.coefficients(cells, contents.stored)
+    if not unreachable.any():
+        return coefficients, unreachable
+    donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
+    borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
+    center, half = values_at_centers(leaf, coefficients[donor], cells.dim)
+    widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
+    place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
+    along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
+    coefficients[unreachable] = 0.0
+    coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
+    is_inf = unreachable.copy()
+    is_inf[borrower] = False
+    return coefficients, is_inf
+
+
+def with_stored(plr: PLR, stored: Any) -> PLR:
+    """A PLR of the same partition and model that stores something else."""
+    return plr_of_leaves(replace(plr._contents, stored=stored), levels_of(plr.cells)[0])
+
+
+def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
+    """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
+
+    Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
+    everywhere, and zero where the distance is ``inf``.
 
     Args:
-        plr: The PLR, plain or continuous (see :class:`ContinuousPLR` for what that one answers).
-        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in
-            their own precision, at least 32 bits.
+        plr: The PLR, of any leaf model.
+        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
+            least 32 bits; coefficients are 32-bit floats. NumPy's 64-bit points are placed in 64 bits where the
+            domain is far from the origin.
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
-        value, in an obstacle too, except in leaves none of whose samples reaches the goal and that touch no leaf
-        with one that does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. The
-        upper edge of the domain belongs to the last cell.
+        value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
+        something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. The
+        upper edge of the domain belongs to the last cell. An approximation may be a little below 0 near the goal.
 
     Raises:
-        ValueError: If the last axis of ``x`` is not ``dim`` long.
+        ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
     """
     return plr(x)
 
@@ -159,11 +261,11 @@ def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
     """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    require_real(x)
+    _require_real(x)
     return evaluate_tables(tables, x)
 
 
-def require_real(x: Array | np.ndarray) -> None:
+def _require_real(x: Array | np.ndarray) -> None:
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
 
@@ -178,12 +280,21 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x
     if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
         return x.astype(np.float64)
-    require_real(x)  # which JAX cannot even be shown
+    _require_real(x)  # which JAX cannot even be shown
     return x
+
+
+def as_padded_array(data: bytes) -> UInt8[np.ndarray, "padded"]:
+    """A file's bytes padded with zeros to a power of two, so that functions of like size share compiled code."""
+    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
+    padded[: len(data)] = np.frombuffer(data, np.uint8)
+    return padded
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     """Index of the leaf that answers for each point."""
+    if plr._far_corner is not None:
+        return np.asarray(_lookup(plr._tables_from_corner, x - plr._far_corner)).astype(np.int64)
     return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
 
 

@@ -1,7 +1,11 @@
-"""Integers of any width, packed without gaps: the body of a PLR file."""
+"""Integers of any width up to 62 bits, packed without gaps: the body of a PLR file."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
+
+_MAX_WIDTH = 62  # sums and shifts of such numbers stay within 64 bits
+_COUNT_BITS, _ORDER_BITS = 32, 5
+_MAX_CODED = 2**40
 
 
 class BitWriter:
@@ -27,6 +31,38 @@ class BitWriter:
         self._bits.append(bits)
         return self
 
+    def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
+        """Append the bit patterns of numbers as 32-bit floats."""
+        return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
+
+    def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
+        """Append a set: the number of its members, and before each the number of those left out."""
+        gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
+        return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
+
+    def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+        """Append Exp-Golomb codes of numbers >= 0, nothing for none.
+
+        The order of the codes, the best one, comes first in 5 bits; then for all of them in unary how many bits each
+        has beyond the order; then these and as many more as the order says.
+        """
+        if not len(values):
+            return self
+        if values.max() >= _MAX_CODED:
+            raise ValueError(
+                "The distances vary too much for their values to be stored; scale them or limit the domain."
+            )
+        orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # beyond them each adds a bit
+        order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
+        extra = _extra_bits(values, order)
+        self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
+        return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
+
+    @property
+    def num_bits(self) -> int:
+        """How many bits there are so far."""
+        return sum(map(len, self._bits))
+
     def to_bytes(self) -> bytes:
         """All bits so far, the last byte filled up with zeros."""
         return np.packbits(np.concatenate(self._bits), bitorder="little").tobytes()
@@ -49,7 +85,7 @@ class BitReader:
 
     def read_alike(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
         """The next values, all of one width; raises ``ValueError`` past the end."""
-        return self._take(num_values * width).reshape(num_values, width) @ (1 << np.arange(width))
+        return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
     def read_unary(self, num_values: int) -> Int[np.ndarray, "n"]:
         """The next values, each as many zeros as it counts and a one; raises ``ValueError`` past the end."""
@@ -58,6 +94,35 @@ class BitReader:
             raise ValueError("the data end too early")
         self._at += int(ends[-1]) + 1 if num_values else 0
         return np.diff(ends, prepend=-1) - 1
+
+    def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
+        """The next numbers, written as 32-bit floats."""
+        return self.read_alike(num_values, 32).astype(np.uint32).view(np.float32).astype(np.float64)
+
+    def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
+        """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
+        num_members = int(self.read_alike(1, _COUNT_BITS)[0])
+        if num_members > size:
+            raise ValueError(f"it names {num_members} members of {size}")
+        gaps = self.read_coded(num_members)
+        if (gaps >= size).any() or (index := np.cumsum(gaps + 1) - 1).max(initial=-1) >= size:
+            raise ValueError(f"it names a member beyond the last of {size}")
+        member = np.zeros(size, bool)
+        member[index] = True
+        return member
+
+    def read_coded(self, num_values: int) -> Int[np.ndarray, "n"]:
+        """The next Exp-Golomb codes; raises ``ValueError`` past the end or where one is too large."""
+        if not num_values:
+            return np.zeros(0, np.int64)
+        order = int(self.read_alike(1, _ORDER_BITS)[0])
+        extra = self.read_unary(num_values)
+        if order + extra.max() > _MAX_WIDTH:
+            raise ValueError("it holds a number that is too large")
+        values = self.read(order + extra) + (np.int64(1) << (order + extra)) - (1 << order)
+        if values.max() >= _MAX_CODED:
+            raise ValueError("it holds a number that is too large")
+        return values
 
     def _take(self, num_bits: int) -> Int[np.ndarray, "bits"]:
         bits = self._bits[self._at : self._at + num_bits]
@@ -76,3 +141,8 @@ def _fields(widths: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "bits"], Int[
     field = np.repeat(np.arange(len(widths)), widths)
     start = np.cumsum(widths) - widths
     return field, np.arange(len(field)) - start[field]
+
+
+def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"]:
+    """Bits of ``values + 2**order`` beyond the order and the leading one."""
+    return (np.frexp((values + (1 << order)).astype(float))[1] - 1 - order).astype(np.int64)

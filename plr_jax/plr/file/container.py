@@ -1,4 +1,21 @@
-"""What the files of both kinds of PLR have around their bit stream: a header, the domain, a step, and a checksum."""
+r"""The container of a PLR file: a header, the domain, a bit stream, and a checksum.
+
+All numbers are little-endian. Layout of version 2:
+
+    4s      magic, b"PLR\\n"
+    u8      version
+    u8      number of axes
+    u8      code of the leaf model
+    u8      reserved, 0
+    u32     number of leaves
+    u32     size of the whole file in bytes
+    f64     lower corner of the domain, one number an axis; then the upper corner
+    ...     bit stream, least significant bit first, the last byte filled up with zeros:
+              the tree (see ``tree_bits.py``)
+              what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
+                lower half first
+    u32     CRC-32 of all bytes before
+"""
 
 import struct
 import zlib
@@ -8,75 +25,71 @@ import numpy as np
 
 from plr_jax.geometry.box import Box
 
+VERSION = 2
+_MAGIC = b"PLR\n"
+_MAGIC_OF_CONTINUOUS = b"CPL\n"  # of version 1, in which continuous PLRs had a format of their own
 _HEADER = struct.Struct("<4sBBBBII")
 HEADER_SIZE = _HEADER.size
-_SPAN = struct.Struct("<ff")
 _CRC = struct.Struct("<I")
 
 
 @dataclass(frozen=True)
-class FileKind:
-    """A kind of file.
+class Container:
+    """What every PLR file has.
 
     Attributes:
-        magic: The first four bytes.
-        version: The format version.
-        name: What messages call the kind.
+        domain: The box that is covered.
+        leaf_code: Which leaf model it is.
+        num_leaves: How many leaves.
+        body: The bit stream.
     """
 
-    magic: bytes
-    version: int
-    name: str
+    domain: Box
+    leaf_code: int
+    num_leaves: int
+    body: bytes
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file."""
+        content = np.concatenate([self.domain.lo, self.domain.hi]).astype("<f8").tobytes() + self.body
+        size = HEADER_SIZE + len(content) + _CRC.size
+        header = _HEADER.pack(_MAGIC, VERSION, self.domain.dim, self.leaf_code, 0, self.num_leaves, size)
+        return header + content + _CRC.pack(zlib.crc32(header + content))
+
+    @staticmethod
+    def from_bytes(data: bytes) -> "Container":
+        """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+        _check_start(data)
+        _, _, dim, leaf_code, _, num_leaves, size = _HEADER.unpack_from(data)
+        if len(data) != size:
+            raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
+        (crc,) = _CRC.unpack(data[-_CRC.size :])
+        if zlib.crc32(data[: -_CRC.size]) != crc:
+            raise ValueError("its checksum does not match: the file is corrupt")
+        content = data[HEADER_SIZE : -_CRC.size]
+        if dim == 0 or len(content) < 16 * dim:
+            raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
+        corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64)
+        return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :])
 
 
-def frame(kind: FileKind, dim: int, variant: int, num_leaves: int, content: bytes) -> bytes:
-    """The bytes of a file: header, content and checksum. The byte ``variant`` means what the kind says."""
-    size = _HEADER.size + len(content) + _CRC.size
-    data = _HEADER.pack(kind.magic, kind.version, dim, variant, 0, num_leaves, size) + content
-    return data + _CRC.pack(zlib.crc32(data))
+def _check_start(data: bytes) -> None:
+    if data[:4] not in (_MAGIC, _MAGIC_OF_CONTINUOUS):
+        raise ValueError("it does not start like a PLR file")
+    if len(data) < HEADER_SIZE + _CRC.size:
+        raise ValueError("the data end too early")
+    version = data[4]
+    if version > VERSION:
+        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; update plr_jax")
+    if version < VERSION:
+        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; build it again")
 
 
-def framed_size(dim: int, num_bits: int) -> int:
-    """Size of a file whose body has so many bits."""
-    return int(_HEADER.size + 16 * dim + _SPAN.size - (-num_bits // 8) + _CRC.size)
+def container_size(dim: int, num_bits: int) -> int:
+    """Size of a file whose bit stream is so long."""
+    return int(HEADER_SIZE + 16 * dim - (-num_bits // 8) + _CRC.size)
 
 
-def file_size(data: bytes) -> int:
+def file_size(header: bytes) -> int:
     """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
-    return _HEADER.unpack_from(data)[-1]
-
-
-def unframe(kind: FileKind, data: bytes) -> tuple[int, int, int, bytes]:
-    """Dimension, variant, number of leaves and content of a file; raises ``ValueError`` saying what is wrong."""
-    if data[: len(kind.magic)] != kind.magic:
-        raise ValueError(f"it does not start like {kind.name}")
-    if len(data) < _HEADER.size + _CRC.size:
-        raise ValueError("the data end too early")
-    _, version, dim, variant, _, num_leaves, size = _HEADER.unpack_from(data)
-    if version != kind.version:
-        raise ValueError(
-            f"it has format version {version}, this release reads version {kind.version}; update plr_jax"
-        )
-    if len(data) != size:
-        raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
-    (crc,) = _CRC.unpack(data[-_CRC.size :])
-    if zlib.crc32(data[: -_CRC.size]) != crc:
-        raise ValueError("its checksum does not match: the file is corrupt")
-    return dim, variant, num_leaves, data[_HEADER.size : -_CRC.size]
-
-
-def write_span(domain: Box, offset: float, step: float) -> bytes:
-    """The domain, and what values are multiples of: how a file's content begins."""
-    return np.concatenate([domain.lo, domain.hi]).astype("<f8").tobytes() + _SPAN.pack(offset, step)
-
-
-def read_span(content: bytes, dim: int) -> tuple[Box, float, float, bytes]:
-    """Domain, offset and step, and the rest of a file's content; raises ``ValueError`` if it does not begin so."""
-    if len(content) < 16 * dim + _SPAN.size:
-        raise ValueError("the data end too early")
-    corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64)
-    domain = Box(corners[:dim], corners[dim:])
-    offset, step = _SPAN.unpack_from(content, 16 * dim)
-    if not (np.isfinite(offset) and 0 < step < np.inf):
-        raise ValueError(f"it states a step of {step} from {offset}")
-    return domain, offset, step, content[16 * dim + _SPAN.size :]
+    return _HEADER.unpack_from(header)[-1]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from plr_jax._arrays import require_integer
-from plr_jax.plr.leaves.plane.codec import FLOAT_BITS, MAX_BITS, MIN_BITS
-from plr_jax.plr.partition.levels import MAX_DEPTH
+from plr_jax.plr.partition.tree import MAX_DEPTH
+from plr_jax.plr.query.sizes import byte_class, max_axis_depth, rows_of_class
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200
@@ -15,23 +15,41 @@ _BYTES_A_NODE = 200
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """When to stop: see :func:`construct`."""
+    """When to stop: see :func:`construct`.
+
+    Attributes:
+        max_depth: Largest number of splits between the root and a leaf.
+        max_axis_depth: How often a cell may be halved along one axis, so that the tables of a query fit their class.
+        max_leaves: Largest number of leaves.
+        max_bytes: Largest size of the file.
+        tolerance: Largest priority of a cell that is not split.
+    """
 
     max_depth: int
+    max_axis_depth: int
     max_leaves: int
     max_bytes: float
     tolerance: float
-    coefficient_bits: int | None
 
 
 def check_limits(
+    dim: int,
+    least_bytes: int,
     max_depth: int | None,
     max_leaves: int | None,
     max_bytes: int | None,
     tolerance: int | float | None,
-    coefficient_bits: int | None,
 ) -> Limits:
-    """Limits with every None replaced, after checking their ranges."""
+    """Limits with every None replaced, after checking their ranges.
+
+    Args:
+        dim: Number of axes.
+        least_bytes: Bytes that a leaf takes at the least.
+        max_depth: As for :func:`construct`, and so are the others.
+        max_leaves: Largest number of leaves.
+        max_bytes: Largest size of the file.
+        tolerance: Largest priority of a cell that is not split.
+    """
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),
@@ -43,29 +61,31 @@ def check_limits(
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
     if tolerance is not None and not (isinstance(tolerance, int | float | np.number) and 0 <= tolerance < np.inf):
         raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance!r}.")
-    if coefficient_bits is not None and not isinstance(coefficient_bits, int | np.integer):
-        raise ValueError(f"coefficient_bits must be an integer, got {coefficient_bits!r}.")
-    if coefficient_bits not in (None, FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1)):
-        raise ValueError(
-            f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {coefficient_bits}."
-        )
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    most_leaves = min(
-        max_leaves or np.inf, 8 * (max_bytes or np.inf), 2.0 ** (MAX_DEPTH if max_depth is None else max_depth)
-    )
+    table_class = _table_class(least_bytes, max_leaves, max_bytes)
+    most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
+    if max_bytes is not None:
+        most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), least_bytes))
     if tolerance is None:
-        check_memory(2.0 * most_leaves)
+        check_memory(2.0 * min(float(most_leaves), 2.0 ** (MAX_DEPTH if max_depth is None else max_depth)))
     return Limits(
         max_depth=MAX_DEPTH if max_depth is None else int(max_depth),
-        max_leaves=np.iinfo(np.int64).max if max_leaves is None else int(max_leaves),
+        max_axis_depth=max_axis_depth(dim, table_class),
+        max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),
-        coefficient_bits=coefficient_bits,
     )
+
+
+def _table_class(least_bytes: int, max_leaves: int | None, max_bytes: int | None) -> int | None:
+    """Byte class of the largest file that the limits allow; None if they allow any."""
+    sizes = [max_bytes, None if max_leaves is None else 2 * least_bytes * max_leaves]
+    return min((byte_class(size) for size in sizes if size is not None), default=None)
 
 
 def check_memory(num_nodes: float) -> None:
+    """Raise ``ValueError`` if a tree of so many nodes does not fit into this machine's memory."""
     needed = num_nodes * _BYTES_A_NODE
     if needed > _machine_bytes():
         raise ValueError(

@@ -4,24 +4,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.rules import max_axis_depth
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_samples import CellFit
+from plr_jax.plr.sampling.cell_fit import CellFit
 
 NEVER = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """All nodes of the growing tree, parents before children.
+    """All nodes of the growing tree, parents before children; as long as it has leaves.
 
     Attributes:
         cells: Their cells.
-        center: Value of each plane at the cell's center; ``inf`` if no sample reaches the goal.
-        half: Half-differences of each plane.
+        coefficients: What the leaf model fitted to each.
         error: Mean error over the reachable samples.
         share: Share of the domain's volume that a node's reachable samples stand for.
         axis: Axis along which the node is or would be split.
@@ -30,13 +28,15 @@ class Nodes:
     """
 
     cells: Cells
-    center: Float[np.ndarray, "nodes"]
-    half: Float[np.ndarray, "nodes dim"]
+    coefficients: Float[np.ndarray, "nodes terms"]
     error: Float[np.ndarray, "nodes"]
     share: Float[np.ndarray, "nodes"]
     axis: Int[np.ndarray, "nodes"]
     key: Float[np.ndarray, "nodes"]
     child: Int[np.ndarray, "nodes"]
+
+    def __len__(self) -> int:
+        return (len(self.key) + 1) // 2
 
     @staticmethod
     def concatenate(parts: Sequence["Nodes"]) -> "Nodes":
@@ -47,6 +47,14 @@ class Nodes:
         cells = first.cells.append(*(part.cells for part in others))
         columns = [column.name for column in fields(Nodes) if column.name != "cells"]
         return Nodes(cells, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+
+    def leaves_after(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
+        """Leaves of the tree whose inner nodes are the given ones."""
+        is_leaf = np.zeros(len(self.key), bool)
+        is_leaf[0] = True
+        is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
+        is_leaf[splits] = False
+        return np.flatnonzero(is_leaf)
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
@@ -60,6 +68,7 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
 
 def nodes_of_fit(
     fit: CellFit,
+    coefficients: Float[np.ndarray, "cells terms"],
     bound: Float[np.ndarray, "cells"],
     priority: Float[np.ndarray, "..."],
     axis: Int[np.ndarray, "..."],
@@ -68,35 +77,41 @@ def nodes_of_fit(
     """Leaves of a round: their fits, and whether and when each may be split.
 
     Args:
-        fit: Samples and planes of the round's cells.
+        fit: Samples of the round's cells, with the residuals of the fitted functions.
+        coefficients: Those functions.
         bound: Key of each cell's parent, above which its own may not rise.
         priority: What the ``should_split`` rule says.
         axis: What the ``split`` rule says.
         limits: Limits on depth and error.
     """
-    _check_rules(fit, priority, axis)
-    depth = fit.cells.depth
+    check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
-    at_limit = depth.sum(axis=1) >= limits.max_depth
-    at_limit |= depth[np.arange(len(depth)), axis] >= max_axis_depth(fit.cells.dim)
-    # Errors below the resolution of 32-bit floats are noise, not something a split could mend.
-    noise = np.finfo(np.float32).eps * np.abs(np.where(np.isfinite(fit.center), fit.center, 0))
-    noise *= fit.weight.max(axis=1)  # priorities are weighted errors
-    worth_it = (priority > np.maximum(limits.tolerance, noise)) & ~at_limit
+    may_split = (priority > least_priority(fit, limits)) & is_open(fit.cells, axis, limits)
     return Nodes(
         cells=fit.cells,
-        center=fit.center,
-        half=fit.half,
+        coefficients=coefficients,
         error=error,
-        share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -depth.sum(axis=1)),
+        share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
         axis=axis,
-        key=np.where(worth_it, np.minimum(priority, bound), NEVER),
-        child=np.full(len(depth), -1),
+        key=np.where(may_split, np.minimum(priority, bound), NEVER),
+        child=np.full(len(fit), -1),
     )
 
 
-def _check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
+    """Priority that a cell must exceed to be split: the tolerance, and what a split can mend."""
+    return np.maximum(limits.tolerance, fit.noise)
+
+
+def is_open(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
+    """Which cells the limits on depth allow to be halved along the given axes."""
+    along = cells.depth[np.arange(len(cells)), axis]
+    return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
+
+
+def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+    """Raise ``ValueError`` if a rule of the caller's does not answer as it should."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(

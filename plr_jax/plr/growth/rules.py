@@ -10,7 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr.sampling.cell_samples import CellFit, sum_of_squares_after_split
+from plr_jax.plr.sampling.cell_fit import CellFit
+from plr_jax.plr.sampling.plane_fits import normal_matrices, solve_planes
 
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
@@ -18,11 +19,6 @@ SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
 # The longest side of a cell is at most 2**3 times its shortest (in fractions of the domain): enough for thin walls,
 # and it stops a cell that mostly lies in an obstacle from being halved along the wall for ever.
 MAX_ASPECT_BITS = 3
-
-
-def max_axis_depth(dim: int) -> int:
-    """How often a cell may be halved along one axis: bounds the tables of a query to ``2**28`` slots or so."""
-    return max(1, 28 // max(dim, 2))
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
@@ -47,13 +43,44 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """The axis whose two halves, fitted apart, leave the smaller sum of squared errors over the samples."""
-    squares = sum_of_squares_after_split(fit)
+    squares = _sum_of_squares_after_split(fit)
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
-    closed |= depth >= max_axis_depth(fit.cells.dim)
+    closed |= depth >= fit.max_axis_depth
     return np.argmin(np.where(closed, np.inf, squares), axis=1)
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """The axes in turn, as in Section III-B of the paper: axis ``n`` is followed by ``(n + 1) mod dim``."""
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
+
+
+def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
+    """Sum of squared errors of a cell's samples if its halves along each axis were fitted apart.
+
+    A least-squares problem over the residuals of the cell's own plane, which lies in the span of both halves. What
+    the planes of the halves explain of the residuals' sum of squares is taken from it.
+    """
+    residual, masked = fit.residual, fit.masked
+    weight = fit.weight[masked] * fit.pattern.weight
+    total = np.square(residual) @ fit.pattern.weight
+    total[masked] = (weight * np.square(residual[masked])).sum(axis=1)
+    squares = np.empty(fit.half.shape)
+    for axis, basis in enumerate(fit.pattern.halves_bases):
+        squares[:, axis] = total - np.square(residual @ basis).sum(axis=1)
+        if len(masked):
+            squares[masked, axis] = total[masked] - _explained(fit.pattern.halves[axis], residual[masked], weight)
+    return squares
+
+
+def _explained(
+    halves: Float[np.ndarray, "k terms_of_both"],
+    residual: Float[np.ndarray, "cells k"],
+    weight: Float[np.ndarray, "cells k"],
+) -> Float[np.ndarray, "cells"]:
+    """Part of the residuals' weighted sum of squares that least-squares planes in both halves explain."""
+    explained = np.zeros(len(residual))
+    for design in np.split(halves, 2, axis=1):
+        projection = (weight * residual) @ design
+        explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
+    return explained

@@ -1,1 +1,35 @@
-"""Leaf models: what function each leaf holds."""
+"""Leaf models: what function each leaf holds. Their names and the codes of their files stand here, once."""
+
+from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.leaves.continuous.model import Continuous
+from plr_jax.plr.leaves.plane.model import Plane
+
+_MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1))  # in the order of their codes
+
+
+def leaf_model(leaf: LeafModel | str) -> LeafModel:
+    """The leaf model that is meant; raises ``ValueError`` if there is none of that name."""
+    if not isinstance(leaf, str):
+        if isinstance(leaf, tuple(map(type, _MODELS))):
+            return leaf
+        raise ValueError(f"leaf must be a leaf model or its name, one of {_names()}, got {leaf!r:.200}.")
+    for model in _MODELS:
+        if model.name == leaf:
+            return model
+    raise ValueError(f"leaf must be one of {_names()}, got {leaf!r:.200}.")
+
+
+def code_of_leaf(leaf: LeafModel) -> int:
+    """The code by which a file names a leaf model."""
+    return next(code for code, model in enumerate(_MODELS) if model.name == leaf.name)
+
+
+def leaf_of_code(code: int) -> LeafModel:
+    """The leaf model that a file names; raises ``ValueError`` if this release has none of that code."""
+    if code >= len(_MODELS):
+        raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
+    return _MODELS[code]
+
+
+def _names() -> str:
+    return ", ".join(repr(model.name) for model in _MODELS)

@@ -1,44 +1,12 @@
-"""The tree over a partition's leaves as a table of nodes: which leaves share a face, and where corners come from."""
+"""Which leaves share a face, and between which corners a split put another."""
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.levels import levels_of
-
-
-@dataclass(frozen=True, eq=False)
-class Tree:
-    """The nodes of a tree, level by level from the root.
-
-    Attributes:
-        cells: Cell of each node.
-        axis: Axis along which each node is split; 0 for a leaf.
-        child: Lower child of each node, the upper one following it; -1 for a leaf.
-        node_of_leaf: Node of each leaf, leaves in the order of the tree's traversal.
-        level_start: First node of each level, and the number of nodes.
-        order: Index of each leaf among the cells that the tree was made for.
-    """
-
-    cells: Cells
-    axis: Int[np.ndarray, "nodes"]
-    child: Int[np.ndarray, "nodes"]
-    node_of_leaf: Int[np.ndarray, "leaves"]
-    level_start: Int[np.ndarray, "levels_plus_one"]
-    order: Int[np.ndarray, "leaves"]
-
-    @property
-    def leaves(self) -> Cells:
-        """Cells of the leaves, in the order of the tree's traversal."""
-        return self.cells[self.node_of_leaf]
-
-    def splits(self) -> list[Int[np.ndarray, "splits"]]:
-        """The split nodes, level by level."""
-        levels = [np.arange(*ends) for ends in zip(self.level_start[:-1], self.level_start[1:], strict=True)]
-        return [nodes[self.child[nodes] >= 0] for nodes in levels]
+from plr_jax.plr.partition.tree import Tree, corner_bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,38 +28,6 @@ class SharedFaces:
 
     def __getitem__(self, index) -> "SharedFaces":
         return SharedFaces(self.lower[index], self.upper[index], self.axis[index])
-
-
-def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
-    return np.array(list(product((0, 1), repeat=dim)))
-
-
-def tree_of(cells: Cells) -> Tree:
-    """The tree whose leaves are the given cells, in any order."""
-    levels, order = levels_of(cells)
-    sizes = np.array([len(level.inner) for level in levels])
-    level_start = np.concatenate([[0], np.cumsum(sizes)])
-    nodes, parts = Cells.root(cells.dim), []
-    axis, child = np.zeros(level_start[-1], np.int64), np.full(level_start[-1], -1)
-    for level, start in zip(levels, level_start[:-1], strict=True):
-        parts.append(nodes)
-        split = start + np.flatnonzero(level.inner)
-        axis[split] = level.axis
-        child[split] = start + len(level.inner) + 2 * np.arange(len(split))
-        nodes = nodes[level.inner].split(level.axis)
-    all_cells = parts[0].append(*parts[1:])
-    return Tree(all_cells, axis, child, _nodes_of(all_cells, child, cells[order]), level_start, order)
-
-
-def _nodes_of(nodes: Cells, child: Int[np.ndarray, "nodes"], leaves: Cells) -> Int[np.ndarray, "leaves"]:
-    """Node of each leaf: both lists sorted alike."""
-    leaf_nodes = np.flatnonzero(child < 0)
-    of_node = np.lexsort((*nodes.depth[leaf_nodes].T, *nodes.position[leaf_nodes].T))
-    of_leaf = np.lexsort((*leaves.depth.T, *leaves.position.T))
-    found = np.empty(len(leaves), np.int64)
-    found[of_leaf] = leaf_nodes[of_node]
-    return found
 
 
 def shared_faces(tree: Tree) -> SharedFaces:

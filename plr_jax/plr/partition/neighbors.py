@@ -1,36 +1,20 @@
-"""Unreachable leaves borrow the plane of a neighbor, so that a free point beside or in a wall has an answer."""
+"""Which leaf of one set shares the largest face, edge or corner with each leaf of another."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from plr_jax.plr.partition.cells import Cells
 
 _PAIRS_AT_ONCE = 4_000_000
 
 
-def fill_unreachable(
-    cells: Cells,
-    unreachable: Bool[np.ndarray, "leaves"],
-    slope: Float[np.ndarray, "leaves dim"],
-    intercept: Float[np.ndarray, "leaves"],
-) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves"]]:
-    """Give every unreachable leaf that touches a reachable one that one's plane, the others slope 0 and ``inf``.
-
-    Of several neighbors the one with the largest contact is taken, then the first.
-    """
-    donor = _neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
-    slope = np.where(unreachable[:, None], 0.0, slope)
-    intercept = np.where(unreachable, np.inf, intercept)
-    has_donor = donor >= 0
-    leaf = np.flatnonzero(unreachable)[has_donor]
-    slope[leaf], intercept[leaf] = slope[donor[has_donor]], intercept[donor[has_donor]]
-    return slope, intercept
-
-
-def _neighbor_of_largest_contact(
+def neighbor_of_largest_contact(
     cells: Cells, unreachable: Int[np.ndarray, "unreachable"], reachable: Int[np.ndarray, "reachable"]
 ) -> Int[np.ndarray, "unreachable"]:
-    """For each unreachable leaf the reachable leaf that shares the largest face (or edge, or corner); -1 for none."""
+    """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
+
+    -1 where it touches none.
+    """
     finest = cells.depth.max(axis=0)
     lo = cells.position << (finest - cells.depth)
     hi = (cells.position + 1) << (finest - cells.depth)

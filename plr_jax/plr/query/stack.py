@@ -6,7 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from plr_jax.plr.query.tables import Tables, evaluate_tables
+from plr_jax.plr.query.lookup import evaluate_tables
+from plr_jax.plr.query.tables import Tables
 
 # The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
 # are worth their own, as JAX then computes at once instead of handing the work to another thread.
@@ -20,9 +21,11 @@ class TableStack:
 
     Args:
         tables: The tables, in the order of the robots.
+        far_corners: For each, where it counts coordinates from a corner far from the origin, that corner.
     """
 
     tables: tuple[Tables, ...]
+    far_corners: tuple[Float[np.ndarray, "_"] | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
         """Distance of every robot in every joint configuration.
@@ -41,7 +44,7 @@ class TableStack:
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)
         # All calls are under way before the first result is waited for.
-        answers = [_evaluate(self.tables, _padded(q[begin : begin + _CHUNK])) for begin in starts]
+        answers = [_evaluate(self.tables, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
         for begin, answer in zip(starts, answers, strict=True):
             columns = distances[:, begin : begin + _CHUNK]
             for column, of_robot in zip(columns, answer, strict=True):
@@ -55,13 +58,15 @@ class TableStack:
             if table.dim > shape[2]:
                 raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
 
-
-def _padded(q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-    """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
-    size = next(size for size in _SIZES if size >= len(q))
-    padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
-    padded[: len(q)], padded[len(q) :] = q, 0
-    return padded
+    def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
+        """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+        size = next(size for size in _SIZES if size >= len(q))
+        padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
+        padded[: len(q)], padded[len(q) :] = q, 0
+        for i, corner in enumerate(self.far_corners):
+            if corner is not None:
+                padded[: len(q), i, : len(corner)] = q[:, i, : len(corner)] - corner
+        return padded
 
 
 @jax.jit

@@ -7,27 +7,29 @@ leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *block
 of its own, just as fine along each axis as its own leaves need.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import reduce
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Integer, Num, UInt16, UInt32
+from jaxtyping import Array, Float, Int, Integer, UInt16, UInt32
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.leaves.plane.codec import LARGEST
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.sizes import (
+    MAX_FLAT_BITS,
+    byte_class,
+    max_entries,
+    rows_of_class,
+    slot_bits_of_class,
+)
 
-MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
+LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+FRACTION_BITS = 23  # of a 32-bit float
+WORD_BITS = 32
 _MAX_BLOCK_BITS = 16
-_FRACTION_BITS = 23  # of a 32-bit float
-_WORD_BITS = 32
-_MAX_SLOTS = 2**28
-# Sizes of tables: few, so that a PLR of another goal finds its query compiled. Padding is never read.
-_SLOT_SIZES = (2**6, 2**10, 2**14, 2**18)
-_LEAF_SIZES = (2**4, 2**6, 2**8, 2**10, 2**12, 2**14, 2**16)
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
@@ -56,7 +58,7 @@ class Blocks:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """All that a query reads. Arrays are padded to few sizes, so PLRs of like size share compiled code.
+    """All that a query reads. Arrays are padded to few sizes, so PLRs of one class share compiled code.
 
     They are few, because every array adds to the cost of a call. All indices are unsigned: JAX counts a signed one
     from the end if it is negative, which takes time.
@@ -67,27 +69,27 @@ class Tables:
             mask, and how far right they belong in the index.
         blocks: Coarse level, or None for a flat table.
         leaf_of_slot: Leaf of each slot.
-        planes: What each leaf has; of a PLR the value of its plane at the domain's rounded lower corner, and its
-            slopes. Small tables have one row a number, which takes the least arithmetic. Large ones are one array in
-            which a leaf's numbers stand side by side, so that a query waits for a cache line or two and not for one a
-            number.
+        numbers: What the leaf model reads of each leaf. Small tables have one row a number, which takes the least
+            arithmetic. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits
+            for a cache line or two and not for one a number.
+        leaf: The leaf model, whose ``evaluate`` makes a value of them.
     """
 
     frame: Float[Array, "6 dim"]
     bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
     leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
-    planes: Float[Array, "terms padded"] | Float[Array, "coefficients"]
+    numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
+    leaf: Any = field(metadata={"static": True})
 
     @property
     def dim(self) -> int:
         """Number of axes."""
         return self.frame.shape[1]
 
-    @property
-    def coefficients(self) -> Float[Array, "terms padded"]:
-        """The planes, padding included: values at the rounded lower corner, then slopes along the axes."""
-        return self.planes if self.planes.ndim == 2 else self.planes.reshape(-1, self.dim + 1).T
+    def from_corner(self, domain: Box) -> "Tables":
+        """The same for points counted from the domain's rounded lower corner, which 32-bit floats resolve."""
+        return replace(self, frame=jnp.asarray(_frame(domain, table_corners(domain)[0])))
 
 
 class Frame(IntEnum):
@@ -103,48 +105,6 @@ class Frame(IntEnum):
     HI_REST = 3
     START = 4
     SCALE = 5
-
-
-def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
-
-    Points outside the domain, and NaN, get some leaf.
-    """
-    words = [_place(tables, x, axis) for axis in range(tables.dim)]
-    mask, right = tables.bits
-    index = reduce(jnp.bitwise_or, [_shift_right(word & mask[axis], right[axis]) for axis, word in enumerate(words)])
-    if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, words, index)
-    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
-
-
-def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
-    """Value of the leaf's plane at each point; ``inf`` outside the closed domain, NaN for NaN."""
-    x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-    leaf, corner = lookup(tables, jax.lax.stop_gradient(x)), tables.frame[Frame.LO].astype(x.dtype)
-    terms = 1 + tables.dim
-    value = number_of_leaf(tables, leaf, 0, terms).astype(x.dtype)
-    for axis in range(tables.dim):
-        value += number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype) * (x[..., axis] - corner[axis])
-    outside, answer = outside_domain(tables, x)
-    return jnp.where(outside, answer, value)
-
-
-def outside_domain(
-    tables: Tables, x: Float[Array, "*batch dim"]
-) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Whether each point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
-    x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
-    outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
-    for axis in range(tables.dim):
-        above = x[..., axis] - frame[Frame.LO, axis]
-        answer += jnp.abs(above)  # NaN if any coordinate is
-        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
-            below = frame[Frame.HI, axis] - x[..., axis]
-            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
-        else:
-            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
-    return outside, answer
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
@@ -163,89 +123,63 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 
 
 def build_tables(
-    domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], max_flat_bits: int = MAX_FLAT_BITS
+    domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
     """Tables of a partition: leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
 
-    Of a PLR these are the height of its plane at ``table_corners`` and the plane's slopes.
+    Args:
+        domain: The box that the cells divide.
+        cells: The leaves.
+        numbers: What the leaf model reads of each.
+        leaf: The leaf model.
+        num_bytes: Size of the file, which fixes the size of the tables and bounds it.
+
+    Raises:
+        ValueError: If the leaves are too deep for a file of that size.
     """
     bits = cells.depth.max(axis=0)
-    if bits.max() > _FRACTION_BITS:
-        raise ValueError(f"A cell is split {bits.max()} times along one axis; a query resolves {_FRACTION_BITS}.")
-    flat = bits.sum() <= max_flat_bits
-    block_bits = 0 * bits if flat else _choose_block_bits(cells, bits)
+    if bits.max() > FRACTION_BITS:
+        raise ValueError(f"A cell is split {bits.max()} times along one axis; a query resolves {FRACTION_BITS}.")
+    of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
+    flat = bits.sum() <= MAX_FLAT_BITS
+    block_bits = 0 * bits if flat else _choose_block_bits(cells, bits, max_entries(num_bytes))
     shape = _block_shapes(cells, block_bits)
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
+    num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
+    rows = rows_of_class(of_class, leaf.least_bytes)
+    index_type = np.uint16 if rows <= 2**16 else np.uint32
     top = bits if flat else block_bits
-    below = _FRACTION_BITS - top
-    bits = np.stack([((1 << top) - 1) << below, _FRACTION_BITS - np.cumsum(top[::-1])[::-1]])
+    below = FRACTION_BITS - top
+    bits = np.stack([((1 << top) - 1) << below, FRACTION_BITS - np.cumsum(top[::-1])[::-1]])
     return Tables(
-        frame=jnp.asarray(_frame(domain)),
+        frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
-        leaf_of_slot=jnp.asarray(_padded(leaf_of_slot)),
-        planes=jnp.asarray(_lay_out(numbers)),
+        leaf_of_slot=jnp.asarray(_padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
+        numbers=jnp.asarray(_lay_out(numbers, rows)),
+        leaf=leaf,
     )
 
 
-def _frame(domain: Box) -> Float[np.ndarray, "6 dim"]:
+def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:
+    """The domain in 32-bit floats, for points counted from an origin."""
     lo, hi = table_corners(domain)
     # Rounded toward zero, so that the corners themselves stay inside.
     rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
     frame = np.empty((len(Frame), domain.dim), np.float32)
-    frame[Frame.LO], frame[Frame.HI] = lo, hi
+    frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
 
 
 def _lay_out(
-    numbers: Float[np.ndarray, "leaves count"],
+    numbers: Float[np.ndarray, "leaves count"], rows: int
 ) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
-    """What a query reads of every leaf as ``Tables.planes`` describes, padded with zeros."""
-    padded = np.zeros((_padded_size(len(numbers), _LEAF_SIZES), numbers.shape[1]), np.float32)
-    padded[: len(numbers)] = numbers
+    """What a query reads of every leaf as ``Tables.numbers`` describes, padded with zeros."""
+    padded = _padded(numbers.astype(np.float32), rows)
     return padded.ravel() if padded.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(padded.T)
-
-
-def number_of_leaf(tables: Tables, leaf: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
-    """One of the ``count`` numbers of each leaf that the tables were built of."""
-    if tables.planes.ndim == 2:
-        return _gather(tables.planes[which], leaf)
-    return _gather(tables.planes, leaf * np.uint32(count) + np.uint32(which))
-
-
-def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
-    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
-
-    Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
-    upper edge, which belongs to the last cell.
-    """
-    lo, start, scale = (tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE))
-    placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
-    last = np.float32(2 - 2.0**-_FRACTION_BITS)
-    return jax.lax.bitcast_convert_type(jnp.where(placed < last, placed, last), jnp.uint32)
-
-
-def _index_in_block(
-    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
-) -> UInt32[Array, "*batch"]:
-    """Index into ``leaf_of_slot`` of points in given blocks."""
-    index = start = jnp.zeros_like(block)
-    axis = 0
-    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = _gather(table, block)
-        for slot in range(axes):
-            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = places[axis] & (
-                (np.uint32(1) << (blocks.shift[axis] & np.uint32(_WORD_BITS - 1))) - np.uint32(1)
-            )
-            index = (index << bits) | _shift_right(within, blocks.shift[axis] - bits)
-            axis += 1
-        if number == 0:
-            start = word >> np.uint32(axes * blocks.width)
-    return start + index
 
 
 def _pack_blocks(
@@ -253,7 +187,7 @@ def _pack_blocks(
 ) -> Blocks:
     """The words of all blocks; the first has the offset above the axes for which there is room."""
     width = max(1, int(shape.max()).bit_length())
-    room = (_WORD_BITS - int(offset[-1]).bit_length()) // width
+    room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
     while not words or sum(axes) < shape.shape[1]:
         here = shape[:, sum(axes) : sum(axes) + room]
@@ -262,28 +196,21 @@ def _pack_blocks(
             word = (word << width) | column
         words.append(jnp.asarray(word.astype(np.uint32)))
         axes.append(here.shape[1])
-        room = _WORD_BITS // width
+        room = WORD_BITS // width
     return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
-    return table.at[index].get(mode="promise_in_bounds")
-
-
-def _shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
-    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
-    return x >> (by & np.uint32(_WORD_BITS - 1))
-
-
-def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
     """Coarse bits along each axis: those with which words and blocks' own tables take the fewest bytes."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
         block_bits[np.argmax(bits - block_bits)] += 1
+        if np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1)) > max_entries:
+            break  # so many pairs of a leaf and a block that meet; finer blocks meet more leaves
         slots = np.sum(2.0 ** _block_shapes(cells, block_bits).sum(axis=1))
         size = 4 * 2.0 ** block_bits.sum() + 2 * slots
-        if slots <= _MAX_SLOTS and size < fewest:
+        if slots <= max_entries and size < fewest:
             best, fewest = block_bits.copy(), size
     if best is None:
         raise ValueError(
@@ -332,7 +259,7 @@ def _leaves_of_slots(
     block_bits: Int[np.ndarray, "dim"],
     shape: Int[np.ndarray, "blocks dim"],
     offset: Int[np.ndarray, "blocks_plus_one"],
-) -> UInt16[np.ndarray, "slots"] | UInt32[np.ndarray, "slots"]:
+) -> UInt32[np.ndarray, "slots"]:
     """The leaf of every slot of the tables of all blocks.
 
     Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
@@ -347,7 +274,7 @@ def _leaves_of_slots(
     count[:, -1] = 1
     pair, slot = _enumerate_boxes(first, count)
     start = offset[index[pair]] + _row_major(slot, bits[pair])
-    leaf_of_start = np.zeros(offset[-1], np.uint16 if len(cells) <= 2**16 else np.uint32)
+    leaf_of_start = np.zeros(offset[-1], np.uint32)
     is_start = np.zeros(offset[-1], bool)
     leaf_of_start[start], is_start[start] = leaf[pair], True
     starts = np.flatnonzero(is_start)
@@ -364,12 +291,7 @@ def _row_major(
     return index
 
 
-def _padded(values: Integer[np.ndarray, "n"]) -> Integer[np.ndarray, "padded"]:
-    padded = np.zeros(_padded_size(len(values), _SLOT_SIZES), values.dtype)
-    padded[: len(values)] = values
+def _padded(rows: Integer[np.ndarray, "..."] | Float[np.ndarray, "..."], size: int) -> np.ndarray:
+    padded = np.zeros((size, *rows.shape[1:]), rows.dtype)
+    padded[: len(rows)] = rows
     return padded
-
-
-def _padded_size(n: int, sizes: tuple[int, ...]) -> int:
-    """The first of the sizes that is large enough; beyond them, the next power of two."""
-    return next((size for size in sizes if size >= n), 1 << (n - 1).bit_length())

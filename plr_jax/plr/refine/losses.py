@@ -10,19 +10,23 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from plr_jax._types import ArrayLike
-from plr_jax.plr.sampling.face_samples import Faces
+from plr_jax.plr.refine.face_samples import Faces
 
 
 class Planes(NamedTuple):
-    """All planes of a PLR while they are refined; unreachable leaves are zero.
+    """All leaves of a PLR while they are refined; unreachable ones are zero.
+
+    Where a leaf holds another function than a plane, center, half-differences and slope are those of its mean plane.
 
     Attributes:
+        coefficients: What the leaf model keeps of each leaf: of a plane its center and half-differences.
         center: Value at each leaf's center.
         half: Half-difference along each axis of the leaf.
         slope: Slope, the gradient in the leaf.
         share: Share of the points' weight that lies in the leaf.
     """
 
+    coefficients: Float[Array, "leaves terms"]
     center: Float[Array, "leaves"]
     half: Float[Array, "leaves dim"]
     slope: Float[Array, "leaves dim"]
@@ -121,8 +125,8 @@ def jumps(faces: Faces, weight: int | float = 1.0) -> Penalty:
     """
     if len(faces) == 0:
         raise ValueError("There is no free face to keep from jumping: the faces have no points.")
-    leaves, u = jnp.asarray(faces.leaves.T, jnp.int32), jnp.asarray(faces.u, jnp.float32)
-    return jax.tree_util.Partial(_jumps, _checked("jumps", weight), leaves, u)
+    leaves, basis = jnp.asarray(faces.leaves.T, jnp.int32), jnp.asarray(faces.basis, jnp.float32)
+    return jax.tree_util.Partial(_jumps, _checked("jumps", weight), leaves, basis)
 
 
 def _eikonal(weight: Array | float, planes: Planes) -> Float[Array, ""]:
@@ -131,11 +135,10 @@ def _eikonal(weight: Array | float, planes: Planes) -> Float[Array, ""]:
 
 
 def _jumps(
-    weight: Array | float, leaves: Int[Array, "2 m"], u: Float[Array, "m 2 dim"], planes: Planes
+    weight: Array | float, leaves: Int[Array, "2 m"], basis: Float[Array, "m 2 terms"], planes: Planes
 ) -> Float[Array, ""]:
-    below, above = leaves
-    jump = planes.center[above] - planes.center[below]
-    jump += jnp.sum(planes.half[above] * u[:, 1] - planes.half[below] * u[:, 0], axis=1)
+    below, above = planes.coefficients[leaves]
+    jump = jnp.sum(above * basis[:, 1] - below * basis[:, 0], axis=1)
     return weight * jnp.mean(jump**2)
 
 

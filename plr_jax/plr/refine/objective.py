@@ -1,16 +1,18 @@
-"""All planes at once by Adam: the optimization that :func:`refine` poses, in coordinates that make it easy.
+"""All leaves at once by Adam: the optimization that :func:`refine` poses, in coordinates that make it easy.
 
-Which leaf holds a point does not change, so it is looked up once; a step gathers the planes of all points and adds up
-their gradients. Three things make a few hundred steps enough, whatever the loss:
+Which leaf holds a point does not change, so it is looked up once; a step gathers the coefficients of all points and
+adds up their gradients. Three things make a few hundred steps enough, whatever the loss:
 
-- The start is the least-squares plane of each cell, and what is optimized is the correction to it, so that 32-bit
-  floats resolve small errors of large distances.
-- The variables ``z`` of a leaf are coordinates in which a unit step changes the values at its points by a unit in the
-  root mean square: ``correction = transform @ z``, from the Cholesky factor of the leaf's normal matrix.
-- That unit is about the error of the leaf's least-squares plane: leaves of small errors take small steps.
+- The start is the least-squares fit, and what is optimized is the correction to it, so that 32-bit floats resolve
+  small errors of large distances.
+- The variables ``z`` are coordinates in which a unit step changes the values at the points it moves by a unit in the
+  root mean square. Where each leaf has parameters of its own, they come from the Cholesky factor of the leaf's normal
+  matrix; where leaves share them, each parameter is scaled for itself.
+- That unit is about the error of the least-squares fit there: leaves of small errors take small steps.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -21,95 +23,198 @@ from tqdm import tqdm
 
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr.leaves.base import Parameters, values_at_centers
 from plr_jax.plr.refine.losses import Loss, Penalty, Planes
-from plr_jax.plr.sampling.cell_samples import solve_planes
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 STEPS_AT_ONCE = 50  # between two chances to interrupt
-_FIRST_STEP = 0.3  # of a leaf's unit
-# The least unit of a leaf, should its least-squares plane fit very well: a share of the error over all points, and of
-# how much its own plane varies. Penalties may ask more of it than its points do.
+_FIRST_STEP = 0.3  # of a unit
+# The least unit, should the least-squares fit be very good: a share of the error over all points, and of how much the
+# leaf's own function varies. Penalties may ask more of it than its points do.
 _OF_ALL_ERROR, _OF_VARIATION = 0.1, 0.01
+_RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as it is
 _TINY = 1e-30
 
 
-class Samples(NamedTuple):
+class WeightedPoints(NamedTuple):
     """Points of finite distance, with their weights."""
 
     x: Points
     distance: Distances
     weight: Float[np.ndarray, "n"]
 
-    def take(self, index: Int[np.ndarray, "m"]) -> "Samples":
+    def take(self, index: Int[np.ndarray, "m"]) -> "WeightedPoints":
         """Some of the points."""
-        return Samples(self.x[index], self.distance[index], self.weight[index])
+        return WeightedPoints(self.x[index], self.distance[index], self.weight[index])
 
 
-class Problem(NamedTuple):
-    """What a step reads. Points come leaf by leaf; they, and the leaves, are padded with zeros to powers of two.
+class Objective(NamedTuple):
+    """What a step reads. Points come leaf by leaf; all that varies in number is padded with zeros to powers of two.
 
     Attributes:
         leaf: The leaf of each point.
-        feature: Change of a point's value with each variable of its leaf.
-        error: Error of the least-squares plane at each point.
+        basis: What the coefficients of its leaf multiply there.
+        error: Error of the least-squares fit at each point.
         weight: Weight of each point; they sum to 1.
         share: Sum of the weights in each leaf.
-        plane: Least-squares plane of each leaf, its center and half-differences.
-        transform: Change of a leaf's plane with each of its variables; 0 for a plane that is to stay.
+        coefficients: Those of the least-squares fit.
+        row: Of every entry of the map from variables to corrections the coefficient, numbered leaf by leaf.
+        column: Its variable.
+        entry: What the variable is multiplied with.
+        center: What a leaf's coefficients are multiplied with to give the value at its center.
+        half: And its half-differences.
         per_half: Slope along each axis of a leaf whose half-difference along it is 1.
+        start: The variables at the start, 0.
     """
 
     leaf: Int[Any, "n"]
-    feature: Float[Any, "n terms"]
+    basis: Float[Any, "n terms"]
     error: Float[Any, "n"]
     weight: Float[Any, "n"]
     share: Float[Any, "leaves"]
-    plane: Float[Any, "leaves terms"]
-    transform: Float[Any, "leaves terms terms"]
+    coefficients: Float[Any, "leaves terms"]
+    row: Int[Any, "entries"]
+    column: Int[Any, "entries"]
+    entry: Float[Any, "entries"]
+    center: Float[Any, "terms"]
+    half: Float[Any, "dim terms"]
     per_half: Float[Any, "leaves dim"]
-
-    def corrected(self, z: Float[Any, "leaves terms"]) -> Float[np.ndarray, "leaves terms"]:
-        """The planes at given variables, in double precision."""
-        return self.plane + np.einsum("lij,lj->li", self.transform, np.asarray(z, np.float64))
+    start: Float[Any, "variables"]
 
 
-def pose(plr: PLR, samples: Samples) -> tuple[Problem, Bool[np.ndarray, "leaves"]]:
-    """The problem of refining a PLR with some points, and which leaves have enough of them.
+@dataclass(frozen=True, eq=False)
+class Refinable:
+    """A PLR's parameters, and the objective in which they are variables.
 
-    The points of other leaves get no weight, and nothing moves the planes of those from the given ones.
+    Attributes:
+        objective: What is minimized.
+        values: The parameters of least squared error.
+        to_parameters: From variables to corrections of them, in double precision.
+        has_enough: Which leaves have enough points to be fitted to.
     """
-    leaf = leaf_of(plr, samples.x)
+
+    objective: Objective
+    values: Float[np.ndarray, "parameters"]
+    to_parameters: Callable[[Float[np.ndarray, "variables"]], Float[np.ndarray, "parameters"]]
+    has_enough: Bool[np.ndarray, "leaves"]
+
+    def corrected(self, z: Float[np.ndarray, "padded"]) -> Float[np.ndarray, "parameters"]:
+        """The parameters at given variables."""
+        return self.values + self.to_parameters(np.asarray(z, np.float64)[: len(self.values)])
+
+
+def pose(plr: PLR, points: WeightedPoints) -> Refinable:
+    """The problem of refining a PLR with some points.
+
+    Points of leaves that have too few of them get no weight, and nothing moves what those leaves alone depend on.
+    """
+    leaf = leaf_of(plr, points.x)
     order = np.argsort(leaf, kind="stable")
-    leaf, (x, distance, weight) = leaf[order], samples.take(order)
-    (lo, hi), (center, half) = plr.leaf_boxes, plr.planes.decode()
-    plane = np.concatenate([np.where(plr.planes.unreachable, 0.0, center)[:, None], half], axis=1)
-    num_points = np.bincount(leaf[weight > 0], minlength=len(plane))
-    enough = (num_points >= POINTS_A_COEFFICIENT * plane.shape[1]) & ~plr.planes.unreachable
-    weight = weight * enough[leaf]
+    leaf, (x, distance, weight) = leaf[order], points.take(order)
+    lo, hi = plr.leaf_boxes
+    basis = plr.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+    parameters = plr.leaf.parameters(plr.cells, plr.stored)
+    shape = (plr.num_leaves, basis.shape[1])
+    num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
+    has_enough = (num_points >= POINTS_A_COEFFICIENT * basis.shape[1]) & ~plr.unreachable
+    weight = _normalized(weight * has_enough[leaf], plr, POINTS_A_COEFFICIENT * basis.shape[1])
+    sum_up = _sums(leaf, len(lo))
+    normal, share = _normal_matrices(sum_up, basis, weight), sum_up(weight)
+    error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
+    moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
+    parameters = parameters.moved(-_least_squares(parameters, normal, moments))
+    coefficients = _coefficients(parameters, shape)
+    error = np.sum(coefficients[leaf] * basis, axis=1) - distance
+    center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
+    unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
+    scaling = _whitened if parameters.is_leafwise else _scaled
+    scaled, to_parameters = scaling(parameters, share, normal, unit, np.where(has_enough, num_points, 1))
+    objective = Objective(
+        *map(_padded, (leaf, basis, error, weight, share, coefficients, scaled.row, scaled.column, scaled.weight)),
+        center,
+        half.T,
+        _padded(2 / (hi - lo)),
+        _padded(np.zeros(len(parameters.values))),
+    )
+    return Refinable(objective, parameters.values, to_parameters, has_enough)
+
+
+def _normalized(weight: Float[np.ndarray, "n"], plr: PLR, num_points: int) -> Float[np.ndarray, "n"]:
+    """Weights that sum to 1."""
     if not weight.any():
         raise ValueError(
-            f"No leaf of {plr} has {POINTS_A_COEFFICIENT * plane.shape[1]} points of positive weight and finite "
-            "distance to be fitted to; give more points."
+            f"No leaf of {plr} has {num_points} points of positive weight and finite distance to be fitted to; give "
+            "more points."
         )
-    weight /= weight.max()  # so that the sum does not overflow
-    weight /= weight.sum()
-    design = np.concatenate([np.ones((len(x), 1)), (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]], axis=1)
-    sum_up = _sums(leaf, len(plane))
-    share, normal = sum_up(weight), _normal_matrices(sum_up, design, weight)
-    error = np.sum(plane[leaf] * design, axis=1) - distance
-    plane -= solve_planes(normal.copy(), np.stack([sum_up(weight * error * term) for term in design.T], axis=1))
-    error = np.sum(plane[leaf] * design, axis=1) - distance
-    unit = _units(share, sum_up(weight * error**2), plane)
-    transform = (enough * unit)[:, None, None] * _whitening(share, normal, np.where(enough, num_points, 1))
-    feature = np.einsum("nij,ni->nj", transform[leaf], design)
-    points = map(_padded, (leaf, feature, error, weight))
-    leaves = map(_padded, (share, plane, transform, 2 / (hi - lo)))
-    return Problem(*points, *leaves), enough
+    weight = weight / weight.max()  # so that the sum does not overflow
+    return weight / weight.sum()
+
+
+def _coefficients(parameters: Parameters, shape: tuple[int, int]) -> Float[np.ndarray, "leaves terms"]:
+    moved = parameters.weight * parameters.values[parameters.column]
+    return np.bincount(parameters.row, moved, minlength=shape[0] * shape[1]).reshape(shape)
+
+
+def _least_squares(
+    parameters: Parameters,
+    normal: Float[np.ndarray, "leaves terms terms"],
+    moments: Float[np.ndarray, "leaves terms"],
+) -> Float[np.ndarray, "parameters"]:
+    """The change of parameters that explains the moments of the errors."""
+    from scipy.sparse import bsr_array, csc_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    leaves, shape = len(moments), (moments.size, len(parameters.values))
+    of_leaves = csc_array((parameters.weight, (parameters.row, parameters.column)), shape)
+    blocks = bsr_array((normal, np.arange(leaves), np.arange(leaves + 1)), (moments.size, moments.size))
+    matrix = of_leaves.T @ (blocks @ of_leaves)
+    diagonal = matrix.diagonal()
+    matrix = csc_array(matrix + diags_array(_RIDGE * (diagonal + diagonal.max())))
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return factors.solve(of_leaves.T @ moments.ravel())
+
+
+def _whitened(
+    parameters: Parameters,
+    share: Float[np.ndarray, "leaves"],
+    normal: Float[np.ndarray, "leaves terms terms"],
+    unit: Float[np.ndarray, "leaves"],
+    num_points: Int[np.ndarray, "leaves"],
+) -> tuple[Parameters, Callable]:
+    """Coordinates in which the values at a leaf's points change by a unit in the root mean square.
+
+    As many points as a leaf has coefficients, spread evenly over the cell, are counted in: along directions in
+    which the points hardly vary, a function is not flung about.
+    """
+    leaves, terms, _ = normal.shape
+    even = np.diag([1.0, *[1 / 3] * (terms - 1)])
+    counted_in = np.where(share > 0, share * terms / num_points, 1.0)
+    moments = (normal + counted_in[:, None, None] * even) / (share + counted_in)[:, None, None]
+    transform = unit[:, None, None] * np.linalg.inv(np.linalg.cholesky(moments)).swapaxes(1, 2)
+    row, column = np.broadcast_arrays(*np.ogrid[: leaves * terms, :terms])
+    scaled = Parameters(parameters.values, row.ravel(), (row // terms * terms + column).ravel(), transform.ravel())
+    return scaled, lambda z: np.einsum("lij,lj->li", transform, z.reshape(leaves, terms)).ravel()
+
+
+def _scaled(
+    parameters: Parameters,
+    share: Float[np.ndarray, "leaves"],
+    normal: Float[np.ndarray, "leaves terms terms"],
+    unit: Float[np.ndarray, "leaves"],
+    num_points: Int[np.ndarray, "leaves"],
+) -> tuple[Parameters, Callable]:
+    """Parameters in units of their leaves', each divided by how much it changes the values at the points it moves."""
+    of_row = np.einsum("lii->li", normal) / np.where(share > 0, share, 1.0)[:, None]
+    sum_up = _sums(parameters.column, len(parameters.values))
+    leaf, effect = parameters.row // normal.shape[1], parameters.weight**2 * of_row.ravel()[parameters.row]
+    scale = sum_up(effect * unit[leaf]) / np.maximum(sum_up(effect), _TINY)
+    weight = parameters.weight * scale[parameters.column]
+    return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
 
 
 def minimize(
-    problem: Problem, loss: Loss, penalties: tuple[Penalty, ...], num_steps: int
-) -> tuple[Float[np.ndarray, "leaves terms"], tuple[float, float], int]:
+    objective: Objective, loss: Loss, penalties: tuple[Penalty, ...], num_steps: int
+) -> tuple[Float[np.ndarray, "variables"], tuple[float, float], int]:
     """The best variables found, the objective at the start and there, and the number of steps taken.
 
     Ctrl-C ends it early: fewer steps than asked for.
@@ -117,12 +222,12 @@ def minimize(
     import optax
 
     loss, penalties = _as_pytree(loss), tuple(map(_as_pytree, penalties))
-    problem = jax.tree.map(
-        lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), problem
+    objective = jax.tree.map(
+        lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), objective
     )
-    z = jnp.zeros(problem.plane.shape, jnp.float32)
+    z = objective.start
     try:
-        start = _checked_start(problem, loss, penalties, z)
+        start = _checked_start(objective, loss, penalties, z)
     except jax.errors.TracerArrayConversionError:
         raise ValueError("The loss or a penalty computes in NumPy; write it in jax.numpy.") from None
     total = -(-num_steps // STEPS_AT_ONCE) * STEPS_AT_ONCE
@@ -131,7 +236,7 @@ def minimize(
     with tqdm(total=total, desc="refine", unit=" steps", delay=2, leave=False, disable=None) as progress:
         try:
             for done in range(STEPS_AT_ONCE, total + 1, STEPS_AT_ONCE):
-                state = _descend(problem, loss, penalties, start, rates[done - STEPS_AT_ONCE : done], state)
+                state = _descend(objective, loss, penalties, start, rates[done - STEPS_AT_ONCE : done], state)
                 jax.block_until_ready(state)
                 progress.update(STEPS_AT_ONCE)
         except KeyboardInterrupt:
@@ -140,37 +245,46 @@ def minimize(
     return np.asarray(best, np.float64), (start, float(least)), done
 
 
-def _objective(
-    problem: Problem, loss: Loss, penalties: tuple[Penalty, ...], z: Float[Array, "leaves terms"]
+def _value(
+    objective: Objective, loss: Loss, penalties: tuple[Penalty, ...], z: Float[Array, "variables"]
 ) -> Float[Array, ""]:
     """Mean loss over the points, plus the penalties."""
-    error = problem.error + jnp.sum(problem.feature * z[problem.leaf], axis=1)
-    objective = jnp.sum(problem.weight * loss(error))
+    correction = _corrections(objective, z)
+    error = objective.error + jnp.sum(objective.basis * correction[objective.leaf], axis=1)
+    value = jnp.sum(objective.weight * loss(error))
     if penalties:
-        planes = _planes_at(problem, z)
-        objective += sum(penalty(planes) for penalty in penalties)
-    return objective
+        planes = _planes_at(objective, z)
+        value += sum(penalty(planes) for penalty in penalties)
+    return value
 
 
-def _planes_at(problem: Problem, z: Float[Array, "leaves terms"]) -> Planes:
-    plane = problem.plane + jnp.einsum("lij,lj->li", problem.transform, z)
-    return Planes(plane[:, 0], plane[:, 1:], problem.per_half * plane[:, 1:], problem.share)
+def _corrections(objective: Objective, z: Float[Array, "variables"]) -> Float[Array, "leaves terms"]:
+    """What given variables add to the coefficients."""
+    flat = jnp.zeros(objective.coefficients.size, z.dtype)
+    flat = flat.at[objective.row].add(objective.entry * z[objective.column])
+    return flat.reshape(objective.coefficients.shape)
+
+
+def _planes_at(objective: Objective, z: Float[Array, "variables"]) -> Planes:
+    coefficients = objective.coefficients + _corrections(objective, z)
+    half = coefficients @ objective.half.T
+    return Planes(coefficients, coefficients @ objective.center, half, objective.per_half * half, objective.share)
 
 
 def _checked_start(
-    problem: Problem, loss: Loss, penalties: tuple[Penalty, ...], z: Float[Array, "leaves terms"]
+    objective: Objective, loss: Loss, penalties: tuple[Penalty, ...], z: Float[Array, "variables"]
 ) -> float:
     """The objective at the start, after what the loss and the penalties return has been checked."""
-    errors = jax.ShapeDtypeStruct(problem.error.shape, jnp.float32)
+    errors = jax.ShapeDtypeStruct(objective.error.shape, jnp.float32)
     if _shape_of(jax.eval_shape(loss, errors)) != errors.shape:
         raise ValueError(
             f"A loss must return one number an error, shape {errors.shape} here, got {jax.eval_shape(loss, errors)}."
         )
-    planes = jax.eval_shape(_planes_at, problem, z)
+    planes = jax.eval_shape(_planes_at, objective, z)
     for penalty in penalties:
         if _shape_of(jax.eval_shape(penalty, planes)) != ():
             raise ValueError(f"A penalty must return one number, got {jax.eval_shape(penalty, planes)}.")
-    start = float(jax.jit(_objective)(problem, loss, penalties, z))
+    start = float(jax.jit(_value)(objective, loss, penalties, z))
     if not np.isfinite(start):
         raise ValueError(f"The mean loss plus the penalties must be finite, got {start} at the least-squares planes.")
     return start
@@ -184,20 +298,25 @@ def _shape_of(result: Any) -> tuple[int, ...] | None:
 
 @jax.jit
 def _descend(
-    problem: Problem, loss: Loss, penalties: tuple[Penalty, ...], start: Any, rates: Float[Array, "steps"], state: Any
+    objective: Objective,
+    loss: Loss,
+    penalties: tuple[Penalty, ...],
+    start: Any,
+    rates: Float[Array, "steps"],
+    state: Any,
 ) -> Any:
     """One step of Adam for each rate, keeping the best variables seen."""
 
     def step(state: Any, rate: Array) -> tuple[Any, None]:
         z, adam, best, least = state
-        objective, gradient = jax.value_and_grad(scaled)(z)
-        objective *= jnp.maximum(start, _TINY)
-        best = jnp.where(objective < least, z, best)
+        value, gradient = jax.value_and_grad(scaled)(z)
+        value *= jnp.maximum(start, _TINY)
+        best = jnp.where(value < least, z, best)
         update, adam = _adam().update(gradient, adam)
-        return (z - rate * jnp.asarray(update), adam, best, jnp.fmin(objective, least)), None
+        return (z - rate * jnp.asarray(update), adam, best, jnp.fmin(value, least)), None
 
-    def scaled(z: Float[Array, "leaves terms"]) -> Float[Array, ""]:
-        return _objective(problem, loss, penalties, z) / jnp.maximum(start, _TINY)
+    def scaled(z: Float[Array, "variables"]) -> Float[Array, ""]:
+        return _value(objective, loss, penalties, z) / jnp.maximum(start, _TINY)
 
     return jax.lax.scan(step, state, rates)[0]
 
@@ -221,29 +340,12 @@ def _normal_matrices(
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _whitening(
-    share: Float[np.ndarray, "leaves"],
-    normal: Float[np.ndarray, "leaves terms terms"],
-    num_points: Int[np.ndarray, "leaves"],
-) -> Float[np.ndarray, "leaves terms terms"]:
-    """For each leaf the coordinates in which its points' values change by a unit in the root mean square.
-
-    As many points as a plane has coefficients, spread evenly over the cell, are counted in: along directions in
-    which the points hardly vary, a plane is not flung about.
-    """
-    terms = normal.shape[-1]
-    even = np.diag([1.0, *[1 / 3] * (terms - 1)])
-    counted_in = np.where(share > 0, share * terms / num_points, 1.0)
-    moments = (normal + counted_in[:, None, None] * even) / (share + counted_in)[:, None, None]
-    return np.linalg.inv(np.linalg.cholesky(moments)).swapaxes(1, 2)
-
-
 def _units(
-    share: Float[np.ndarray, "leaves"], squares: Float[np.ndarray, "leaves"], plane: Float[np.ndarray, "leaves terms"]
+    share: Float[np.ndarray, "leaves"], squares: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
 ) -> Float[np.ndarray, "leaves"]:
-    """Unit of each leaf's variables: how far off its least-squares plane is, but not next to nothing."""
+    """Unit of each leaf's variables: how far off its least-squares fit is, but not next to nothing."""
     of_leaf = np.sqrt(squares / np.where(share > 0, share, 1.0))
-    least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(plane[:, 1:], axis=1))
+    least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(half, axis=1))
     return np.maximum(of_leaf, least)
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr.refine.face_samples import Faces
 from plr_jax.plr.refine.losses import Loss
-from plr_jax.plr.sampling.face_samples import Faces
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Errors:
         max: Largest absolute error.
         max_over: Largest over-estimate; 0 if there is none.
         over: Share of points that are over-estimated.
-        eikonal_rms: Root of the mean of ``(|slope| - 1)**2`` over the points.
+        eikonal_rms: Root of the mean of ``(|slope| - 1)**2`` over the points, with the leaf's (mean) slope.
     """
 
     num_points: int
@@ -103,7 +103,7 @@ def measure_errors(plr: PLR, x: Points, distance: Distances, loss: Loss) -> Erro
     answer = np.asarray(plr(x), np.float64)
     answered = np.isfinite(answer)
     error = (answer - distance)[answered]
-    slope = np.asarray(plr.tables.coefficients[1:], np.float64).T[leaf_of(plr, x)]
+    slope = plr.slope[leaf_of(plr, x)]
     residual = np.linalg.norm(slope[answered], axis=1) - 1
     if len(error) == 0:
         raise ValueError("No error is defined: the PLR answers none of the points whose distance is finite.")

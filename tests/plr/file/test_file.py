@@ -14,7 +14,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr import construct, from_bytes, load, save
 from plr_jax.plr.file.plr_file import decode, encode, size_in_bytes
 from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
-from plr_jax.plr.partition.levels import levels_of
+from plr_jax.plr.partition.tree import levels_of
 
 SQUARE = Box((0, 0), (1, 1))
 

@@ -7,7 +7,7 @@ from plr_jax.plr.file import plr_file as _file
 from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import shared_faces, tree_of
-from plr_jax.plr.partition.levels import Level
+from plr_jax.plr.partition.tree import Level
 from plr_jax.plr.sampling.face_samples import sample_faces
 
 

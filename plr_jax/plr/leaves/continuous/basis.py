@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.plr.leaves.continuous.space import NodalSpace, multilinear, resolve
-from plr_jax.plr.partition.faces import corner_bits
+from plr_jax.plr.partition.tree import corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+POWERS = (2, 4)  # of t along each axis, by order of continuity
 MAX_DIM_OF_ORDER = (6, 2)  # 2**6 corners a leaf; in 3-D a corner may hang on two leaves whose cubics disagree there
 
 # Cubics on [0, 1] by powers of t: value at 0, derivative at 0, value at 1, derivative at 1.
@@ -32,6 +33,21 @@ def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n te
 def numbers_of_leaves(order: int, space: NodalSpace) -> "csr_array":
     """Maps values of the masters to the numbers of all leaves, ``terms`` a leaf, as :func:`design` wants them."""
     return space.values if order == 0 else _values_and_derivatives(space)
+
+
+def numbers_of_planes(
+    order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+) -> Float[np.ndarray, "leaves terms"]:
+    """The numbers of leaves that hold planes, of given values at the center and half-differences."""
+    corners = corner_bits(half.shape[1])
+    values = center[:, None] + half @ (2 * corners - 1).T
+    if order == 0:
+        return values
+    numbers = np.zeros((*values.shape, len(corners)))
+    numbers[:, :, 0] = values
+    for axis, kind in enumerate(1 << np.arange(half.shape[1])[::-1]):
+        numbers[:, :, kind] = 2 * half[:, axis, None]  # by t, which spans a leaf from 0 to 1
+    return numbers.reshape(len(values), -1)
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:

@@ -1,28 +1,23 @@
-"""Building a continuous PLR: fit all values at once, split where the fit errs, tie, and fit again."""
+"""Growing a partition whose leaves are tied: fit all values at once, split where the fit errs, tie, and fit again."""
 
-import warnings
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from tqdm import tqdm
 
-from plr_jax._arrays import require_integer
-from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax.geometry.box import Box
-from plr_jax.plr._construct import ConstructionInterrupted
-from plr_jax.plr.growth.limits import Limits, check_limits, check_memory
-from plr_jax.plr.growth.rules import best_axis, largest_error, max_axis_depth
-from plr_jax.plr.leaves.continuous.basis import MAX_DIM_OF_ORDER
-from plr_jax.plr.leaves.continuous.codec import Partition, StoredValues, encode
-from plr_jax.plr.leaves.continuous.evaluation import ContinuousPLR, continuous_from_bytes
-from plr_jax.plr.leaves.continuous.fit import Samples, fit_values, residuals
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.faces import shared_faces, tree_of
-from plr_jax.plr.partition.levels import MAX_DEPTH
-from plr_jax.plr.sampling.cell_samples import CellFit, WeightFn, fit_cells
+from plr_jax.plr.file.bits import BitWriter
+from plr_jax.plr.file.container import container_size
+from plr_jax.plr.file.tree_bits import tree_bits
+from plr_jax.plr.growth.limits import Limits, check_memory
+from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
+from plr_jax.plr.growth.rounds import grow
+from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
+from plr_jax.plr.leaves.continuous.fit import fit_values, residuals
+from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, weights_of_fit
 from plr_jax.plr.sampling.free_faces import FaceTests
-from plr_jax.plr.sampling.pattern import Pattern, sample_pattern
 
 _MOST_SPLIT = 0.5  # of the leaves in one round, before all are fitted again
 _ROUNDS_TO_END = 64  # a round splits at least one in so many leaves, while the limits allow
@@ -33,215 +28,116 @@ _STEP_PER_MEAN_ERROR = 1.0
 _SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
 
 
-def construct_continuous(
-    distance_fn: DistanceFn,
-    domain: Box | tuple[ArrayLike, ArrayLike],
-    *,
-    order: int = 0,
-    max_leaves: int | None = None,
-    max_bytes: int | None = None,
-    tolerance: int | float | None = None,
-    num_samples: int = 96,
-    weight_fn: WeightFn | None = None,
-    seed: int = 0,
-) -> ContinuousPLR:
-    """Build an approximation of a distance function that is continuous wherever one can walk.
-
-    In place of a plane a leaf it stores values at the leaves' corners, shared by all leaves that meet there without a
-    wall between them. In rounds, all values are fitted at once (a sparse least-squares problem), and the leaves of
-    the largest error, weighted by the fourth root of their volume, are split along their best axis.
-
-    Any limits may be combined; construction stops at the first that is met. Without any, at 512 leaves.
-
-    Args:
-        distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` where it cannot be reached.
-        domain: The box to cover, a ``Box`` or its two corners.
-        order: 0 for a continuous function, multilinear in every leaf; in up to 6 dimensions. 1 for a continuous
-            gradient as well, cubic along every axis; in 1 or 2 dimensions.
-        max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
-        tolerance: Leaves whose largest (weighted) sample error is at most this are not split.
-        num_samples: Samples of a leaf, at least ``2**dim + 1``.
-        weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
-        seed: Seed of the samples' scrambling. The same seed gives the same function.
-
-    Returns:
-        The function. If interrupted (Ctrl-C), the one fitted last, with a ``ConstructionInterrupted`` warning.
-
-    Raises:
-        ValueError: If an argument is out of its range, the limits allow a tree larger than memory, a budget is too
-            small for one leaf, ``distance_fn`` returns a wrong shape or NaN, or no sample reaches the goal.
-
-    References:
-        Bogner, Fox, Schmit, "The generation of inter-element-compatible stiffness and mass matrices by the use of
-        interpolation formulas", 1965, for order 1.
-    """
-    domain = Box.of(domain)
-    limits = check_limits(None, max_leaves, max_bytes, tolerance, None)
-    _check(order, domain.dim, num_samples, seed)
-    pattern = sample_pattern(domain.dim, int(num_samples), 0.0, int(seed))
-    rounds = _Rounds(distance_fn, domain, int(order), weight_fn, pattern)
-    fitted = rounds.first()
-    if len(fitted.data) > limits.max_bytes:
-        raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {len(fitted.data)} bytes; allow that."
-        )
-    return continuous_from_bytes(_grow(rounds, fitted, limits).data)
-
-
-def _check(order: int, dim: int, num_samples: int, seed: int) -> None:
-    if order not in (0, 1):
-        raise ValueError(f"order must be 0 (continuous) or 1 (with a continuous gradient), got {order!r}.")
-    if dim > MAX_DIM_OF_ORDER[order]:
-        raise ValueError(
-            f"Continuity of order {order} is for up to {MAX_DIM_OF_ORDER[order]} dimensions, got {dim}. Use "
-            f"{'order=0 or ' if order else ''}construct, whose planes may jump, instead."
-        )
-    if not isinstance(num_samples, int | np.integer) or num_samples <= 2**dim:
-        raise ValueError(f"num_samples must be at least 2**dim + 1 = {2**dim + 1}, got {num_samples}.")
-    require_integer("seed", seed, 0)
-
-
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A partition with its continuous function.
+    """A partition with its continuous function; as long as it has leaves.
 
     Attributes:
-        cells: Samples of the leaves; their residuals are those of the continuous function.
-        value: Sampled distances, 0 where the goal cannot be reached.
-        data: The file.
+        fit: Samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
+        stored: The function's values.
+        num_bytes: Size of its file.
     """
 
-    cells: CellFit
-    value: Float[np.ndarray, "leaves k"]
-    data: bytes
+    fit: CellFit
+    stored: StoredValues
+    num_bytes: int
 
     def __len__(self) -> int:
-        return len(self.value)
+        return len(self.fit)
 
 
-def _grow(rounds: "_Rounds", fitted: _Fitted, limits: Limits) -> _Fitted:
-    """Split and fit in rounds, smaller ones at the end, up to the limits."""
-    with tqdm(desc="construct", unit=" leaves", delay=2, leave=False, disable=None) as progress:
-        try:
-            most = limits.max_leaves
-            while True:
-                leaf, axis = _next_splits(fitted, limits, most)
-                if not len(leaf):
-                    return fitted
-                grown = rounds.next(fitted, leaf, axis)
-                if len(grown.data) > limits.max_bytes:
-                    most = len(leaf) // 2
-                    if _ROUNDS_TO_END * most < len(fitted):
-                        return fitted
-                    continue
-                progress.update(len(grown) - len(fitted))
-                fitted = grown
-        except KeyboardInterrupt:
-            warnings.warn(
-                f"Interrupted at {len(fitted)} leaves: the function is the one fitted last.",
-                ConstructionInterrupted,
-                stacklevel=3,
-            )
-    return fitted
+def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> StoredValues:
+    """Split and fit in rounds, smaller ones at the end, up to the limits.
 
-
-def _next_splits(
-    fitted: _Fitted, limits: Limits, most: int
-) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
-    """Leaves to split in this round, at most so many, and the axis of each."""
-    room = limits.max_leaves - len(fitted)
-    if np.isfinite(limits.max_bytes):
-        room = min(room, int(len(fitted) * (limits.max_bytes / len(fitted.data) - 1)))
-    # The better half of what there is room for: errors change as neighbors are split.
-    number = max((room + 1) // 2, len(fitted) // _ROUNDS_TO_END, 1)
-    number = min(number, int(np.ceil(_MOST_SPLIT * len(fitted))), limits.max_leaves - len(fitted), most)
-    cells, error = fitted.cells.cells, largest_error(fitted.cells)
-    noise = np.finfo(np.float32).eps * np.abs(fitted.value).max(axis=1) * fitted.cells.weight.max(axis=1)
-    depth = cells.depth.sum(axis=1)
-    priority = np.where(error > np.maximum(limits.tolerance, noise), error * 2.0 ** (-_VOLUME_POWER * depth), 0.0)
-    priority[depth >= MAX_DEPTH] = 0.0
-    leaf = np.argsort(-priority, kind="stable")[:number]
-    leaf = leaf[priority[leaf] > 0]
-    axis = best_axis(_selected(fitted.cells, leaf)) if len(leaf) else np.zeros(0, np.int64)
-    may_split = cells.depth[leaf, axis] < max_axis_depth(cells.dim)
-    return leaf[may_split], axis[may_split]
+    Raises:
+        ValueError: If the budget of bytes is too small for one leaf.
+    """
+    rounds = _Rounds(order, sampler, rules, limits)
+    root = rounds.fitted(sampler.root())
+    if root.num_bytes > limits.max_bytes:
+        raise ValueError(
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {root.num_bytes} bytes; allow that."
+        )
+    return grow(root, rounds.next, limits).stored
 
 
 class _Rounds:
-    """One construction: what stays the same from round to round."""
+    """One construction: what stays the same from round to round, and how many splits the last one may make."""
 
-    def __init__(
-        self, distance_fn: DistanceFn, domain: Box, order: int, weight_fn: WeightFn | None, pattern: Pattern
-    ) -> None:
-        self._sample = lambda cells: fit_cells(cells, domain, distance_fn, weight_fn, pattern)
-        self._domain, self._order, self._pattern = domain, order, pattern
-        self._face_tests = FaceTests(distance_fn, domain)
+    def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
+        self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
+        self._face_tests = FaceTests(sampler.distance_fn, sampler.domain)
+        self._most = limits.max_leaves
 
-    def first(self) -> _Fitted:
-        """The whole domain as one leaf."""
-        cells = self._sample(Cells.root(self._domain.dim))
-        if not cells.reachable.any():
-            raise ValueError(
-                "distance_fn found nothing reachable: it returned inf at every sample of the domain. Check that the "
-                "goal lies in free space and that the domain is the part of the world it is in; if free space is a "
-                "tiny part of the domain, raise num_samples."
-            )
-        return self._fitted(cells, _sampled_values(cells))
+    def next(self, now: _Fitted) -> _Fitted | None:
+        """Some leaves split, and the function fitted again; None if no more of them fit into the budget."""
+        while True:
+            leaf, axis = self._next_splits(now)
+            if len(leaf) == 0:
+                return None
+            children = self._sampler(now.fit.cells[leaf].split(axis))
+            kept = np.setdiff1d(np.arange(len(now)), leaf)
+            check_memory(2.0 * (len(kept) + len(children)))
+            grown = self.fitted(now.fit[kept].append(children))
+            if grown.num_bytes <= self._limits.max_bytes:
+                return grown
+            self._most = len(leaf) // 2
+            if _ROUNDS_TO_END * self._most < len(now):
+                return None
 
-    def next(self, fitted: _Fitted, leaf: Int[np.ndarray, "splits"], axis: Int[np.ndarray, "splits"]) -> _Fitted:
-        """Some leaves split, and the function fitted again."""
-        children = self._sample(fitted.cells.cells[leaf].split(axis))
-        kept = np.setdiff1d(np.arange(len(fitted)), leaf)
-        value = np.concatenate([fitted.value[kept], _sampled_values(children)])
-        check_memory(2.0 * len(value))
-        return self._fitted(_joined(_selected(fitted.cells, kept), children), value)
+    def _next_splits(self, now: _Fitted) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
+        """Leaves to split in this round, and the axis of each."""
+        fit, limits = now.fit, self._limits
+        room = limits.max_leaves - len(now)
+        if np.isfinite(limits.max_bytes):
+            room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
+        # The better half of what there is room for: errors change as neighbors are split.
+        number = max((room + 1) // 2, len(now) // _ROUNDS_TO_END, 1)
+        number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
+        error = np.asarray(self._rules.should_split(fit), float)
+        check_rules(fit, error, np.zeros(len(fit), np.int64))
+        worth_it = (error > least_priority(fit, limits)) & fit.can_split
+        priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
+        best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
+        leaf, axis = np.zeros((2, 0), np.int64)
+        for start in range(0, len(best), max(number, 1)):  # past those that the limits on depth keep
+            some = best[start : start + number - len(leaf)] if number else best[:0]
+            axis_of_some = np.asarray(self._rules.split(fit[some]))
+            check_rules(fit[some], error[some], axis_of_some)
+            may_split = is_open(fit.cells[some], axis_of_some, limits)
+            leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
+            if len(leaf) >= number:
+                break
+        return leaf, axis
 
-    def _fitted(self, cells: CellFit, value: Float[np.ndarray, "leaves k"]) -> _Fitted:
-        tree = tree_of(cells.cells)
-        cells, value = _selected(cells, tree.order), value[tree.order]
+    def fitted(self, fit: CellFit) -> _Fitted:
+        """The function of least squared error on the given leaves, in any order."""
+        tree = tree_of(fit.cells)
+        fit = fit[tree.order]
         faces = shared_faces(tree)
         tied = self._face_tests.are_free(tree.leaves, faces)
-        unreachable = ~np.any(cells.reachable, axis=1)
+        unreachable = ~np.any(fit.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
-        partition = Partition(tree, unreachable, faces, tied)
-        space = partition.space()
-        samples = self._samples(cells, value)
-        values, numbers = fit_values(self._order, space, samples)
-        residual = residuals(self._order, numbers, samples)
-        data = encode(self._domain, self._order, partition, space, _rounded(values, residual, samples))
-        return _Fitted(replace(cells, residual=residual), value, data)
-
-    def _samples(self, cells: CellFit, value: Float[np.ndarray, "leaves k"]) -> Samples:
-        """Samples as the fit weighs them: cells by the root of their volume, a compromise of errors."""
-        weight = np.where((cells.weight > 0).any(axis=1, keepdims=True), cells.weight, cells.reachable)
-        of_cell = 2.0 ** (-0.5 * cells.cells.depth.sum(axis=1))
-        return Samples(self._pattern, value, weight * self._pattern.weight * (of_cell / of_cell.mean())[:, None])
+        partition = TiedPartition(tree, unreachable, faces, tied)
+        weight = _volume_weights(fit)
+        values, numbers = fit_values(self._order, partition.space, fit, weight)
+        residual = residuals(self._order, numbers, fit, weight)
+        stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
+        body = BitWriter()
+        write_values(body, stored)
+        dim = fit.cells.dim
+        num_bytes = container_size(dim, tree_bits(len(fit), dim) + body.num_bits)
+        return _Fitted(replace(fit, residual=residual), stored, num_bytes)
 
 
-def _rounded(
-    values: Float[np.ndarray, "masters"], residual: Float[np.ndarray, "leaves k"], samples: Samples
-) -> StoredValues:
-    """Values as they are stored, rounded about as coarsely as they err."""
-    mean_error = float(np.sum(samples.weight * np.abs(residual)) / np.sum(samples.weight))
-    step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(samples.value).max()))
-    return StoredValues.rounded(values, max(step, float(np.finfo(np.float32).tiny)))
+def _volume_weights(fit: CellFit) -> Float[np.ndarray, "leaves k"]:
+    """Samples as the fit weighs them: cells by the root of their volume, a compromise of errors."""
+    of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
+    return weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
 
 
-def _sampled_values(cells: CellFit) -> Float[np.ndarray, "cells k"]:
-    """The distances that were sampled, 0 where the goal cannot be reached."""
-    center = np.where(np.isfinite(cells.center), cells.center, 0.0)
-    plane = center[:, None] + cells.half @ cells.pattern.u.T
-    return np.where(cells.reachable, cells.residual + plane, 0.0)
-
-
-def _selected(cells: CellFit, index: Int[np.ndarray, "n"]) -> CellFit:
-    return replace(cells, cells=cells.cells[index], **{name: getattr(cells, name)[index] for name in _COLUMNS})
-
-
-def _joined(first: CellFit, second: CellFit) -> CellFit:
-    columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in _COLUMNS}
-    return replace(first, cells=first.cells.append(second.cells), **columns)
-
-
-_COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern")]
+def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[np.ndarray, "leaves k"]) -> float:
+    """Of what stored values are multiples: they are rounded about as coarsely as they err."""
+    mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
+    step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
+    return max(step, float(np.finfo(np.float32).tiny))

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.faces import SharedFaces, Tree, corner_bits, face_points, parents_of_corners
+from plr_jax.plr.partition.faces import SharedFaces, face_points, parents_of_corners
+from plr_jax.plr.partition.tree import Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

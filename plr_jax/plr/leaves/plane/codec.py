@@ -4,6 +4,18 @@ In the local coordinates of its cell (``[-1, 1]`` along every axis) a plane is i
 half-differences, ``L(u) = center + half . u``. As integers, all are multiples of one ``step``. A half-difference
 shrinks with its cell, so one at depth ``d`` along an axis needs ``d`` bits fewer: the file keeps a width for each
 axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` anywhere in its cell.
+
+What a file keeps of the leaves, as bits:
+
+    bits of a center value, in 6 bits; 32 means 32-bit floats
+    offset and step as 32-bit floats; nothing where the centers are floats
+    for every axis, for every depth from 0 to the deepest of the leaves along it: the width of a half-difference in 6
+      bits
+    center of every leaf; all bits set (floats: inf) mark a leaf without a reachable sample
+    for every axis, the half-difference of every other leaf: a two's-complement number (or a float's bit pattern) of
+      the width that belongs to the leaf's depth along the axis
+
+A plane is ``offset + step * center + step * half . u``.
 """
 
 from dataclasses import dataclass
@@ -11,10 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.query.tables import LARGEST
+
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
 _FLOAT_INF = 0x7F800000
-LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+_BITS_BITS, _WIDTH_BITS = 6, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,3 +117,48 @@ def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
 
 def _float_of_bits(bits: Int[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     return bits.astype(np.uint32).view(np.float32).astype(np.float64)
+
+
+def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
+    """Append planes of leaves of the given depths."""
+    widths, stored = planes.widths(depth), ~planes.unreachable
+    body.write(np.array([planes.bits]), _BITS_BITS)
+    if planes.bits != FLOAT_BITS:
+        body.write_floats(np.array([planes.offset, planes.step]))
+    for axis_widths in widths:
+        body.write(axis_widths, _WIDTH_BITS)
+    body.write(planes.center, planes.bits)
+    for axis, axis_widths in enumerate(widths):
+        width = axis_widths[depth[stored, axis]]
+        body.write(planes.half[stored, axis] & ((1 << width) - 1), width)
+
+
+def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
+    """The next planes, of leaves of the given depths; raises ``ValueError`` saying what is wrong with them."""
+    bits, offset, step = int(body.read_alike(1, _BITS_BITS)[0]), 0.0, 1.0
+    if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
+        raise ValueError(f"it states {bits}-bit values")
+    if bits != FLOAT_BITS:
+        offset, step = body.read_floats(2).tolist()
+        if not (np.isfinite(offset) and 0 < step < np.inf):
+            raise ValueError(f"it states a step of {step} from {offset}")
+    widths = [body.read_alike(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
+    if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
+        raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
+    center = body.read_alike(len(depth), bits)
+    half = np.zeros(depth.shape, np.int64)
+    stored = center != unreachable_code(bits)
+    for axis, axis_widths in enumerate(widths):
+        width = axis_widths[depth[stored, axis]]
+        code = body.read(width)
+        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+    return StoredPlanes(bits, offset, step, center, half)
+
+
+def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
+    """How many bits ``write_planes`` appends."""
+    stored = ~planes.unreachable
+    bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
+    for axis, widths in enumerate(planes.widths(depth)):
+        bits += _WIDTH_BITS * len(widths) + widths[depth[stored, axis]].sum()
+    return int(bits)

@@ -8,8 +8,9 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.partition.faces import face_points, shared_faces, tree_of
-from plr_jax.plr.sampling.cell_samples import call_oracle
+from plr_jax.plr.partition.faces import face_points, shared_faces
+from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr.sampling.oracle import call_oracle
 
 _SAME = 1e-6  # of a leaf's width
 
@@ -22,11 +23,13 @@ class Faces:
         x: The points.
         leaves: The two leaves that meet at each point, the one below the face first.
         u: The point in the local coordinates of each of the two; ``[-1, 1]`` spans a leaf.
+        basis: What the coefficients of each of the two multiply there.
     """
 
     x: Float[np.ndarray, "m dim"]
     leaves: Int[np.ndarray, "m 2"]
     u: Float[np.ndarray, "m 2 dim"]
+    basis: Float[np.ndarray, "m 2 terms"]
 
     def __len__(self) -> int:
         return len(self.x)
@@ -35,17 +38,19 @@ class Faces:
         """Value above the face minus value below it, for any PLR of the partition that was sampled.
 
         Raises:
-            ValueError: If the PLR has another partition.
+            ValueError: If the PLR has another partition, or leaves of another kind.
         """
         if not self._fit(plr):
             raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
-        center, half = plr.planes.decode()
-        value = center[self.leaves] + np.sum(half[self.leaves] * self.u, axis=2)
+        coefficients = plr.leaf.coefficients(plr.cells, plr.stored)
+        value = np.sum(coefficients[self.leaves] * self.basis, axis=2)
         return value[:, 1] - value[:, 0]
 
     def _fit(self, plr: PLR) -> bool:
         """Whether the points are where the PLR's leaves say that they are."""
         if self.leaves.max(initial=0) >= plr.num_leaves or self.x.shape[1] != plr.dim:
+            return False
+        if plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] != self.basis.shape[2]:
             return False
         return bool((np.abs(_local(plr, self.x, self.leaves) - self.u) < _SAME).all())
 
@@ -74,13 +79,14 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     tree = tree_of(plr.cells)
     faces = shared_faces(tree)
     pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
-    kept = ~plr.planes.unreachable[pairs].any(axis=1)
+    kept = ~plr.unreachable[pairs].any(axis=1)
     w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))
     points = plr.domain.lo + plr.domain.width * face_points(tree.leaves, faces[kept], w)
     x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
-    return Faces(x, leaves, _local(plr, x, leaves))
+    u = _local(plr, x, leaves)
+    return Faces(x, leaves, u, plr.leaf.basis(u.reshape(-1, plr.dim)).reshape(len(x), 2, -1))
 
 
 def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:

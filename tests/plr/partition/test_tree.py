@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from plr_helpers import random_partition
 
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.levels import cells_of, levels_of
+from plr_jax.plr.partition.tree import cells_of, levels_of
 
 
 @given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))

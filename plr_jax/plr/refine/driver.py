@@ -2,20 +2,17 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, as_points, require_integer
 from plr_jax._types import ArrayLike
-from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.file.plr_file import size_in_bytes
-from plr_jax.plr.leaves.plane.codec import FLOAT_BITS, MAX_BITS, MIN_BITS, StoredPlanes, encode_planes
+from plr_jax.plr._plr import PLR, with_stored
+from plr_jax.plr.refine.face_samples import Faces
 from plr_jax.plr.refine.losses import Loss, Penalty, squared
-from plr_jax.plr.refine.objective import Samples, minimize, pose
+from plr_jax.plr.refine.objective import WeightedPoints, minimize, pose
 from plr_jax.plr.refine.report import Refinement, Stage, measure_errors, measure_jumps
-from plr_jax.plr.sampling.face_samples import Faces
 
 _CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share
 
@@ -85,25 +82,24 @@ def refine(
     """
     _check_functions(plr, loss, penalties)
     _check_numbers(num_steps, held_out, max_bytes, seed)
-    samples, num_unreachable = _check_samples(plr, x, distance, weight)
+    samples, num_unreachable = _check_points(plr, x, distance, weight)
     share = getattr(loss, "share", None)
     training, measured, calibration = _set_aside(
         samples, float(held_out), 0.0 if share is None else _CALIBRATION, seed
     )
     if share is not None:
         _check_share(share, len(calibration.x))
-    problem, enough = pose(plr, training)
-    least_squares = _with_planes(plr, _encode(plr, problem.plane, max_bytes))
+    refinable = pose(plr, training)
+    least_squares = _restored(plr, refinable.values, max_bytes)
 
-    z, objective, steps_taken = minimize(problem, loss, tuple(penalties), num_steps)
+    z, objective, steps_taken = minimize(refinable.objective, loss, tuple(penalties), num_steps)
     if steps_taken < num_steps:
         message = f"Interrupted after {steps_taken} of {num_steps} steps: the PLR is the best found so far."
         warnings.warn(message, RefinementInterrupted, stacklevel=2)
-    planes, shift = _encode(plr, problem.corrected(z), max_bytes), 0.0
+    refined, shift = _restored(plr, refinable.corrected(z), max_bytes), 0.0
     if share is not None:
-        shift = _conformal_shift(_with_planes(plr, planes), calibration, share)
-        planes = _raised(planes, shift)
-    refined = _with_planes(plr, planes)
+        shift = _conformal_shift(refined, calibration, share)
+        refined = with_stored(plr, plr.leaf.raised(refined.stored, shift))
 
     def stage(plr: PLR) -> Stage:
         errors = [measure_errors(plr, s.x, s.distance, loss) if len(s.x) else None for s in (training, measured)]
@@ -114,7 +110,7 @@ def refine(
         least_squares=stage(least_squares),
         refined=stage(refined),
         num_unreachable=num_unreachable,
-        num_kept=int(np.count_nonzero(~enough & ~plr.planes.unreachable)),
+        num_kept=int(np.count_nonzero(~refinable.has_enough & ~plr.unreachable)),
         num_steps=steps_taken,
         objective=objective,
         shift=shift,
@@ -123,7 +119,7 @@ def refine(
 
 def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
     if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR, as construct builds, has planes to move, got {plr!r:.200}.")
+        raise ValueError(f"Only a PLR, as construct builds, can be refined, got {plr!r:.200}.")
     if not callable(loss):
         raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {loss!r:.200}.")
     if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):
@@ -149,7 +145,9 @@ def _check_share(share: int | float, num_points: int) -> None:
         )
 
 
-def _check_samples(plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLike | None) -> tuple[Samples, int]:
+def _check_points(
+    plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLike | None
+) -> tuple[WeightedPoints, int]:
     """The points of finite distance, and how many others there are."""
     x = as_points("x", x, plr.dim)
     distance = _column("distance", distance, len(x))
@@ -168,7 +166,7 @@ def _check_samples(plr: PLR, x: ArrayLike, distance: ArrayLike, weight: ArrayLik
             f"A weight must be finite and >= 0, got {weight[~(np.isfinite(weight) & (weight >= 0))][0]}."
         )
     finite = np.flatnonzero(distance < np.inf)
-    return Samples(x, distance, weight).take(finite), len(x) - len(finite)
+    return WeightedPoints(x, distance, weight).take(finite), len(x) - len(finite)
 
 
 def _column(name: str, value: ArrayLike, num_points: int) -> Float[np.ndarray, "n"]:
@@ -178,7 +176,9 @@ def _column(name: str, value: ArrayLike, num_points: int) -> Float[np.ndarray, "
     return column
 
 
-def _set_aside(samples: Samples, held_out: float, calibration: float, seed: int) -> tuple[Samples, Samples, Samples]:
+def _set_aside(
+    samples: WeightedPoints, held_out: float, calibration: float, seed: int
+) -> tuple[WeightedPoints, WeightedPoints, WeightedPoints]:
     """Points to fit to, points to measure at, and points to set the height by, at random."""
     order = np.random.default_rng(seed).permutation(len(samples.x))
     num_held_out = int(held_out * len(order))
@@ -187,24 +187,18 @@ def _set_aside(samples: Samples, held_out: float, calibration: float, seed: int)
     return samples.take(training), samples.take(measured), samples.take(calibrating)
 
 
-def _encode(plr: PLR, plane: Float[np.ndarray, "padded terms"], max_bytes: int | None) -> StoredPlanes:
-    """Planes as the file stores them, with as many bits as before, or as many as fit."""
-    plane = plane[: plr.num_leaves]
-    center = np.where(plr.planes.unreachable, np.inf, plane[:, 0])
-    bits = plr.planes.bits
-    for fewer_bits in (bits, *range(min(bits - 1, MAX_BITS), MIN_BITS - 1, -1)):
-        planes = encode_planes(center, plane[:, 1:], fewer_bits)
-        size = size_in_bytes(plr.cells, planes)
-        if max_bytes is None or size <= max_bytes:
-            return planes
-    raise ValueError(f"max_bytes={max_bytes} is too small for {plr.num_leaves} leaves: they need {size} bytes.")
+def _restored(plr: PLR, values: Float[np.ndarray, "parameters"], max_bytes: int | None) -> PLR:
+    """The PLR with other parameters, stored with as many bits as before, or as many as fit."""
+    for stored in plr.leaf.restored(plr.stored, values):
+        restored = with_stored(plr, stored)
+        if max_bytes is None or restored.num_bytes <= max_bytes:
+            return restored
+    raise ValueError(
+        f"max_bytes={max_bytes} is too small for {plr.num_leaves} leaves: they need {restored.num_bytes}."
+    )
 
 
-def _with_planes(plr: PLR, planes: StoredPlanes) -> PLR:
-    return plr_of_leaves(plr.domain, plr.cells, planes)
-
-
-def _conformal_shift(plr: PLR, samples: Samples, share: float) -> float:
+def _conformal_shift(plr: PLR, samples: WeightedPoints, share: float) -> float:
     """What must be added to all values so that no more than a share of points like these is over-estimated.
 
     Of ``n`` errors and a new one, each is equally likely to be the ``k``-th smallest of ``n + 1``.
@@ -213,16 +207,3 @@ def _conformal_shift(plr: PLR, samples: Samples, share: float) -> float:
     error = np.sort(error[np.isfinite(error)])
     rank = min(int(np.ceil((len(error) + 1) * (1 - share))), len(error))
     return -float(error[rank - 1]) if rank else 0.0
-
-
-def _raised(planes: StoredPlanes, shift: float) -> StoredPlanes:
-    """All values higher by a number, or by a little less, where 32-bit floats hold no such number."""
-    center, half = planes.decode()
-    if planes.bits == FLOAT_BITS:
-        return encode_planes(_rounded_down(center + shift), half, FLOAT_BITS)
-    return replace(planes, offset=float(_rounded_down(np.array(planes.offset + shift))))
-
-
-def _rounded_down(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    rounded = values.astype(np.float32)
-    return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)

@@ -1,0 +1,60 @@
+"""A PLR's file: the tree of its leaves, and what their model keeps of them.
+
+See ``file/container.py`` for the layout, the same on every machine.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.container import Container
+from plr_jax.plr.file.tree_bits import read_leaves, write_tree
+from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
+from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Level
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a file holds.
+
+    Attributes:
+        domain: The box that is covered.
+        leaf: The leaf model.
+        cells: The leaves, in the order of the tree's traversal.
+        stored: What the model stores of them.
+    """
+
+    domain: Box
+    leaf: LeafModel
+    cells: Cells
+    stored: Any
+
+
+def encode(contents: Contents, levels: list[Level]) -> bytes:
+    """The bytes of the file that holds these leaves, whose tree has these levels."""
+    body = BitWriter()
+    write_tree(body, levels, contents.domain.dim)
+    contents.leaf.write(body, contents.cells, contents.stored)
+    return Container(contents.domain, code_of_leaf(contents.leaf), len(contents.cells), body.to_bytes()).to_bytes()
+
+
+def decode(data: bytes) -> Contents:
+    """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    container = Container.from_bytes(data)
+    leaf, dim = leaf_of_code(container.leaf_code), container.domain.dim
+    leaf.check_dim(dim)
+    body = BitReader(container.body)
+    cells = read_leaves(body, dim, container.num_leaves)
+    stored = leaf.read(body, cells)
+    if not body.at_end():
+        raise ValueError("it holds more data than its leaves need")
+    return Contents(container.domain, leaf, cells, stored)
+
+
+def decode_cells(data: bytes) -> Cells:
+    """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
+    container = Container.from_bytes(data)
+    return read_leaves(BitReader(container.body), container.domain.dim, container.num_leaves)

@@ -1,0 +1,55 @@
+"""PLRs as files."""
+
+import os
+from pathlib import Path
+
+from plr_jax._atomic import write_atomically
+from plr_jax.plr._plr import PLR, plr_from_bytes
+
+
+def from_bytes(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold.
+
+    Args:
+        data: What :meth:`PLR.to_bytes` gave.
+
+    Raises:
+        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
+            beyond 32-bit floats, or its tables would be larger than a file of its size may make them.
+    """
+    return plr_from_bytes(data)
+
+
+def save(plr: PLR, path: str | os.PathLike) -> None:
+    """Write a PLR to a file of ``plr.num_bytes`` bytes.
+
+    The format is documented in ``plr_jax/plr/file/container.py``. The file is complete or absent: it is written under
+    another name first, then renamed.
+
+    Args:
+        plr: The PLR.
+        path: The file.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    write_atomically(Path(path), plr.to_bytes())
+
+
+def load(path: str | os.PathLike) -> PLR:
+    """Read a PLR that :func:`save` wrote; it equals the saved one bit for bit.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The PLR.
+
+    Raises:
+        ValueError: If the file is truncated, corrupt, no PLR file, or of another version of the format.
+        OSError: If the file cannot be read.
+    """
+    try:
+        return from_bytes(Path(path).read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

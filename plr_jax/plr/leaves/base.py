@@ -1,0 +1,154 @@
+"""What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Level
+from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.sampling.cell_fit import Sampler
+
+
+@dataclass(frozen=True)
+class Rules:
+    """SHOULDSPLIT and SPLIT of Algorithm 1."""
+
+    should_split: ShouldSplitRule
+    split: SplitRule
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """The free numbers of the leaves' functions: all coefficients are a linear map of them.
+
+    Attributes:
+        values: The parameters.
+        row: Of every entry of the map the coefficient, numbered leaf by leaf.
+        column: Its parameter.
+        weight: What the parameter is multiplied with.
+    """
+
+    values: Float[np.ndarray, "parameters"]
+    row: Int[np.ndarray, "entries"]
+    column: Int[np.ndarray, "entries"]
+    weight: Float[np.ndarray, "entries"]
+
+    @property
+    def is_leafwise(self) -> bool:
+        """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
+        return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
+
+    def moved(self, change: Float[np.ndarray, "parameters"]) -> "Parameters":
+        """The same map of other values."""
+        return replace(self, values=self.values + change)
+
+
+class LeafModel(Protocol):
+    """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
+
+    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
+    ``basis(u) @ coefficients``. What is *stored* is the model's own affair: an object that its ``write`` puts into a
+    file and its ``read`` gives back.
+
+    Attributes:
+        name: What ``construct(leaf=...)`` calls it.
+        num_samples: Samples of a cell, unless others are asked for.
+        least_bytes: Bytes of a file that a leaf takes at the least, a power of two.
+    """
+
+    name: ClassVar[str]
+    num_samples: ClassVar[int]
+    least_bytes: ClassVar[int]
+
+    def check_dim(self, dim: int) -> None:
+        """Raise ``ValueError`` if the model is not for so many axes."""
+        ...
+
+    def least_samples(self, dim: int) -> int:
+        """Samples of a cell that determine its function, at the least."""
+        ...
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, Any]:
+        """Grow a partition: its tree, its leaves in the order of the tree's traversal, and what is stored of them."""
+        ...
+
+    def write(self, body: BitWriter, cells: Cells, stored: Any) -> None:
+        """Append what a file keeps of the leaves."""
+        ...
+
+    def read(self, body: BitReader, cells: Cells) -> Any:
+        """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
+        ...
+
+    def unreachable(self, stored: Any) -> Bool[np.ndarray, "leaves"]:
+        """Which leaves have no function of their own, as nothing of them reaches the goal."""
+        ...
+
+    def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients of every leaf's function, finite."""
+        ...
+
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+        """What the coefficients multiply at local coordinates ``u``."""
+        ...
+
+    def of_planes(
+        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
+        ...
+
+    def parameters(self, cells: Cells, stored: Any) -> "Parameters":
+        """The free numbers of the leaves' functions, which a refinement may change."""
+        ...
+
+    def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
+        """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
+        ...
+
+    def raised(self, stored: Any, shift: float) -> Any:
+        """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
+        ...
+
+    def numbers(
+        self,
+        domain: Box,
+        cells: Cells,
+        coefficients: Float[np.ndarray, "leaves terms"],
+        is_inf: Bool[np.ndarray, "leaves"],
+    ) -> Float[np.ndarray, "leaves count"]:
+        """What a query reads of every leaf; those of ``is_inf`` answer ``inf`` with gradient 0."""
+        ...
+
+    def evaluate(
+        self,
+        tables: Tables,
+        leaf: UInt32[Array, "*batch"],
+        x: Float[Array, "*batch dim"],
+        outside: Bool[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
+        """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
+        ...
+
+
+def values_at_centers(
+    model: LeafModel, coefficients: Float[np.ndarray, "leaves terms"], dim: int
+) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    """The mean plane of every leaf: its value at the center, and half-differences between opposite faces' centers."""
+    ends = np.eye(dim)
+    half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
+    return coefficients @ model.basis(np.zeros((1, dim)))[0], half
+
+
+def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The nearest 32-bit floats that are not above, in double precision."""
+    rounded = values.astype(np.float32)
+    return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)

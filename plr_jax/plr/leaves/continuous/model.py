@@ -1,0 +1,123 @@
+"""Values at the corners of leaves, tied across free faces, all fitted at once."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
+from plr_jax.plr.leaves.continuous.basis import MAX_DIM_OF_ORDER, design, numbers_of_leaves, numbers_of_planes
+from plr_jax.plr.leaves.continuous.codec import StoredValues, read_values, write_values
+from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
+from plr_jax.plr.leaves.continuous.growth import grow_tied
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Level, levels_of
+from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.sampling.cell_fit import Sampler
+
+_MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
+
+    A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
+    order 1 derivatives there too (see ``basis.py``).
+
+    Args:
+        order: Of continuity: 0 for values, multilinear in every leaf; 1 for gradients too, cubic along every axis.
+    """
+
+    order: int = 0
+
+    num_samples = 96
+    least_bytes = 1
+
+    @property
+    def name(self) -> str:
+        """What ``construct(leaf=...)`` calls the model."""
+        return ("continuous", "smooth")[self.order]
+
+    def check_dim(self, dim: int) -> None:
+        """Raise ``ValueError`` if the model is not for so many axes."""
+        if dim > MAX_DIM_OF_ORDER[self.order]:
+            raise ValueError(
+                f"Leaves of kind {self.name!r} are for up to {MAX_DIM_OF_ORDER[self.order]} dimensions, got {dim}. "
+                f"Use {'continuous ones or ' if self.order else ''}planes, which may jump, instead."
+            )
+
+    def least_samples(self, dim: int) -> int:
+        """One more than a leaf has corners."""
+        return 2**dim + 1
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, StoredValues]:
+        """Grow the partition, all values fitted again in every round."""
+        stored = grow_tied(self.order, sampler, rules, limits)
+        cells = stored.partition.tree.leaves
+        return levels_of(cells)[0], cells, stored
+
+    def write(self, body: BitWriter, cells: Cells, stored: StoredValues) -> None:
+        """Append what the file keeps of the leaves."""
+        write_values(body, stored)
+
+    def read(self, body: BitReader, cells: Cells) -> StoredValues:
+        """What :meth:`write` appended."""
+        return read_values(body, cells)
+
+    def unreachable(self, stored: StoredValues) -> Bool[np.ndarray, "leaves"]:
+        """Which leaves have no tied face and no sample that reaches the goal."""
+        return stored.partition.unreachable
+
+    def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
+        """Numbers of every leaf; 0 for unreachable ones."""
+        numbers = numbers_of_leaves(self.order, stored.partition.space) @ stored.decode()
+        return numbers.reshape(len(cells), -1)
+
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+        """What the coefficients multiply at local coordinates ``u``."""
+        return design(self.order, (u + 1) / 2)
+
+    def of_planes(
+        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients with which leaves hold planes."""
+        return numbers_of_planes(self.order, center, half)
+
+    def parameters(self, cells: Cells, stored: StoredValues) -> Parameters:
+        """The values at the corners that do not hang are free."""
+        of_masters = numbers_of_leaves(self.order, stored.partition.space).tocoo()
+        return Parameters(stored.decode(), of_masters.row, of_masters.col, of_masters.data)
+
+    def restored(self, stored: StoredValues, values: Float[np.ndarray, "parameters"]) -> Iterator[StoredValues]:
+        """Other values, in multiples of the same step, then of steps that are larger and larger."""
+        for doublings in range(_MOST_DOUBLINGS):
+            yield StoredValues.rounded(stored.partition, values, stored.step * 2.0**doublings)
+
+    def raised(self, stored: StoredValues, shift: float) -> StoredValues:
+        """All values higher by a number, or by a little less."""
+        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
+
+    def numbers(
+        self,
+        domain: Box,
+        cells: Cells,
+        coefficients: Float[np.ndarray, "leaves terms"],
+        is_inf: Bool[np.ndarray, "leaves"],
+    ) -> Float[np.ndarray, "leaves count"]:
+        """What a query reads of every leaf; some answer ``inf``."""
+        return numbers_of_polynomials(self.order, cells, coefficients, is_inf)
+
+    def evaluate(
+        self,
+        tables: Tables,
+        leaf: UInt32[Array, "*batch"],
+        x: Float[Array, "*batch dim"],
+        outside: Bool[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
+        """Value at each point, whose leaf is known."""
+        return evaluate_polynomial(self.order, tables, leaf, x, outside)

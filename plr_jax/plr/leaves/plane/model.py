@@ -1,0 +1,182 @@
+"""A plane in every leaf, each fitted to its own samples: the paper's model."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.container import container_size
+from plr_jax.plr.file.tree_bits import tree_bits
+from plr_jax.plr.growth.best_first import grow_best_first
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
+from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
+from plr_jax.plr.leaves.plane.codec import (
+    FLOAT_BITS,
+    MAX_BITS,
+    MIN_BITS,
+    StoredPlanes,
+    encode_planes,
+    planes_bits,
+    read_planes,
+    write_planes,
+)
+from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, numbers_of_planes
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Level, levels_of
+from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
+
+_BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
+_SAMPLES_AT_ONCE = 2**20
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Planes, which may jump from leaf to leaf. Coefficients: value at a leaf's center, half-differences.
+
+    Args:
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
+            half-differences need fewer. None: 32 without ``max_bytes``; with it, those from 8 to 16 with which
+            the expected error, of the fit and of the rounding together, is least.
+
+    Raises:
+        ValueError: If the bits are none of these.
+    """
+
+    coefficient_bits: int | None = None
+
+    name = "plane"
+    num_samples = 192
+    least_bytes = 2
+
+    def __post_init__(self):
+        bits = self.coefficient_bits
+        if bits is not None and not isinstance(bits, int | np.integer):
+            raise ValueError(f"coefficient_bits must be an integer, got {bits!r}.")
+        if bits not in (None, FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1)):
+            raise ValueError(
+                f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {bits}."
+            )
+
+    def check_dim(self, dim: int) -> None:
+        """Planes are for any number of axes."""
+
+    def least_samples(self, dim: int) -> int:
+        """With so many samples a plane passes through them."""
+        return dim + 1
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, StoredPlanes]:
+        """Grow the partition best-first, each leaf's plane fitted once."""
+        at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
+
+        def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
+            priority, axis = np.asarray(rules.should_split(fit), float), np.asarray(rules.split(fit))
+            return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
+
+        def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+            parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
+            return Nodes.concatenate([nodes_of(sampler(cells[part]), bound[part]) for part in parts])
+
+        root = nodes_of(sampler.root(), np.array([np.inf]))
+        encoding = _PlaneEncoding(self._choices(limits))
+        nodes, leaf, bits = grow_best_first(root, fit_nodes, limits, encoding)
+        levels, order = levels_of(nodes.cells[leaf])
+        return levels, nodes.cells[leaf[order]], _stored(nodes, leaf[order], bits)
+
+    def _choices(self, limits: Limits) -> Sequence[int]:
+        if self.coefficient_bits is not None:
+            return [int(self.coefficient_bits)]
+        return _BUDGET_BITS if np.isfinite(limits.max_bytes) else [FLOAT_BITS]
+
+    def write(self, body: BitWriter, cells: Cells, stored: StoredPlanes) -> None:
+        """Append what the file keeps of the leaves."""
+        write_planes(body, cells.depth, stored)
+
+    def read(self, body: BitReader, cells: Cells) -> StoredPlanes:
+        """What :meth:`write` appended."""
+        return read_planes(body, cells.depth)
+
+    def unreachable(self, stored: StoredPlanes) -> Bool[np.ndarray, "leaves"]:
+        """Which leaves have no sample that reaches the goal."""
+        return stored.unreachable
+
+    def coefficients(self, cells: Cells, stored: StoredPlanes) -> Float[np.ndarray, "leaves terms"]:
+        """Center values, 0 for unreachable leaves, and half-differences."""
+        center, half = stored.decode()
+        return np.column_stack([np.where(stored.unreachable, 0.0, center), half])
+
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+        """What the coefficients multiply at local coordinates ``u``."""
+        return np.concatenate([np.ones((len(u), 1)), u], axis=1)
+
+    def of_planes(
+        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients of planes."""
+        return np.column_stack([center, half])
+
+    def parameters(self, cells: Cells, stored: StoredPlanes) -> Parameters:
+        """All coefficients are free."""
+        values = self.coefficients(cells, stored).ravel()
+        each = np.arange(len(values))
+        return Parameters(values, each, each, np.ones(len(values)))
+
+    def restored(self, stored: StoredPlanes, values: Float[np.ndarray, "parameters"]) -> Iterator[StoredPlanes]:
+        """Other planes, with as many bits as before, then with fewer."""
+        planes = values.reshape(len(stored.center), -1)
+        center = np.where(stored.unreachable, np.inf, planes[:, 0])
+        for bits in (stored.bits, *range(min(stored.bits - 1, MAX_BITS), MIN_BITS - 1, -1)):
+            yield encode_planes(center, planes[:, 1:], bits)
+
+    def raised(self, stored: StoredPlanes, shift: float) -> StoredPlanes:
+        """All planes higher by a number, or by a little less."""
+        if stored.bits == FLOAT_BITS:
+            center, half = stored.decode()
+            return encode_planes(rounded_down(center + shift), half, FLOAT_BITS)
+        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
+
+    def numbers(
+        self,
+        domain: Box,
+        cells: Cells,
+        coefficients: Float[np.ndarray, "leaves terms"],
+        is_inf: Bool[np.ndarray, "leaves"],
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """What a query reads of every leaf; some answer ``inf``."""
+        numbers = numbers_of_planes(domain, cells, coefficients)
+        numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
+        numbers[is_inf, 0] = np.inf
+        return numbers
+
+    def evaluate(
+        self,
+        tables: Tables,
+        leaf: UInt32[Array, "*batch"],
+        x: Float[Array, "*batch dim"],
+        outside: Bool[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
+        """Value at each point, whose leaf is known."""
+        return evaluate_plane(tables, leaf, x)
+
+
+@dataclass(frozen=True)
+class _PlaneEncoding:
+    """Sizes and rounding of planes of so many bits, from which a budget of bytes chooses."""
+
+    choices: Sequence[int]
+
+    def size(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
+        cells, dim = nodes.cells[leaf], nodes.cells.dim
+        return container_size(dim, tree_bits(len(leaf), dim) + planes_bits(cells.depth, _stored(nodes, leaf, bits)))
+
+    def rounding_error(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+        """Root mean square, over the cells, of rounding center and half-differences to a multiple of the step."""
+        return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
+
+
+def _stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:
+    return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

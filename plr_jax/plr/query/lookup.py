@@ -1,0 +1,94 @@
+"""A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
+
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
+
+from plr_jax.plr.query.tables import FRACTION_BITS, WORD_BITS, Blocks, Frame, Tables
+
+
+def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
+    """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
+    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    leaf = lookup(tables, jax.lax.stop_gradient(x))
+    outside, answer = outside_domain(tables, x)
+    return jnp.where(outside, answer, tables.leaf.evaluate(tables, leaf, x, outside))
+
+
+def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
+    """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
+
+    Points outside the domain, and NaN, get some leaf.
+    """
+    words = [_place(tables, x, axis) for axis in range(tables.dim)]
+    mask, right = tables.bits
+    index = reduce(jnp.bitwise_or, [_shift_right(word & mask[axis], right[axis]) for axis, word in enumerate(words)])
+    if tables.blocks is not None:
+        index = _index_in_block(tables.blocks, words, index)
+    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
+
+
+def outside_domain(
+    tables: Tables, x: Float[Array, "*batch dim"]
+) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
+    """Whether each point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
+    x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
+    outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
+    for axis in range(tables.dim):
+        above = x[..., axis] - frame[Frame.LO, axis]
+        answer += jnp.abs(above)  # NaN if any coordinate is
+        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+            below = frame[Frame.HI, axis] - x[..., axis]
+            outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
+        else:
+            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
+    return outside, answer
+
+
+def number_of_leaf(tables: Tables, leaf: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
+    """One of the ``count`` numbers of each leaf that the tables were built of."""
+    if tables.numbers.ndim == 2:
+        return _gather(tables.numbers[which], leaf)
+    return _gather(tables.numbers, leaf * np.uint32(count) + np.uint32(which))
+
+
+def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
+    """A point's place along an axis, in units of ``2**-23`` of the domain's width, in the lower 23 bits of a word.
+
+    Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
+    upper edge, which belongs to the last cell.
+    """
+    lo, start, scale = (tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE))
+    placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
+    last = np.float32(2 - 2.0**-FRACTION_BITS)
+    return jax.lax.bitcast_convert_type(jnp.where(placed < last, placed, last), jnp.uint32)
+
+
+def _index_in_block(
+    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+) -> UInt32[Array, "*batch"]:
+    """Index into ``leaf_of_slot`` of points in given blocks."""
+    index = start = jnp.zeros_like(block)
+    axis = 0
+    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
+        word = _gather(table, block)
+        for slot in range(axes):
+            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
+            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
+            index = (index << bits) | _shift_right(within, blocks.shift[axis] - bits)
+            axis += 1
+        if number == 0:
+            start = word >> np.uint32(axes * blocks.width)
+    return start + index
+
+
+def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
+    return table.at[index].get(mode="promise_in_bounds")
+
+
+def _shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
+    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
+    return x >> (by & np.uint32(WORD_BITS - 1))

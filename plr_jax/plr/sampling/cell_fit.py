@@ -1,0 +1,130 @@
+"""Cells with their samples, one oracle call for many, and the plane fitted to each."""
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._types import DistanceFn
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.oracle import WeightFn, call_oracle, call_weights
+from plr_jax.plr.sampling.pattern import Pattern
+from plr_jax.plr.sampling.plane_fits import FitRule, least_squares, masked_cells
+
+
+@dataclass(frozen=True, eq=False)
+class CellFit:
+    """Samples of a batch of cells and the plane fitted to each.
+
+    Attributes:
+        cells: The cells.
+        pattern: Where they were sampled; the first sample is the center.
+        max_axis_depth: How often a cell may be halved along one axis.
+        reachable: Which samples reach the goal.
+        weight: Weight that the caller gives each sample; 0 where the goal cannot be reached.
+        value: Sampled distance; 0 where the goal cannot be reached.
+        center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
+        half: Half-difference of the plane along each axis of the cell.
+        residual: Sampled distance minus the cell's function, which is the plane unless a leaf model fits another one;
+            0 where the goal cannot be reached.
+    """
+
+    cells: Cells
+    pattern: Pattern
+    max_axis_depth: int
+    reachable: Bool[np.ndarray, "cells k"]
+    weight: Float[np.ndarray, "cells k"]
+    value: Float[np.ndarray, "cells k"]
+    center: Float[np.ndarray, "cells"]
+    half: Float[np.ndarray, "cells dim"]
+    residual: Float[np.ndarray, "cells k"]
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def __getitem__(self, index) -> "CellFit":
+        columns = {name: getattr(self, name)[index] for name in _COLUMNS}
+        return replace(self, cells=self.cells[index], **columns)
+
+    def append(self, other: "CellFit") -> "CellFit":
+        """These cells followed by others that were sampled alike."""
+        columns = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in _COLUMNS}
+        return replace(self, cells=self.cells.append(other.cells), **columns)
+
+    @cached_property
+    def masked(self) -> Int[np.ndarray, "masked"]:
+        """Cells in which not every sample has weight 1."""
+        return masked_cells(self.weight)
+
+    @property
+    def can_split(self) -> Bool[np.ndarray, "cells"]:
+        """Which cells may still be halved along some axis."""
+        return (self.cells.depth < self.max_axis_depth).any(axis=1)
+
+    @property
+    def noise(self) -> Float[np.ndarray, "cells"]:
+        """Errors too small for a split to mend: below the resolution of 32-bit floats, weighted as errors are."""
+        return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
+
+
+_COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
+
+
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """How cells are sampled and fitted: what stays the same throughout a construction."""
+
+    distance_fn: DistanceFn
+    domain: Box
+    weight_fn: WeightFn | None
+    pattern: Pattern
+    max_axis_depth: int
+    compute_coefficients: FitRule = least_squares
+
+    def __call__(self, cells: Cells) -> CellFit:
+        """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
+        pattern = self.pattern
+        x = cells.points(pattern.u, self.domain).reshape(-1, cells.dim)
+        distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
+        reachable = np.isfinite(distance)
+        weight = reachable.astype(np.float64)
+        if self.weight_fn is not None:
+            weight *= call_weights(self.weight_fn, x).reshape(weight.shape)
+        value = np.where(reachable, distance, 0.0)
+        weight_of_fit = weight if self.weight_fn is None else weights_of_fit(reachable, weight)
+        center, half = self.compute_coefficients(pattern, value, weight_of_fit)
+        _check_planes(center, half, cells)
+        residual = value - (center[:, None] + half @ pattern.u.T)
+        residual *= reachable
+        center = np.where(reachable.any(axis=1), center, np.inf)
+        return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
+
+    def root(self) -> CellFit:
+        """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""
+        fit = self(Cells.root(self.domain.dim))
+        if not fit.reachable.any():
+            raise ValueError(
+                "distance_fn found nothing reachable: it returned inf at every sample of the domain. Check that the "
+                "goal lies in free space and that the domain is the part of the world it is in; if free space is a "
+                "tiny part of the domain, raise num_samples."
+            )
+        return fit
+
+
+def weights_of_fit(
+    reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+) -> Float[np.ndarray, "cells k"]:
+    """Weights with which to fit: a cell to which no weight is given is still fitted to its samples."""
+    return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
+
+
+def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "..."], cells: Cells) -> None:
+    if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
+        raise ValueError(
+            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
+            f"value and half-differences a cell, got {np.shape(center)} and {np.shape(half)}."
+        )
+    if not (np.isfinite(center).all() and np.isfinite(half).all()):
+        raise ValueError("compute_coefficients must return finite planes, got NaN or infinity.")
