@@ -206,7 +206,7 @@ def test_planner_section_races_and_every_path_is_valid(measured):
     results = measured("planner")
     for trial in results["trials"]:
         assert trial["ours"]["valid"] and all(each["valid"] is not False for each in trial["ompl"].values())
-        assert trial["ours"]["cost"] >= trial["lower_bound"]
+        assert trial["ours"]["cost"] >= trial["lower_bound"] - 1e-6  # of which six decimals are kept
 
 
 def test_cost_at_a_mark_is_that_of_the_best_path_so_far():
