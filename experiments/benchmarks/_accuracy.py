@@ -40,14 +40,14 @@ from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._network import train_network
 from experiments.benchmarks._rivals import Rival, make_all
 from experiments.benchmarks._trees import best_linear_trees
-from plr_jax import VisibilityGraph, Workspace, construct, construct_continuous
+from plr_jax import VisibilityGraph, Workspace, construct
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena", "den312d")
 _BUDGETS = (2_048, 6_144, 30_720)
 _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
-_PLRS = {"PLR": construct, "PLR, continuous": construct_continuous}
+_PLRS = {"PLR": "plane", "PLR, continuous": "continuous"}
 _TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
 
 draw = _accuracy_figure.draw
@@ -102,8 +102,8 @@ def _measure_map(
     for budget in tqdm(budgets, desc=name, disable=None):
         oracle = Oracle(exact)
         ours = {
-            name: _timed(partial(_plr, build, oracle, workspace, budget, seed), oracle, 0)()
-            for name, build in _PLRS.items()
+            name: _timed(partial(_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
+            for name, leaf in _PLRS.items()
         }
         x_train, at_train = (part[: ours["PLR"][1]] for part in samples)
         makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
@@ -118,8 +118,8 @@ def _measure_map(
     return rows, skipped
 
 
-def _plr(build: Callable[..., Any], oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
-    plr = build(oracle, workspace.bounds, max_bytes=budget, seed=seed)
+def _plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
+    plr = construct(oracle, workspace.bounds, leaf=leaf, max_bytes=budget, seed=seed)
     return Rival(plr.num_bytes, plr, True)
 
 

@@ -124,7 +124,7 @@ def test_shares_count_for_the_innermost_part_under_way(monkeypatch):
 
     source = "def fit(oracle):\n    for _ in range(100):\n        abs(-1)\n    oracle()\n"
     in_fit = {}
-    exec(compile(source, "/some/where/plr_jax/plr/_fit.py", "exec"), in_fit)
+    exec(compile(source, "/some/where/plr_jax/plr/sampling/fit.py", "exec"), in_fit)
 
     def build():
         in_fit["fit"](oracle)
