@@ -11,7 +11,7 @@ Numba is imported with this module, which only a worker process, a benchmark and
 """
 
 import math
-from typing import Any, no_type_check
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -281,12 +281,13 @@ def word(address):
     return carray(pointer(address), (1,), np.int64)[0]
 
 
-@intrinsic
-@no_type_check  # Numba itself passes the first argument
-def pointer(typing_context, address):
+def _pointer(typing_context, address):
     """A number as a pointer."""
 
     def generate(context, builder, signature, arguments):
         return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), generate
+
+
+pointer: Any = intrinsic(_pointer)  # of one argument, the number: Numba adds the context
