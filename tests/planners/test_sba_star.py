@@ -14,7 +14,7 @@ from plr_jax import (
 )
 from plr_jax.planners import Status
 from plr_jax.planners._heuristics import straight_line, sum_of_distances, zero
-from plr_jax.planners._sba_star import _Neighborhoods, _Search, sba_star_plan
+from plr_jax.planners._sba_star import _Neighborhoods, _SBAStarSearch, sba_star_plan
 
 ROOM = Workspace(((0, 0), (10, 10)))
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 9)])
@@ -27,7 +27,7 @@ def exact(problem):
 
 def grown(problem, num_steps, heuristic=None, seed=0):
     """A search after some expansions."""
-    search = _Search(problem, heuristic or straight_line(problem), seed, 10_000)
+    search = _SBAStarSearch(problem, heuristic or straight_line(problem), seed, 10_000)
     for _ in range(num_steps):
         search.expand()
     return search
@@ -129,7 +129,7 @@ def test_every_sample_drawn_is_counted():
 
 
 def test_keys_prefer_the_near_the_empty_and_the_open():
-    search = _Search(ALONE, zero(), 0, 100)
+    search = _SBAStarSearch(ALONE, zero(), 0, 100)
     search.insert(np.linspace(2, 8, 8)[:, None, None] * np.ones((8, 1, 2)), np.zeros(8, int), np.zeros(8))
     search.cost[:9], search.to_go[:9], search.crowd[:9] = 1, 1, 1
     search.cost[0], search.to_go[1], search.crowd[2] = 5, 5, 3
@@ -142,7 +142,7 @@ def test_keys_prefer_the_near_the_empty_and_the_open():
 
 
 def test_offsets_fill_the_ball_of_what_moves():
-    search = _Search(MIXED, zero(), 0, 10)
+    search = _SBAStarSearch(MIXED, zero(), 0, 10)
     offsets = search.offsets(20_000)
     assert (offsets[:, 0, 2] == 0).all()
     away = np.linalg.norm(offsets * search.unit, axis=(1, 2)) / search.radius

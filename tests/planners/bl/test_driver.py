@@ -3,7 +3,7 @@ from functools import cache
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, planned, team_of
+from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, joint_lattice_of, planned
 
 from plr_jax import (
     BLOptions,
@@ -328,7 +328,7 @@ def test_larger_cells_of_a_team():
 
 def test_claimed_cells():
     problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = team_of(problem, 1.0).lattices
+    (lattice,) = joint_lattice_of(problem, 1.0).lattices
     np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
     cells = claimed_cells(lattice, 0.65, 2.0)
     key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
