@@ -46,6 +46,10 @@ class HasDimension(Protocol):
         """Coordinates a point, at least 1."""
         ...
 
+    def __call__(self, x: Any, /) -> Any:
+        """Its values at points."""
+        ...
+
 
 @runtime_checkable
 class StackableDistanceFn(Protocol):

@@ -34,15 +34,7 @@ class JointMotionTest:
     def __call__(
         self, q0: Float[np.ndarray, "n robots dof"], q1: Float[np.ndarray, "n robots dof"]
     ) -> Bool[np.ndarray, "n"]:
-        """Test joint motions.
-
-        Args:
-            q0: Joint configurations at the start, ``(n, robots, dof)``.
-            q1: Joint configurations at the end.
-
-        Returns:
-            True where no robot meets a wall or another robot along the whole motion.
-        """
+        """Whether no robot meets a wall or another robot along the whole of each joint motion from ``q0`` to ``q1``."""
         left = np.arange(len(q0))
         for i, test in enumerate(self.of_walls):
             left = left[test(q0[left, i], q1[left, i])]

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -123,7 +123,9 @@ def _costs(
     return cost
 
 
-def _apart(test: JointMotionTest, robots: tuple[int, ...], corridors: list[Corridor]) -> np.ndarray:
+def _apart(
+    test: JointMotionTest, robots: tuple[int, ...], corridors: list[Float[np.ndarray, "steps _ dof"]]
+) -> Bool[np.ndarray, "motions size_a size_b size_a size_b"]:
     """Whether two robots keep clear of one another: from each two of their places to each two."""
     (i, j), (a, b) = robots, corridors
     mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]

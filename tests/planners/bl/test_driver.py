@@ -180,6 +180,19 @@ def test_limits(options, status):
     assert solution.status is status and not solution.solved and solution.cost == np.inf
 
 
+@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
+def test_expansions_are_never_more_than_asked_for(max_expansions):
+    # Of a hallway no path leads out, so that the search widens to whole batches.
+    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
+    assert solution.status is Status.EXPANSION_LIMIT
+    assert solution.stats.num_expansions == int(max_expansions)
+
+
+def test_without_a_heuristic_straight_lines_guide():
+    problem = scenes.single_door()
+    assert same(bl_plan(problem), planned(problem, straight_line(problem)))
+
+
 def test_lattices_count_as_memory():
     problem = scenes.single_door()
     for max_memory, begun in ((4000, False), (1_500_000, True)):
