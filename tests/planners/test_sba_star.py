@@ -211,7 +211,7 @@ def test_limits():
 
 @pytest.mark.parametrize("limit", [{"time_limit": 0.0}, {"max_nodes": 0}, {"time_limit": float("nan")}])
 def test_limits_must_be_positive(limit):
-    with pytest.raises(ValueError, match="time_limit must be positive|max_nodes must be an integer >= 1"):
+    with pytest.raises(ValueError, match=r"time_limit must be positive|max_nodes must be an integer >= 1"):
         sba_star_plan(ALONE, zero(), **limit)
 
 
