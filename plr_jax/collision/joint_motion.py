@@ -34,7 +34,7 @@ class JointMotionTest:
     def __call__(
         self, q0: Float[np.ndarray, "n robots dof"], q1: Float[np.ndarray, "n robots dof"]
     ) -> Bool[np.ndarray, "n"]:
-        """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another throughout."""
+        """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
         left = np.arange(len(q0))
         for i, test in enumerate(self.of_walls):
             left = left[test(q0[left, i], q1[left, i])]

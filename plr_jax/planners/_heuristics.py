@@ -138,7 +138,7 @@ def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarra
 
     Args:
         heuristic: The heuristic.
-        q: Joint configurations, ``(n, robots, dof)``, at least one.
+        q: Joint configurations, ``(n, robots, dof)``.
 
     Returns:
         Its estimates, ``(n,)``; 0 for negative ones.
@@ -146,6 +146,8 @@ def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarra
     Raises:
         ValueError: If it returns NaN or another shape.
     """
+    if not len(q):
+        return np.zeros(0)
     batch = padded(q, padded_size(len(q)), q[-1])
     return require_estimates(heuristic(batch), batch.shape[:1])[: len(q)]
 

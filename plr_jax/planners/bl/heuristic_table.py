@@ -69,7 +69,7 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, weight: float) -> Heur
         weight: Factor of the heuristic.
 
     Returns:
-        The estimate.
+        The table.
 
     Raises:
         ValueError: If the heuristic returns NaN or another shape.
