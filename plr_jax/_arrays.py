@@ -1,7 +1,9 @@
 """Arrays and numbers from outside: of the right shape and range, or an error that says what was expected."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from plr_jax._types import ArrayLike
 
@@ -98,3 +100,32 @@ def require_integer(name: str, value: object, least: int) -> None:
     """Raise ``ValueError`` if a value is not an integer that is large enough."""
     if not (isinstance(value, int | np.integer) and value >= least):
         raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
+
+
+def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
+    """Rows to fill an array up to, so that compiled functions see arrays of few sizes.
+
+    Args:
+        n: Rows that there are.
+        sizes: Sizes to choose from, increasing.
+
+    Returns:
+        The least of the sizes that is at least ``n``, else the next power of two.
+    """
+    return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
+
+
+def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
+    """An array filled up to a size, as :func:`padded_size` gives.
+
+    Args:
+        rows: The array; no rows are fine.
+        size: Rows of the result, at least as many.
+        fill: One row, or what broadcasts to one, for the rest.
+
+    Returns:
+        A copy of the same type, the rows first.
+    """
+    result = np.empty((size, *rows.shape[1:]), rows.dtype)
+    result[: len(rows)], result[len(rows) :] = rows, fill
+    return result

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
+from plr_jax._arrays import as_finite_point, as_point, as_points, padded, padded_size, require_integer
 
 
 def test_points_become_float64_rows():
@@ -76,3 +76,20 @@ def test_what_is_no_integer_or_too_small_is_refused(value):
 @pytest.mark.parametrize("value", [0, 7, np.int64(3), np.uint8(0)])
 def test_integers_of_any_type_are_let_through(value):
     require_integer("num", value, 0)
+
+
+@pytest.mark.parametrize(
+    ("n", "sizes", "size"),
+    [(0, (), 1), (1, (), 1), (3, (), 4), (4, (), 4), (5, (), 8), (0, (1, 6), 1), (2, (1, 6), 6), (7, (1, 6), 8)],
+)
+def test_sizes_to_fill_up_to(n, sizes, size):
+    assert padded_size(n, sizes) == size
+
+
+def test_arrays_are_filled_up_with_a_row():
+    rows = np.array([[1, 2], [3, 4]], np.int16)
+    filled = padded(rows, 4, rows[-1])
+    assert filled.dtype == np.int16 and filled.tolist() == [[1, 2], [3, 4], [3, 4], [3, 4]]
+    assert padded(rows, 3).tolist() == [[1, 2], [3, 4], [0, 0]]
+    assert padded(np.zeros((0, 2, 2)), 1, 7.0).tolist() == [[[7, 7], [7, 7]]]
+    assert padded(rows, 2).tolist() == rows.tolist() and padded(rows, 2) is not rows

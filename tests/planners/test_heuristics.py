@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ from plr_jax import (
     Problem,
     RectangleRobot,
     Workspace,
+    bl_plan,
     construct,
     path_cost,
     robot_distance_fns,
+    sba_star_plan,
     scenes,
 )
+from plr_jax._types import HasDimension, SeparableHeuristic, StackableDistanceFn
 from plr_jax.oracles import Euclidean
 from plr_jax.planners._heuristics import _distance_fns, straight_line, sum_of_distances, zero
 
@@ -202,7 +206,47 @@ def test_plrs_beside_other_functions():
     assert np.array_equal(heuristic.per_robot(q)[:, 0], np.asarray(plr(q[:, 0]), np.float64))
 
 
+def test_distance_functions_see_few_batch_sizes():
+    sizes = []
+
+    @jax.jit
+    def compiled(x):
+        sizes.append(len(x))  # once a compilation
+        return jnp.hypot(x[:, 0], x[:, 1])
+
+    heuristic = sum_of_distances([compiled, taxicab])
+    q = np.random.default_rng(0).uniform(0, 9, (9_000, 2, 2))
+    for n in (*range(1, 33), 500, 1_000, 1_020, 9_000):
+        expected = np.stack([np.hypot(*q[:n, 0].T), taxicab(q[:n, 1])], axis=1)
+        assert np.allclose(heuristic.per_robot(q[:n]), expected, rtol=1e-6)
+    assert sizes == [1, 2, 4, 8, 16, 32, 512, 1024, 4096]
+
+
+def test_what_functions_may_offer_is_told_by_protocols():
+    plr = plrs_of_a_team()[0]
+    assert isinstance(plr, StackableDistanceFn) and isinstance(plr, HasDimension)
+    assert isinstance(euclidean_to(1, 2), HasDimension) and not isinstance(euclidean_to(1, 2), StackableDistanceFn)
+    assert not isinstance(taxicab, HasDimension)
+    for heuristic in (zero(), straight_line(DISCS), sum_of_distances([taxicab])):
+        assert isinstance(heuristic, SeparableHeuristic)
+    assert not isinstance(taxicab, SeparableHeuristic)
+
+
 # Refusals
+
+
+@pytest.mark.parametrize(
+    ("factory", "call"),
+    [
+        (zero, r"zero\(\)"),
+        (straight_line, r"straight_line\(problem\)"),
+        (sum_of_distances, r"sum_of_distances\(dist"),
+    ],
+)
+@pytest.mark.parametrize("plan", [bl_plan, sba_star_plan])
+def test_a_factory_that_was_not_called_is_refused(plan, factory, call):
+    with pytest.raises(ValueError, match=rf"what {call}.* returns, got {factory.__name__} itself: call it"):
+        plan(DISCS, factory)
 
 
 @pytest.mark.parametrize("shape", [(4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4)])
