@@ -12,9 +12,10 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, arc, boundary_of, cross, left_normal
+from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+from plr_jax.geometry.vectors import arc, cross_product
 
 _ARC_SEGMENTS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
@@ -237,7 +238,7 @@ class Workspace:
     def _collars(self, radius: float) -> list[Polygon]:
         """What a disc's center must avoid: a strip along each wall and a fan around each reflex corner."""
         boundary = self.boundary
-        offset = radius * left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
+        offset = radius * boundary.normal
         strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
         arriving = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
         fans = []
@@ -267,7 +268,7 @@ class Workspace:
         # From triangles and not by rejection, which would take forever where free space is a sliver.
         corner, first, second = self._triangles.transpose(1, 0, 2)
         first, second = first - corner, second - corner
-        area = np.abs(cross(first, second))
+        area = np.abs(cross_product(first, second))
         rng = np.random.default_rng(seed)
         pick = rng.choice(len(area), n, p=area / area.sum())
         u, v = rng.random((2, n, 1))
