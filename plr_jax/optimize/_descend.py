@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_finite_point, as_numbers, as_points
+from plr_jax._arrays import as_distances, as_finite_point, as_points
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, find_corners
 from plr_jax.geometry.first_visible import first_visible_in_parts
@@ -119,12 +119,7 @@ def _field_at(
     distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
 ) -> Float[np.ndarray, "places"]:
     """The field at the goal, where it is zero by definition, and at the corners."""
-    values = distance_fn(points.copy())  # it may compute in place
-    field = as_numbers("The field", values, f"numbers of shape ({len(points)},)")
-    if field.shape != (len(points),):
-        raise ValueError(f"The field must give one number a point, shape ({len(points)},), got {field.shape}.")
-    if np.isnan(field).any():
-        raise ValueError(f"The field gives NaN at {points[np.isnan(field)][0].tolist()}; use inf for unreachable.")
+    field = as_distances("The field", distance_fn(points.copy()), points)  # which may compute in place
     return np.append(0.0, field[1:])
 
 

@@ -146,6 +146,13 @@ def test_a_field_without_answers_does_no_harm():
     np.testing.assert_allclose(blind.lengths, VisibilityGraph(DOOR, goal)(starts), rtol=1e-12)
 
 
+def test_a_masked_field_has_no_answer_there():
+    starts = DOOR.sample_free(50, 0)
+    exact = VisibilityGraph(DOOR, (8, 2))
+    masked = descended(lambda x: np.ma.masked_invalid(np.full(len(x), np.nan)), DOOR, starts, (8, 2))
+    np.testing.assert_allclose(masked.lengths, exact(starts), rtol=1e-12)
+
+
 def test_a_field_that_computes_in_place_moves_no_corner():
     def in_place(x):
         x -= (8, 2)
@@ -169,6 +176,7 @@ def test_no_starts_and_no_corners():
         (nothing_known, [(1, 1)], (8, 2, 0), "The goal must be one point"),
         (nothing_known, [(1, 1)], (5, 2), "The goal .* not in free space"),
         (lambda x: x, [(1, 1)], (8, 2), "one number a point"),
+        (lambda x: np.full(len(x), -np.inf), [(1, 1)], (8, 2), "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), [(1, 1)], (8, 2), "NaN at .*use inf"),
     ],
 )
