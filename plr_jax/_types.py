@@ -24,9 +24,9 @@ approximates one: it may be a little below zero near the goal, answers ``inf`` o
 coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
 
 A distance function may say how many coordinates it takes (:class:`DimensionedFn`) and that it is one piece in each of
-many boxes (:class:`PiecewiseFunction`). A type whose instances are distance
-functions may offer a static method ``stack(fns: Sequence[DistanceFn])`` that gives one function for a whole team, of
-joint configurations ``(n, robots, dof)`` to distances ``(n, robots)``; heuristics then call that.
+many boxes (:class:`PiecewiseFunction`). A type whose instances are distance functions may offer a static method
+``stack(fns: Sequence[DistanceFn])`` that gives one function for a whole team, of joint configurations
+``(n, robots, dof)`` to distances ``(n, robots)``; heuristics then call that.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]

@@ -7,7 +7,7 @@ from plr_jax import Euclidean, Problem, RectangleRobot, Workspace, construct
 from plr_jax.optimize._arguments import differentiable
 
 PROBLEM = Problem(
-    Workspace(((0, 0), (10, 10))), [RectangleRobot(1.0, 0.5)] * 2, [(1, 1, 0), (1, 4, 0)], [(9, 1, 0)] * 2
+    Workspace(((0, 0), (10, 10))), [RectangleRobot(1.0, 0.5)] * 2, [(1, 1, 0), (1, 4, 0)], [(9, 1, 0), (9, 4, 0)]
 )
 Q = jnp.array([[3.0, 4.0, 12.0]])
 
