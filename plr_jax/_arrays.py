@@ -96,6 +96,50 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
         raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None
 
 
+def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    """What a function says of a batch of points, one number a point, as a float64 array.
+
+    Args:
+        name: What the function is called in an error.
+        value: What it returned; NaN and infinity are let through. Masked entries are no answer: ``inf``.
+        n: Number of points.
+
+    Returns:
+        The values, ``(n,)``.
+
+    Raises:
+        ValueError: If the shape is another one, or the values are not real numbers.
+    """
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.where(np.ma.getmaskarray(value), np.inf, value.data)
+    values = as_numbers(f"{name}'s answer", value, f"real numbers of shape ({n},)")
+    if values.shape != (n,):
+        raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}.")
+    return values
+
+
+def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+    """What a distance function says of points, as a float64 array: the one check of an oracle's answer.
+
+    Args:
+        name: What the function is called in an error.
+        value: What it returned. Masked entries mean ``inf``.
+        x: The points it was given.
+
+    Returns:
+        The distances, ``(n,)``; ``inf`` where the goal cannot be reached.
+
+    Raises:
+        ValueError: As :func:`as_values`, or if a distance is NaN or ``-inf``.
+    """
+    distances = as_values(name, value, len(x))
+    bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
+    if bad.size:
+        value = "NaN" if np.isnan(distances[bad[0]]) else "-inf"
+        raise ValueError(f"{name} gives {value} at {x[bad[0]].tolist()}; use inf for unreachable.")
+    return distances
+
+
 def require_integer(name: str, value: object, least: int) -> None:
     """Raise ``ValueError`` if a value is not an integer that is large enough."""
     if not (isinstance(value, int | np.integer) and value >= least):

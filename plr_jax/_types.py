@@ -16,12 +16,14 @@ Distances: TypeAlias = Float[np.ndarray, "n"]
 """One distance a point, in workspace units; ``inf`` where the goal cannot be reached."""
 
 DistanceFn: TypeAlias = Callable[[Points], Distances]
-"""Distance to a goal for a batch of points: never NaN, never negative.
+"""Distance to a goal for a batch of points.
 
-``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain
-or the bounds, or not a point at all (a coordinate is NaN).
+``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain or
+the bounds. An oracle never answers NaN or a negative number; where a coordinate is NaN it answers ``inf``. A PLR
+approximates one: it may be a little below zero near the goal, answers ``inf`` outside its domain and NaN where a
+coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
 
-What one may offer besides: :class:`HasDimension`, :class:`StackableDistanceFn`.
+What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -35,20 +37,29 @@ What one may offer besides: :class:`SeparableHeuristic`.
 
 
 @runtime_checkable
-class HasDimension(Protocol):
-    """A function of points that says how many coordinates it takes: an oracle, a PLR, or any with this attribute.
+class DimensionedFn(Protocol):
+    """A distance function that says how many coordinates it takes, as oracles and PLRs do.
 
-    Where configurations have more, it sees the leading ones: of ``(x, y, theta)`` a function of 2 sees ``(x, y)``.
+    Of configurations of more coordinates it is shown the leading ``dim``, a function without ``dim`` all of them.
     """
 
     @property
-    def dim(self) -> int:
-        """Coordinates a point, at least 1."""
-        ...
+    def dim(self) -> int: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
-    def __call__(self, x: Any, /) -> Any:
-        """Its values at points."""
-        ...
+
+@runtime_checkable
+class PiecewiseFunction(Protocol):
+    """A function that is one piece in each of many boxes, such as a PLR.
+
+    ``domain`` is the Box that the boxes fill, ``leaf_boxes`` their lower and upper corners, ``(leaves, dim)`` each.
+    """
+
+    @property
+    def domain(self) -> Any: ...
+    @property
+    def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, padded, padded_size, require_integer
+from plr_jax._arrays import (
+    as_distances,
+    as_finite_point,
+    as_point,
+    as_points,
+    as_values,
+    padded,
+    padded_size,
+    require_integer,
+)
 
 
 def test_points_become_float64_rows():
@@ -93,3 +102,38 @@ def test_arrays_are_filled_up_with_a_row():
     assert padded(rows, 3).tolist() == [[1, 2], [3, 4], [0, 0]]
     assert padded(np.zeros((0, 2, 2)), 1, 7.0).tolist() == [[[7, 7], [7, 7]]]
     assert padded(rows, 2).tolist() == rows.tolist() and padded(rows, 2) is not rows
+
+
+def test_values_may_be_anything_but_masked_ones_are_infinite():
+    given = np.array([np.nan, -np.inf, 1.0])
+    assert as_values("f", given, 3) is given
+    masked = np.ma.masked_array([1, 2, 3], [False, True, False])
+    for value in (masked, masked.astype(np.float32)):
+        values = as_values("f", value, 3)
+        assert type(values) is np.ndarray and values.dtype == np.float64
+        np.testing.assert_array_equal(values, [1, np.inf, 3])
+    np.testing.assert_array_equal(as_values("f", np.ma.masked_all(2), 2), [np.inf, np.inf])
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([1.0], r"f must give one number a point, shape \(2,\), got \(1,\)"),
+        (3.0, r"got \(\)"),
+        ([1j, 2], r"f's answer must be real numbers of shape \(2,\)"),
+        (np.ma.masked_array([1j, 2], [True, False]), "real numbers"),
+        (["a", "b"], "real numbers"),
+    ],
+)
+def test_answers_of_another_kind_are_refused(value, message):
+    with pytest.raises(ValueError, match=message):
+        as_values("f", value, 2)
+
+
+def test_distances_are_never_nan():
+    x = np.array([[1.0, 2], [3, 4]])
+    np.testing.assert_array_equal(as_distances("f", [-1e-9, np.inf], x), [-1e-9, np.inf])
+    np.testing.assert_array_equal(as_distances("f", np.ma.masked_invalid([np.nan, 2]), x), [np.inf, 2])
+    for bad, word in ((np.nan, "NaN"), (-np.inf, "-inf")):
+        with pytest.raises(ValueError, match=rf"f gives {word} at \[3.0, 4.0\]; use inf"):
+            as_distances("f", [0, bad], x)

@@ -8,13 +8,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import as_values, padded, padded_size
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import (
     ArrayLike,
+    DimensionedFn,
     DistanceFn,
     Distances,
-    HasDimension,
     HeuristicFn,
     JointConfigurations,
     Points,
@@ -90,9 +90,7 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
     """Sum of the robots' distances, each found as if the robot were alone (Section V-B of the paper).
 
     A distance function of fewer dimensions than a configuration sees its leading coordinates. How many, an
-    attribute ``dim`` says; oracles and PLRs have it. A function without one sees all coordinates of the
-    configurations of round robots, ``(x, y)``. Of ``(x, y, theta)`` it is given all three and the first two, and
-    must answer one of them alone, or both alike.
+    attribute ``dim`` says; oracles and PLRs have it. A function without one sees all coordinates.
 
     Functions of one type that offers ``stack``, as PLRs do, are called all at once. Any others are called in batches
     of few sizes, filled up with copies of a point, so that one that is compiled is compiled for few.
@@ -106,8 +104,8 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 
     Raises:
         ValueError: If there is no function or something that is not one. When called, if the team is of another
-            size, or a function wants more coordinates than there are, returns another shape than ``(n,)`` or NaN,
-            or has no ``dim`` where it would matter.
+            size, or a function wants more coordinates than there are or returns another shape than ``(n,)`` or NaN.
+            What a function itself raises comes through.
     """
     distance_fns = _distance_fns(distance_fns)
     first = distance_fns[0]
@@ -180,41 +178,20 @@ def _one_by_one(distance_fns: Sequence[DistanceFn]) -> Callable[[JointConfigurat
 
 def _distances_of_robot(i: int, fn: DistanceFn, q: Float[np.ndarray, "n dof"]) -> Distances:
     """What a robot's distance function says, shown the leading coordinates that it wants."""
-    dof = q.shape[1]
-    if not isinstance(fn, HasDimension):
-        return _both_ways(i, fn, q) if dof == 3 else _checked(i, fn(q), len(q))
-    if fn.dim > dof:
-        raise ValueError(f"The distance function of robot {i} takes {fn.dim} coordinates, configurations have {dof}.")
-    return _checked(i, fn(q[:, : fn.dim]), len(q))
-
-
-def _both_ways(i: int, fn: DistanceFn, q: Float[np.ndarray, "n 3"]) -> Distances:
-    """What a function says that does not tell whether it is one of ``(x, y, theta)`` or of ``(x, y)``."""
-    answers, refusals = [], []
-    for dim in (3, 2):
-        try:
-            answers.append(_checked(i, fn(q[:, :dim]), len(q)))
-        except (ValueError, TypeError, IndexError) as refusal:
-            refusals.append(refusal)
-    if not answers:
-        raise ValueError(f"The distance function of robot {i} fails for (n, 3) and (n, 2) points.") from refusals[0]
-    if not np.array_equal(answers[0], answers[-1], equal_nan=True):
-        raise ValueError(
-            f"The distance function of robot {i} answers (x, y, theta) and (x, y) differently. "
-            "Give it an attribute `dim` of 3 or 2, as in `fn.dim = 2`."
-        )
-    return answers[0]
-
-
-def _checked(i: int, distances: ArrayLike, n: int) -> Distances:
-    """A function's result on the host."""
+    name, dof = f"The distance function of robot {i}", q.shape[1]
+    if isinstance(fn, DimensionedFn):
+        if fn.dim > dof:
+            raise ValueError(f"{name} takes {fn.dim} coordinates, configurations have {dof}.")
+        return as_values(name, fn(q[:, : fn.dim]), len(q))
     try:
-        result = np.asarray(distances, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"The distance function of robot {i} must return numbers, got {distances!r:.200}.") from None
-    if result.shape != (n,):
-        raise ValueError(f"The distance function of robot {i} must return shape ({n},), got {result.shape}.")
-    return result
+        return as_values(name, fn(q), len(q))
+    except Exception as error:
+        if dof == 3:
+            error.add_note(
+                f"{name} was given (x, y, theta). If it is one of (x, y), give it an attribute `dim` of 2, as in "
+                "`fn.dim = 2`."
+            )
+        raise
 
 
 def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"]) -> Float[np.ndarray, "n robots"]:
@@ -241,7 +218,7 @@ def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
     for i, fn in enumerate(distance_fns):
         if not callable(fn):
             raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
-        if isinstance(fn, HasDimension) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
+        if isinstance(fn, DimensionedFn) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
             raise ValueError(f"The `dim` of the distance function of robot {i} must be 2 or 3, got {fn.dim!r}.")
     return distance_fns
 

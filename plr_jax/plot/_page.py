@@ -11,8 +11,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._partition import Partition
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.box import Box
 
 INK = "#262626"
@@ -24,7 +23,7 @@ _DPI = 200
 
 
 @runtime_checkable
-class PlanesOfLeaves(Partition, Protocol):
+class PlanesOfLeaves(PiecewiseFunction, Protocol):
     """What a picture of the planes needs."""
 
     @property
@@ -33,13 +32,13 @@ class PlanesOfLeaves(Partition, Protocol):
     def intercept(self) -> ArrayLike: ...
 
 
-def require_2d(plr: Partition) -> None:
+def require_2d(plr: PiecewiseFunction) -> None:
     """Refuse a PLR that is not over the plane."""
     if plr.domain.dim != 2:
         raise ValueError(f"Only a 2-D PLR can be drawn, got one of {plr.domain.dim} dimensions.")
 
 
-def cell_corners(plr: Partition) -> Float[np.ndarray, "leaves 4 2"]:
+def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
     """Corners of every cell, counterclockwise."""
     lo, hi = plr.leaf_boxes
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)

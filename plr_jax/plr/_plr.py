@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from plr_jax._arrays import padded, padded_size
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
@@ -201,7 +202,10 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
     numbers = leaf.numbers(domain, cells, coefficients, is_inf)
     if not (np.abs(numbers[~is_inf]) < LARGEST).all():
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), as_padded_array(data))
+    return PLR(
+        build_tables(domain, cells, numbers, leaf, len(data)),
+        padded(np.frombuffer(data, np.uint8), padded_size(len(data))),
+    )
 
 
 def filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
@@ -282,13 +286,6 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     _require_real(x)  # which JAX cannot even be shown
     return x
-
-
-def as_padded_array(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """A file's bytes padded with zeros to a power of two, so that functions of like size share compiled code."""
-    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
-    padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return padded
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
