@@ -1,7 +1,7 @@
 """The page of a picture: figures, axes, color bars, and what of a PLR is drawn."""
 
 import os
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +11,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._types import ArrayLike, PiecewiseFunction
+from plr_jax._types import PiecewiseFunction
 from plr_jax.geometry.box import Box
 
 INK = "#262626"
@@ -23,13 +23,10 @@ _DPI = 200
 
 
 @runtime_checkable
-class PlanesOfLeaves(PiecewiseFunction, Protocol):
-    """What a picture of the planes needs."""
+class FunctionsOfLeaves(PiecewiseFunction, Protocol):
+    """What a picture of the leaves' functions needs: the value at points of given leaves' own."""
 
-    @property
-    def slope(self) -> ArrayLike: ...
-    @property
-    def intercept(self) -> ArrayLike: ...
+    def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
 
 
 def require_2d(plr: PiecewiseFunction) -> None:

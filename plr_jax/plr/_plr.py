@@ -74,6 +74,21 @@ class PLR:
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
         return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
 
+    def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
+
+        Args:
+            leaf: Index of each point's leaf.
+            x: The points.
+
+        Returns:
+            The values in double precision, ``inf`` for leaves that answer ``inf``.
+        """
+        lo, hi = self.leaf_boxes
+        coefficients, is_inf = self._filled
+        basis = self.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+        return np.where(is_inf[leaf], np.inf, np.sum(coefficients[leaf] * basis, axis=1))
+
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes."""
         return np.asarray(self.file).tobytes()[: self.num_bytes]
@@ -159,8 +174,12 @@ class PLR:
         return decode(self.to_bytes())
 
     @cached_property
+    def _filled(self) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
+        return _filled_coefficients(self._contents)
+
+    @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        coefficients, is_inf = filled_coefficients(self._contents)
+        coefficients, is_inf = self._filled
         center, half = values_at_centers(self.leaf, coefficients, self.dim)
         lo, hi = self.leaf_boxes
         slope = half * 2 / (hi - lo)
@@ -195,7 +214,7 @@ def plr_of_leaves(contents: Contents, levels: list[Level]) -> PLR:
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
     """Every PLR comes into being here."""
-    coefficients, is_inf = filled_coefficients(contents)
+    coefficients, is_inf = _filled_coefficients(contents)
     if not (np.abs(coefficients) < LARGEST).all():  # NaN is not
         raise ValueError("its distances are too large for 32-bit floats; scale them down")
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
@@ -208,7 +227,7 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
     )
 
 
-def filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
+def _filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
     """Coefficients of all leaves, and which answer ``inf``.
 
     An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
