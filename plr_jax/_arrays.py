@@ -1,9 +1,15 @@
 """Arrays and numbers from outside: of the right shape and range, or an error that says what was expected."""
 
+import reprlib
+
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._types import ArrayLike
+
+_REPR = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
+_LONGEST = 200
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
@@ -91,10 +97,19 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
             raise TypeError
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.") from None
 
 
 def require_integer(name: str, value: object, least: int) -> None:
     """Raise ``ValueError`` if a value is not an integer that is large enough."""
     if not (isinstance(value, int | np.integer) and value >= least):
         raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
+
+
+def shortened(value: object) -> str:
+    """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
+    try:
+        text = _REPR.repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, lists without end
+        text = f"a very large {type(value).__name__}"
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
+from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer, shortened
 
 
 def test_points_become_float64_rows():
@@ -76,3 +76,18 @@ def test_what_is_no_integer_or_too_small_is_refused(value):
 @pytest.mark.parametrize("value", [0, 7, np.int64(3), np.uint8(0)])
 def test_integers_of_any_type_are_let_through(value):
     require_integer("num", value, 0)
+
+
+def test_what_an_error_shows_is_short_and_says_what_came():
+    assert shortened({"a": [1, 2.5, "x"]}) == "{'a': [1, 2.5, 'x']}"
+    for huge in (list(range(10**6)), "x" * 10**6, 10**400, {i: [i] * 9 for i in range(999)}, np.zeros((99, 99))):
+        assert 3 <= len(shortened(huge)) <= 200
+    assert shortened([1] * 9).startswith("[1, 1, 1, ")
+    assert shortened(10**5000) == "a very large int"
+
+
+def test_the_text_of_a_value_whose_lists_share_their_parts_is_never_built():
+    value = ["parts"]
+    for _ in range(60):  # 2**60 entries
+        value = [value, value]
+    assert len(shortened(value)) <= 200

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_points
+from plr_jax._arrays import as_points, shortened
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
@@ -65,7 +65,7 @@ def as_components(
     for i, part in enumerate(components):
         if not (isinstance(part, Mapping) and "outer" in part and isinstance(part.get("holes", ()), Iterable)):
             raise ValueError(
-                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {part!r:.200}."
+                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {shortened(part)}."
             )
         outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
         rings = part.get("holes", ())

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, DistanceFn, Distances, JointConfigurations, Points
 
@@ -152,7 +153,9 @@ def _checked(i: int, distances: ArrayLike, n: int) -> Distances:
     try:
         result = np.asarray(distances, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"The distance function of robot {i} must return numbers, got {distances!r:.200}.") from None
+        raise ValueError(
+            f"The distance function of robot {i} must return numbers, got {shortened(distances)}."
+        ) from None
     if result.shape != (n,):
         raise ValueError(f"The distance function of robot {i} must return shape ({n},), got {result.shape}.")
     return result
@@ -175,7 +178,7 @@ def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"
 
 def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
     if callable(distance_fns) or not hasattr(distance_fns, "__iter__"):
-        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {distance_fns!r:.200}.")
+        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
     distance_fns = tuple(distance_fns)
     if not distance_fns:
         raise ValueError("distance_fns must hold one function a robot, got none.")
@@ -194,7 +197,7 @@ def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int 
     try:
         q = np.asarray(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"Joint configurations must be numbers of {expected}, got {q!r:.200}.") from None
+        raise ValueError(f"Joint configurations must be numbers of {expected}, got {shortened(q)}.") from None
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
         hint = " Use q[None] for a single one." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from plr_jax._arrays import shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.pairs import motions_apart
@@ -185,7 +186,7 @@ class _Search:
         to_go = np.asarray(self.heuristic(q), dtype=np.float64)
         if to_go.shape != (len(q),) or np.isnan(to_go).any():
             raise ValueError(
-                f"The heuristic must return {len(q)} numbers for as many configurations, got {to_go!r:.200}."
+                f"The heuristic must return {len(q)} numbers for as many configurations, got {shortened(to_go)}."
             )
         return to_go
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._stored import StoredFunction, as_padded_array
@@ -57,7 +58,7 @@ class PLR(StoredFunction):
         """
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
-                raise ValueError(f"Only plain PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
+                raise ValueError(f"Only plain PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
         return TableStack(tuple(plr.tables for plr in plrs))
 
     @cached_property
