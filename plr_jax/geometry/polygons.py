@@ -13,6 +13,9 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_points, shortened
 
+LARGEST_COORDINATE = 1e100
+"""Areas, and products of two of them, are finite below."""
+
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     """A valid polygon of finite coordinates and positive area.
@@ -34,6 +37,8 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
         polygon = None
     if not np.isfinite(points).all():
         raise ValueError(f"{name} has coordinates that are not finite; remove them.")
+    if np.abs(points).max(initial=0.0) > LARGEST_COORDINATE:
+        raise ValueError(f"{name} has coordinates beyond {LARGEST_COORDINATE:g}; choose a larger unit.")
     distinct = np.unique(points, axis=0)
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")

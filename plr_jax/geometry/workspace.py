@@ -14,7 +14,14 @@ from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, arc, boundary_of, cross, left_normal
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+from plr_jax.geometry.polygons import (
+    LARGEST_COORDINATE,
+    as_components,
+    as_polygon,
+    merge_vertices,
+    polygons_of,
+    triangles_of,
+)
 
 _ARC_SEGMENTS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
@@ -307,4 +314,8 @@ def _as_bounds(value: Box | ArrayLike) -> Box:
     bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
     return bounds

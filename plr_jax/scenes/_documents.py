@@ -5,8 +5,10 @@ YAML document has no aliases, by which few bytes could mean any number of values
 """
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +71,7 @@ def yaml_of(path: Path) -> Any:
     """
     import yaml
 
-    text, loader = text_of(path), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    text, loader = text_of(path), _loader()
     try:
         _require_plain(yaml.parse(text, loader))
         value = yaml.load(text, loader)
@@ -77,6 +79,19 @@ def yaml_of(path: Path) -> Any:
         raise ValueError(f"expected YAML ({error}).") from None
     _require_modest(value)
     return value
+
+
+@cache
+def _loader() -> Any:
+    import yaml
+
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        pass
+
+    # YAML 1.1 takes 1e-05 for a word, but that is how C++ writes numbers.
+    number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$", re.ASCII)
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
+    return Loader
 
 
 def _require_plain(events: Iterator[Any]) -> None:

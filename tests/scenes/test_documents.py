@@ -87,6 +87,12 @@ def test_documents_may_be_as_deep_and_as_large_as_allowed(tmp_path):
     assert yaml_of(path) == "long " * 1000
 
 
+def test_numbers_in_yaml_may_be_written_as_other_languages_write_them(tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_text("[1e-05, -2E3, 1.5e3, 3.e+2, .5e1, 1.0e-3, 7, '1e3', e5, 1e5x]")
+    assert yaml_of(path) == [1e-5, -2000, 1500, 300, 5, 1e-3, 7, "1e3", "e5", "1e5x"]
+
+
 def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
     scenes.save(scenes.maze(), tmp_path / "a.json")
     (tmp_path / "b.json").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "a.json").read_bytes())
