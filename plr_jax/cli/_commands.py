@@ -12,18 +12,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
-from jaxtyping import Float
 
-from plr_jax.cli._app import INTERRUPTED_EXIT, command
-from plr_jax.cli._inputs import SCENES, parse_goal, parse_points, read_map, read_text
+from plr_jax.cli import INTERRUPTED_EXIT
+from plr_jax.cli._app import command
+from plr_jax.cli._inputs import (
+    DEFAULT_BYTES,
+    PICTURES,
+    SCENES,
+    map_and_goal,
+    parse_points,
+    read_text,
+    require_writable,
+)
 
 if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
-    from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
     from plr_jax.plr import PLR, ContinuousPLR
 
-_DEFAULT_BYTES = 16_384
 _ERROR_POINTS = 20_000
 
 
@@ -65,7 +71,7 @@ def build(
     ] = None,
     max_bytes: Annotated[
         int | None,
-        typer.Option(help="Largest size of the file.", show_default=f"{_DEFAULT_BYTES} where no limit is given"),
+        typer.Option(help="Largest size of the file.", show_default=f"{DEFAULT_BYTES} where no limit is given"),
     ] = None,
     max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
     max_depth: Annotated[
@@ -95,12 +101,13 @@ def build(
             f"--max-depth is for --continuity none, not for {continuity}: "
             "give --max-bytes, --max-leaves or --tolerance."
         )
-    workspace, goal_point = _map_and_goal(map, goal)
+    output = output or Path(f"{Path(map).stem}.plr")
+    require_writable(output)
+    workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
         raise ValueError(f"{map} has no goal of its own: give one with --goal X,Y.")
-    output = output or Path(f"{Path(map).stem}.plr")
     if max_bytes is max_leaves is max_depth is None:
-        max_bytes = _DEFAULT_BYTES
+        max_bytes = DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConstructionInterrupted)
@@ -185,7 +192,12 @@ class Picture(StrEnum):
 )
 def plot(
     file: _File,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="The picture to write: .png (also where it has no ending), .pdf or .svg."
+        ),
+    ],
     map: Annotated[
         str | None,
         typer.Option("--map", metavar="MAP", help="Draw this map's obstacles.", show_default=False),
@@ -201,8 +213,10 @@ def plot(
 
     if goal is not None and map is None:
         raise ValueError("--goal needs --map.")
+    output = output if output.suffix else output.with_name(f"{output.name}.png")
+    require_writable(output, PICTURES)
     plr = load(file)
-    workspace, goal_point = (None, None) if map is None else _map_and_goal(map, goal)
+    workspace, goal_point = (None, None) if map is None else map_and_goal(map, goal)
     from plr_jax import metrics
     from plr_jax import plot as draw
 
@@ -258,8 +272,3 @@ def _kind_of(plr: "PLR | ContinuousPLR") -> str:
     if isinstance(plr, PLR):
         return "a plane a leaf"
     return f"continuous{', and so is its gradient' if plr.order else ''}, wherever one can walk"
-
-
-def _map_and_goal(map: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-    workspace, own = read_map(map)
-    return workspace, own if goal is None else parse_goal(goal)

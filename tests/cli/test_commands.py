@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import subprocess
 import sys
@@ -9,10 +10,10 @@ from typer.testing import CliRunner
 
 import plr_jax
 from plr_jax import ContinuousPLR, VisibilityGraph, construct_continuous, scenes
-from plr_jax.cli import app
+from plr_jax.cli import load_app
 from plr_jax.plr import PLR, load
 
-runner = CliRunner()
+runner, app = CliRunner(), load_app()
 
 
 def run(*arguments, **kwargs):
@@ -185,10 +186,34 @@ def test_plot_needs_no_map(maze, tmp_path):
     assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
 
 
+def test_plot_says_which_file_it_wrote(maze, tmp_path):
+    result = run("plot", maze, "-o", tmp_path / "pic")
+    assert result.stdout == f"wrote {tmp_path / 'pic.png'}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["pic.png"]
+
+
+def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypatch):
+    def work(*_):
+        pytest.fail("this is work")
+
+    for name in ("scenes.maze", "plr.load"):
+        monkeypatch.setattr(f"plr_jax.{name}", work)
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    (tmp_path / "file").touch()
+    cases = [(tmp_path / "none" / "a.png", "No such folder"), (tmp_path, "Is a directory"), (loop, "Too many levels")]
+    cases += [(tmp_path / ("x" * 300), "File name too long"), (tmp_path / "file" / "a.png", "Not a directory")]
+    for path, message in cases:
+        assert message in mistake("build", "maze", "-o", path)
+    (tmp_path / "folder.png").mkdir()
+    assert "No such folder" in mistake("plot", "a.plr", "-o", tmp_path / "none" / "a.png")
+    assert "folder.png: Is a directory" in mistake("plot", "a.plr", "-o", tmp_path / "folder.png")
+
+
 def test_plot_explains_mistakes(maze, tmp_path):
     assert "give --map" in mistake("plot", maze, "--kind", "error", "-o", tmp_path / "a.png")
-    assert "docx" in mistake("plot", maze, "-o", tmp_path / "a.docx")
-    assert "No such file" in mistake("plot", maze, "-o", tmp_path / "none" / "a.png")
+    assert "a.docx must end in .png or .pdf or .svg" in mistake("plot", maze, "-o", tmp_path / "a.docx")
+    assert "none: No such folder" in mistake("plot", maze, "-o", tmp_path / "none" / "a.png")
     assert "--goal needs --map" in mistake("plot", maze, "--goal", "0,0", "-o", tmp_path / "a.png")
 
 
@@ -238,6 +263,32 @@ def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatc
     assert not (tmp_path / "out.plr").exists()
 
 
+def script(code, *arguments, **environment):
+    """A process of its own, in which the code runs."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, check=False, capture_output=True, text=True, env={**os.environ, **environment})
+
+
+def test_an_interrupt_while_the_command_loads_is_no_traceback(tmp_path):
+    (tmp_path / "typer.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    done = script("from plr_jax.cli import main; main()", PYTHONPATH=path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_a_command_that_is_terminated_leaves_no_half_written_file(tmp_path):
+    code = """
+import os, pathlib, signal, sys
+from plr_jax import _atomic, cli
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGTERM)
+cli.load_app = lambda: lambda: _atomic.write_atomically(pathlib.Path(sys.argv[1]), b"data")
+cli.main()
+"""
+    done = script(code, tmp_path / "file")
+    assert (done.returncode, done.stderr) == (143, "")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["plan"], ["demo"]])
 def test_help_has_an_example(command):
     result = run(*command, "--help")
@@ -247,10 +298,10 @@ def test_help_has_an_example(command):
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from plr_jax.cli import app\n"
-        "try: app(['--help'])\n"
+        "import sys; from plr_jax.cli import load_app\n"
+        "try: load_app()(['--help'])\n"
         "except SystemExit: pass\n"
         "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    done = script(code)
     assert done.returncode == 0, done.stderr
