@@ -62,13 +62,25 @@ def planned(monkeypatch, door):
 
 def test_four_rooms_from_start_to_end(tmp_path):
     files = [tmp_path / name for name in ("path.json", "path.html", "path.png")]
-    result = run("four_rooms", "--plr-bytes", 512, "-o", files[0], "--animation", files[1], "--picture", files[2])
+    result = run(
+        "four_rooms",
+        "--robots",
+        2,
+        "--plr-bytes",
+        512,
+        "-o",
+        files[0],
+        "--animation",
+        files[1],
+        "--picture",
+        files[2],
+    )
     assert result.exit_code == 0, result.output
-    data, problem = json.loads(files[0].read_text()), scenes.four_rooms(4)
+    data, problem = json.loads(files[0].read_text()), scenes.four_rooms(2)
     report = validate(problem, data["path"])
     assert report.valid, report.message
     assert (report.cost, report.clearance, "SOLVED") == (data["cost"], data["clearance"], data["status"])
-    assert np.shape(data["path"])[1:] == (4, 2)
+    assert np.shape(data["path"])[1:] == (2, 2)
     assert files[1].read_text().startswith("<!doctype html>")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     lines = result.stdout.splitlines()
@@ -78,8 +90,8 @@ def test_four_rooms_from_start_to_end(tmp_path):
     before = ["robots", "heuristic", "status", "search", "cost", "makespan", "check"]
     assert words == [*before, "wrote", "wrote", "wrote", "seconds", "planning:"]
     text = result.stdout
-    assert "robots     4 discs of radius 0.4\n" in text
-    assert "plr: 4 PLRs, " in text and " bytes, built in " in text
+    assert "robots     2 discs of radius 0.4\n" in text
+    assert "plr: 2 PLRs, " in text and " bytes, built in " in text
     ratio = data["cost"] / data["lower_bound"]
     assert f"{data['cost']:.4g}, {ratio:.3f} times the lower bound of {data['lower_bound']:.4g}\n" in text
     assert f"makespan   {data['makespan']:.4g}\n" in text
