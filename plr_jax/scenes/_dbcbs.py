@@ -132,10 +132,12 @@ def _workspace(environment: Any) -> Workspace:
 
 
 def _box(i: int, entry: Any) -> Float[np.ndarray, "4 2"]:
-    center, size = (entry.get(key) if isinstance(entry, dict) else None for key in ("center", "size"))
-    if not (all(_are_numbers(side, 2) and len(side) == 2 for side in (center, size)) and entry.get("type") == "box"):
+    sides: list[Any] = [entry.get(key) for key in ("center", "size")] if isinstance(entry, dict) else []
+    is_box = bool(sides) and entry.get("type") == "box"
+    if not (is_box and all(_are_numbers(side, 2) and len(side) == 2 for side in sides)):
         raise ValueError(f"expected obstacle {i} to be a box with a center and a size, got {shortened(entry)}.")
-    return np.array(center) + 0.5 * np.array(size) * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    center, size = np.array(sides, dtype=np.float64)
+    return center + 0.5 * size * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
 
 
 def _are_numbers(value: Any, least: int) -> bool:

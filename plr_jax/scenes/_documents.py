@@ -85,7 +85,9 @@ def yaml_of(path: Path) -> Any:
 def _loader() -> Any:
     import yaml
 
-    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+    fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+    class Loader(fastest):
         pass
 
     # YAML 1.1 takes 1e-05 for a word, but that is how C++ writes numbers.
