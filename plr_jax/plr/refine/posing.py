@@ -33,7 +33,6 @@ _RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as i
 # other leaves have where it has too few, lay on it, spread evenly.
 _HELD = 1e-3
 _EVEN_POINTS = 256
-_TINY = 1e-30
 
 
 class WeightedPoints(NamedTuple):
@@ -95,8 +94,11 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
     center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
     unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
-    scaling = _whitened if parameters.is_leafwise else _scaled
-    scaled, to_parameters = scaling(parameters, share, normal, unit, np.where(has_enough, num_points, 1))
+    if parameters.is_leafwise:
+        num_points = np.where(has_enough, num_points, 1)
+        scaled, to_parameters = _whitened(parameters, share, normal, unit, num_points)
+    else:
+        scaled, to_parameters = _scaled(parameters, unit, shape[1])
     objective = Objective(
         *map(_padded, (leaf, basis, error, weight, share, coefficients, scaled.row, scaled.column, scaled.weight)),
         center,
@@ -171,17 +173,11 @@ def _whitened(
 
 
 def _scaled(
-    parameters: Parameters,
-    share: Float[np.ndarray, "leaves"],
-    normal: Float[np.ndarray, "leaves terms terms"],
-    unit: Float[np.ndarray, "leaves"],
-    num_points: Int[np.ndarray, "leaves"],
-) -> tuple[Parameters, Callable]:
-    """Parameters in units of their leaves', each divided by how much it changes the values at the points it moves."""
-    of_row = np.einsum("lii->li", normal) / np.where(share > 0, share, 1.0)[:, None]
-    sum_up = _sums(parameters.column, len(parameters.values))
-    leaf, effect = parameters.row // normal.shape[1], parameters.weight**2 * of_row.ravel()[parameters.row]
-    scale = sum_up(effect * unit[leaf]) / np.maximum(sum_up(effect), _TINY)
+    parameters: Parameters, unit: Float[np.ndarray, "leaves"], terms: int
+) -> tuple[Parameters, Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n"]]]:
+    """Each parameter in the smallest unit of the leaves it moves: it stays where one has too few points to tell."""
+    scale = np.full(len(parameters.values), np.inf)
+    np.minimum.at(scale, parameters.column, unit[parameters.row // terms])
     weight = parameters.weight * scale[parameters.column]
     return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
 
