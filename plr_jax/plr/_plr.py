@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from plr_jax._arrays import padded, padded_size
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
@@ -72,6 +73,21 @@ class PLR:
         is_near = [plr._far_corner is None for plr in plrs]
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
         return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
+
+    def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
+
+        Args:
+            leaf: Index of each point's leaf.
+            x: The points.
+
+        Returns:
+            The values in double precision, ``inf`` for leaves that answer ``inf``.
+        """
+        lo, hi = self.leaf_boxes
+        coefficients, is_inf = self._filled
+        basis = self.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+        return np.where(is_inf[leaf], np.inf, np.sum(coefficients[leaf] * basis, axis=1))
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes."""
@@ -158,8 +174,12 @@ class PLR:
         return decode(self.to_bytes())
 
     @cached_property
+    def _filled(self) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
+        return _filled_coefficients(self._contents)
+
+    @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        coefficients, is_inf = filled_coefficients(self._contents)
+        coefficients, is_inf = self._filled
         center, half = values_at_centers(self.leaf, coefficients, self.dim)
         lo, hi = self.leaf_boxes
         slope = half * 2 / (hi - lo)
@@ -194,17 +214,20 @@ def plr_of_leaves(contents: Contents, levels: list[Level]) -> PLR:
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
     """Every PLR comes into being here."""
-    coefficients, is_inf = filled_coefficients(contents)
+    coefficients, is_inf = _filled_coefficients(contents)
     if not (np.abs(coefficients) < LARGEST).all():  # NaN is not
         raise ValueError("its distances are too large for 32-bit floats; scale them down")
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
     numbers = leaf.numbers(domain, cells, coefficients, is_inf)
     if not (np.abs(numbers[~is_inf]) < LARGEST).all():
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), as_padded_array(data))
+    return PLR(
+        build_tables(domain, cells, numbers, leaf, len(data)),
+        padded(np.frombuffer(data, np.uint8), padded_size(len(data))),
+    )
 
 
-def filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
+def _filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
     """Coefficients of all leaves, and which answer ``inf``.
 
     An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
@@ -282,13 +305,6 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     _require_real(x)  # which JAX cannot even be shown
     return x
-
-
-def as_padded_array(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """A file's bytes padded with zeros to a power of two, so that functions of like size share compiled code."""
-    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
-    padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return padded
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

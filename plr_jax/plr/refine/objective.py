@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
 from plr_jax.plr.leaves.base import Parameters, values_at_centers
@@ -355,6 +356,4 @@ def _as_pytree(function: Callable) -> Any:
 
 
 def _padded(rows: np.ndarray) -> np.ndarray:
-    padded = np.zeros((1 << (len(rows) - 1).bit_length(), *rows.shape[1:]), rows.dtype)
-    padded[: len(rows)] = rows
-    return padded
+    return padded(rows, padded_size(len(rows)))

@@ -72,14 +72,28 @@ class CellFit:
 _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
 
 
+_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
+
+
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """How cells are sampled and fitted: what stays the same throughout a construction."""
+    """How cells are sampled and fitted: what stays the same throughout a construction.
+
+    Attributes:
+        distance_fn: What is sampled.
+        domain: The box that the cells divide.
+        weight_fn: Weight of the error at points; None: 1.
+        pattern: Where cells are sampled.
+        dense_pattern: Where those are sampled again of which too little was seen.
+        max_axis_depth: How often a cell may be halved along one axis.
+        compute_coefficients: Fits the planes.
+    """
 
     distance_fn: DistanceFn
     domain: Box
     weight_fn: WeightFn | None
     pattern: Pattern
+    dense_pattern: Pattern
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
 
@@ -100,6 +114,22 @@ class Sampler:
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
+
+    def split_off_slivers(self, fit: CellFit) -> tuple[CellFit, CellFit, Int[np.ndarray, "cells"]]:
+        """Cells whose free part their samples hardly met, or missed, sampled again with many more.
+
+        A plane passes through a few samples, or there is none, and no error shows. Those found now tell.
+
+        Args:
+            fit: Cells as they were sampled.
+
+        Returns:
+            The other cells; those sampled again; and where each of ``fit`` is among all of these.
+        """
+        few = fit.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + fit.cells.dim)
+        order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
+        again = replace(self, pattern=self.dense_pattern)(fit.cells[few])
+        return fit[~few], again, np.argsort(order)
 
     def root(self) -> CellFit:
         """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""

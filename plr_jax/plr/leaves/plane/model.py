@@ -79,7 +79,13 @@ class Plane:
 
         def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
             parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-            return Nodes.concatenate([nodes_of(sampler(cells[part]), bound[part]) for part in parts])
+            return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
+
+        def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+            plain, slivers, place = sampler.split_off_slivers(sampler(cells))
+            bounds = np.split(bound[np.argsort(place)], [len(plain)])
+            nodes = [nodes_of(fit, of_fit) for fit, of_fit in zip((plain, slivers), bounds, strict=True) if len(fit)]
+            return Nodes.concatenate(nodes)[place]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
         encoding = _PlaneEncoding(self._choices(limits))
