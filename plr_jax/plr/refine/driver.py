@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_points, require_integer
+from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
 from plr_jax.plr.refine.face_samples import Faces
@@ -119,11 +119,11 @@ def refine(
 
 def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
     if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR, as construct builds, can be refined, got {plr!r:.200}.")
+        raise ValueError(f"Only a PLR, as construct builds, can be refined, got {shortened(plr)}.")
     if not callable(loss):
-        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {loss!r:.200}.")
+        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {shortened(loss)}.")
     if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):
-        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {penalties!r:.200}.")
+        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {shortened(penalties)}.")
 
 
 def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None, seed: int) -> None:

@@ -24,7 +24,7 @@ from plr_jax.plr.leaves.plane.codec import (
     read_planes,
     write_planes,
 )
-from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, numbers_of_planes
+from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, heights_and_slopes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, levels_of
 from plr_jax.plr.query.tables import Tables
@@ -153,7 +153,7 @@ class Plane:
         is_inf: Bool[np.ndarray, "leaves"],
     ) -> Float[np.ndarray, "leaves terms"]:
         """What a query reads of every leaf; some answer ``inf``."""
-        numbers = numbers_of_planes(domain, cells, coefficients)
+        numbers = heights_and_slopes(domain, cells, coefficients)
         numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
         numbers[is_inf, 0] = np.inf
         return numbers
