@@ -28,11 +28,12 @@ from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._trees import NUM_TREES, leaves_that_fit, train_linear_trees
 from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics
+from plr_jax.plr import Plane
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena")
 _PLRS = {
-    f"PLR, {rule}, {coefficients}": {"split": split, "coefficient_bits": bits}
+    f"PLR, {rule}, {coefficients}": {"split": split, "leaf": Plane(coefficient_bits=bits)}
     for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
     for coefficients, bits in (("chosen bits", None), ("16-bit", 16), ("float32", 32))
 }

@@ -1,12 +1,16 @@
-"""The README's Python runs, and so do its commands."""
+"""The README is short, its Python and its commands run, and the API pages have all public names."""
 
 import json
+import os
 import re
 import subprocess
 import sys
+from inspect import getdoc
 from pathlib import Path
 
 import pytest
+
+import plr_jax
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -18,8 +22,24 @@ COMMANDS = [
 ]
 
 
-def test_the_readme_has_code():
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where all commands have run, in their order."""
+    folder = tmp_path_factory.mktemp("readme")
+    programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    for command in COMMANDS:
+        subprocess.run(command, shell=True, cwd=folder, check=True, timeout=120, env={**os.environ, "PATH": programs})
+    return folder
+
+
+def test_the_readme_is_short_and_has_code():
+    assert len(README.encode()) <= 9_000
     assert len(PYTHON) == 4 and len(COMMANDS) == 5
+
+
+def test_demo_and_tests_are_one_line_each():
+    demo, tests = re.findall(r"^python3 -m venv .*$", README, re.MULTILINE)
+    assert demo.endswith("plr-jax demo") and tests.endswith("pytest")
 
 
 @pytest.mark.parametrize("code", PYTHON, ids=["first", "own map", "several robots", "gradient"])
@@ -27,11 +47,20 @@ def test_python_blocks_run(code, tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=120)
 
 
-def test_commands_run_in_order(tmp_path):
-    program = f'"{Path(sys.executable).parent / "plr-jax"}"'
-    for command in COMMANDS:
-        subprocess.run(command.replace("plr-jax", program), shell=True, cwd=tmp_path, check=True, timeout=120)
-    assert (tmp_path / "maze.plr").stat().st_size <= 2048
-    assert (tmp_path / "maze.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "path.json").read_text())["status"] == "SOLVED"
-    assert (tmp_path / "four_rooms.gif").read_bytes().startswith(b"GIF89a")
+def test_commands_write_what_they_say(folder):
+    assert (folder / "maze.plr").stat().st_size <= 2048
+    assert (folder / "maze.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((folder / "path.json").read_text())["status"] == "SOLVED"
+
+
+def test_api_pages_tell_all_public_names(folder):
+    for module in (plr_jax, plr_jax.metrics, plr_jax.plot, plr_jax.plr, plr_jax.scenes):
+        page = (folder / "site" / f"{module.__name__.replace('.', '/')}.html").read_text()
+        for name in module.__all__:
+            public = getattr(module, name)
+            if type(public) is type(plr_jax):  # a page of its own
+                assert f'href="plr_jax/{name}.html"' in page
+            elif name not in ("DistanceFn", "HeuristicFn"):
+                words = re.findall(r"\w+", getdoc(public).splitlines()[0])
+                section = page.split(f'<section id="{name}">')[1].split("</section>")[0]
+                assert re.search(r"\W+(?:</?\w+>\W*)*".join(words[:3]), section), name

@@ -33,7 +33,12 @@ NUM_POINTS, NUM_TURNS, NUM_RUNS = 1_000_000, 15, 3
 LIMIT, SECONDS_IN_ALL = 60.0, 10.0
 _POINT_SEED = 1_000
 _UNIT_SQUARE = ((0.0, 0.0), (1.0, 1.0))
-_FIT_MODULES = ("plr_jax/plr/_fit.py", "plr_jax/plr/_pattern.py", "plr_jax/plr/_split.py")
+_FIT_MODULES = (
+    "plr_jax/plr/growth/rules.py",
+    "plr_jax/plr/sampling/cell_fit.py",
+    "plr_jax/plr/sampling/pattern.py",
+    "plr_jax/plr/sampling/plane_fits.py",
+)
 _MORE_LEAVES = 1.05
 _SAMPLES_OF_CONE = 64  # of a function that bends as little
 

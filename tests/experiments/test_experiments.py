@@ -84,12 +84,12 @@ def test_the_race_is_summed_up_as_by_hand(smoke):
 
 
 def test_what_continuity_costs_and_buys(smoke):
-    rows = {row["kind"]: row for row in record_in(smoke("continuity"), "continuity")["results"]["rows"]}
-    assert rows["plain"]["value_jump"] > 1e-3
-    for kind in ("order 0", "order 1"):
-        assert rows[kind]["value_jump"] <= 1e-5
-        assert rows[kind]["bytes"] <= rows["plain"]["budget"] and rows[kind]["mean"] <= 1.2 * rows["plain"]["mean"]
-    assert rows["order 1"]["gradient_jump"] < 1e-2 < rows["order 0"]["gradient_jump"]
+    rows = {row["leaf"]: row for row in record_in(smoke("continuity"), "continuity")["results"]["rows"]}
+    assert rows["plane"]["value_jump"] > 1e-3
+    for leaf in ("continuous", "smooth"):
+        assert rows[leaf]["value_jump"] <= 1e-5
+        assert rows[leaf]["bytes"] <= rows["plane"]["budget"] and rows[leaf]["mean"] <= 1.2 * rows["plane"]["mean"]
+    assert rows["smooth"]["gradient_jump"] < 1e-2 < rows["continuous"]["gradient_jump"]
 
 
 def test_descents_reach_the_goal_and_cross_nothing(smoke):
