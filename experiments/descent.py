@@ -37,7 +37,7 @@ from plr_jax import (
 START_SEED = 1_000
 SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384], "den312d": [6_144]}
 """Bytes of the PLRs of each map; the last is drawn."""
-_LEAVES = {"plain": "plane", "order 0": "continuous", "order 1": "smooth"}
+_LEAVES = ("plane", "continuous", "smooth")
 DRAWN = ("maze", "arena")
 NUM_DRAWN = 40
 POINTS_A_LEAF = 4
@@ -62,7 +62,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         print(f"{name} along the exact directions: {_outcome(walked)}")
         rows, plr = [], None
         for max_bytes in sizes[name]:
-            for kind, leaf in _LEAVES.items():
+            for leaf in _LEAVES:
                 field = construct(exact, workspace.bounds, leaf=leaf, max_bytes=max_bytes, seed=seed)
                 row = _measure_descent(field, workspace, starts, goal, distance, num_runs)
                 row["walks"] = measure_walks(downhill(field), workspace, starts, goal, distance)
@@ -70,7 +70,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                 row["finite_differences"] = _worst_finite_difference(field)
                 if leaf == "plane":
                     plr = field
-                rows.append({"budget": max_bytes, "kind": kind, "bytes": field.num_bytes, **row})
+                rows.append({"budget": max_bytes, "leaf": leaf, "bytes": field.num_bytes, **row})
                 _say(name, rows[-1])
         assert plr is not None
         entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind}
@@ -185,7 +185,7 @@ def _outcome(walks: dict[str, Any]) -> str:
 def _say(name: str, row: dict[str, Any]) -> None:
     ratio, gradient = row["ratio"], row["gradient"]
     print(
-        f"{name} {row['kind']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
+        f"{name} {row['leaf']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
         f"length over exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
         f"{row['seconds']['median']:.3f} s; "
         f"angle {gradient['angles'][0.5]:.2f} degrees (90 % {gradient['angles'][0.9]:.1f}, "
@@ -209,7 +209,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 
 def _draw_map(ax: Axes, entry: dict[str, Any]) -> None:
     picture = entry["picture"]
-    row = [row for row in entry["rows"] if row["kind"] == "plain"][-1]
+    row = [row for row in entry["rows"] if row["leaf"] == "plane"][-1]
     workspace = _workspace_of(picture["free_space"])
     plot.plot_workspace(workspace, ax)
     angle = np.radians(picture["degrees"])

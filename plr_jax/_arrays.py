@@ -1,11 +1,16 @@
 """Arrays and numbers from outside: of the right shape and range, or an error that says what was expected."""
 
+import reprlib
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from plr_jax._types import ArrayLike
+
+_REPR = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
+_LONGEST = 200
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
@@ -93,7 +98,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
             raise TypeError
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be {expected}, got {value!r:.200}.") from None
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.") from None
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
@@ -173,3 +178,12 @@ def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)], result[len(rows) :] = rows, fill
     return result
+
+
+def shortened(value: object) -> str:
+    """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
+    try:
+        text = _REPR.repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, lists without end
+        text = f"a very large {type(value).__name__}"
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

@@ -10,6 +10,7 @@ from plr_jax._arrays import (
     padded,
     padded_size,
     require_integer,
+    shortened,
 )
 
 
@@ -137,3 +138,18 @@ def test_distances_are_never_nan():
     for bad, word in ((np.nan, "NaN"), (-np.inf, "-inf")):
         with pytest.raises(ValueError, match=rf"f gives {word} at \[3.0, 4.0\]; use inf"):
             as_distances("f", [0, bad], x)
+
+
+def test_what_an_error_shows_is_short_and_says_what_came():
+    assert shortened({"a": [1, 2.5, "x"]}) == "{'a': [1, 2.5, 'x']}"
+    for huge in (list(range(10**6)), "x" * 10**6, 10**400, {i: [i] * 9 for i in range(999)}, np.zeros((99, 99))):
+        assert 3 <= len(shortened(huge)) <= 200
+    assert shortened([1] * 9).startswith("[1, 1, 1, ")
+    assert shortened(10**5000) == "a very large int"
+
+
+def test_the_text_of_a_value_whose_lists_share_their_parts_is_never_built():
+    value = ["parts"]
+    for _ in range(60):  # 2**60 entries
+        value = [value, value]
+    assert len(shortened(value)) <= 200

@@ -3,13 +3,14 @@
 All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
 map's smaller side. What each is given:
 
-- The PLRs, plain and continuous: a budget of bytes. They ask the oracle as often as they like, which is counted.
+- The PLRs, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they like, which is
+  counted.
 - Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
   many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
-- Triangles, linear trees, network: as many samples, at random free points, as the plain PLR asked for, up to half a
-  million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where the error
-  is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept in 16-bit
-  floats, which costs it no accuracy.
+- Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half
+  a million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where the
+  error is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept in
+  16-bit floats, which costs it no accuracy.
 - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
   so points beside them get no answer.
 

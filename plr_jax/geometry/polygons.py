@@ -12,7 +12,10 @@ from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_numbers
+from plr_jax._arrays import as_numbers, shortened
+
+LARGEST_COORDINATE = 1e100
+"""Areas, and products of two of them, are finite below."""
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
@@ -31,7 +34,7 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
     """
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
-        raise ValueError(f"{name}s must be rings (n, 2) or Shapely polygons in a list, got {shapes!r:.200}.")
+        raise ValueError(f"{name}s must be rings (n, 2) or Shapely polygons in a list, got {shortened(shapes)}.")
     return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_one_by_one(shapes)))
 
 
@@ -64,6 +67,8 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
         raise ValueError(f"{name} must have shape (n, 2), got {points.shape}.{hint}")
     if not np.isfinite(points).all():
         raise ValueError(f"{name} has coordinates that are not finite; remove them.")
+    if np.abs(points).max(initial=0.0) > LARGEST_COORDINATE:
+        raise ValueError(f"{name} has coordinates beyond {LARGEST_COORDINATE:g}; choose a larger unit.")
     distinct = np.unique(points, axis=0)
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
@@ -95,7 +100,7 @@ def as_components(
     for i, part in enumerate(components):
         if not (isinstance(part, Mapping) and "outer" in part and isinstance(part.get("holes", ()), Iterable)):
             raise ValueError(
-                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {part!r:.200}."
+                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {shortened(part)}."
             )
         outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
         rings = part.get("holes", ())

@@ -14,7 +14,14 @@ from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import as_components, as_polygons, merge_vertices, polygons_of, triangles_of
+from plr_jax.geometry.polygons import (
+    LARGEST_COORDINATE,
+    as_components,
+    as_polygons,
+    merge_vertices,
+    polygons_of,
+    triangles_of,
+)
 from plr_jax.geometry.vectors import arc, cross_product
 
 _ARC_SEGMENTS = 8
@@ -309,4 +316,8 @@ def _as_bounds(value: Box | ArrayLike) -> Box:
     bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
     return bounds

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_values, padded, padded_size
+from plr_jax._arrays import as_values, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import (
     ArrayLike,
@@ -124,7 +124,7 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 def require_heuristic(heuristic: object) -> None:
     """Raise ``ValueError`` if a heuristic is none, or a function of this module that makes one."""
     if not callable(heuristic):
-        raise ValueError(f"heuristic must be a function of joint configurations, got {heuristic!r:.200}.")
+        raise ValueError(f"heuristic must be a function of joint configurations, got {shortened(heuristic)}.")
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             call = f"{factory.__name__}({arguments})"
@@ -155,7 +155,7 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
     try:
         numbers = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"A heuristic must return numbers, got {values!r:.200}.") from None
+        raise ValueError(f"A heuristic must return numbers, got {shortened(values)}.") from None
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
     if np.isnan(numbers).any():
@@ -211,7 +211,7 @@ def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"
 
 def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
-        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {distance_fns!r:.200}.")
+        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
     distance_fns = tuple(distance_fns)
     if not distance_fns:
         raise ValueError("distance_fns must hold one function a robot, got none.")
@@ -229,7 +229,7 @@ def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int 
     try:
         q = np.asarray(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"Joint configurations must be numbers of {expected}, got {q!r:.200}.") from None
+        raise ValueError(f"Joint configurations must be numbers of {expected}, got {shortened(q)}.") from None
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
         hint = " Use q[None] for a single one." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")

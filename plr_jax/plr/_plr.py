@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
@@ -69,7 +69,7 @@ class PLR:
         """
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
-                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
+                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
         is_near = [plr._far_corner is None for plr in plrs]
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
         return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))

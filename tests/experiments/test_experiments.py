@@ -11,14 +11,14 @@ from unittest import mock
 
 import pytest
 
-from experiments import _gradient_tables, readme_tables
+from experiments import _gradient_tables, hostile_files, readme_tables
 
 ROOT = Path(__file__).parents[2]
 SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
     *("continuity", "descent", "trajectory", "refinement", "sba_star"),
 ]
-TESTED_ELSEWHERE = {"benchmark", "readme_tables"}  # section by section; at the end of this file
+TESTED_ELSEWHERE = {"benchmark", "readme_tables", "hostile_files"}
 
 
 def run_script(name, *options):
@@ -46,7 +46,7 @@ def record_in(folder, name):
     return json.loads((folder / f"{name}.json").read_text())
 
 
-def test_every_script_is_run_by_a_test():
+def test_every_script_has_its_test():
     scripts = {path.stem for path in (ROOT / "experiments").glob("[!_]*.py")}
     assert scripts == {*SMOKED, *TESTED_ELSEWHERE}
 
@@ -91,12 +91,12 @@ def test_the_race_is_summed_up_as_by_hand(smoke):
 
 
 def test_what_continuity_costs_and_buys(smoke):
-    rows = {row["kind"]: row for row in record_in(smoke("continuity"), "continuity")["results"]["rows"]}
-    assert rows["plain"]["value_jump"] > 1e-3
-    for kind in ("order 0", "order 1"):
-        assert rows[kind]["value_jump"] <= 1e-5
-        assert rows[kind]["bytes"] <= rows["plain"]["budget"] and rows[kind]["mean"] <= 1.2 * rows["plain"]["mean"]
-    assert rows["order 1"]["gradient_jump"] < 1e-2 < rows["order 0"]["gradient_jump"]
+    rows = {row["leaf"]: row for row in record_in(smoke("continuity"), "continuity")["results"]["rows"]}
+    assert rows["plane"]["value_jump"] > 1e-3
+    for leaf in ("continuous", "smooth"):
+        assert rows[leaf]["value_jump"] <= 1e-5
+        assert rows[leaf]["bytes"] <= rows["plane"]["budget"] and rows[leaf]["mean"] <= 1.2 * rows["plane"]["mean"]
+    assert rows["smooth"]["gradient_jump"] < 1e-2 < rows["continuous"]["gradient_jump"]
 
 
 def test_descents_reach_the_goal_and_cross_nothing(smoke):
@@ -142,8 +142,16 @@ def test_committed_results_are_those_of_a_full_run(name):
     assert record["experiment"] == name and not record["smoke"]
 
 
-def test_the_readme_holds_the_committed_results():
-    run_script("readme_tables", "--check")
+def test_the_readme_holds_the_committed_results(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
+    readme_tables.main()
+
+
+def test_damaged_files_are_tried_at_the_smallest(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["hostile_files", "--smoke", "--mutations", "2", "--output", str(tmp_path)])
+    hostile_files.main()
+    assert (tmp_path / "hostile_files.txt").read_text()
+    assert record_in(tmp_path, "hostile_files")["smoke"]
 
 
 def test_a_readme_that_is_out_of_date_is_refused(tmp_path, monkeypatch):

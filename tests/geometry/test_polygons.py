@@ -29,6 +29,7 @@ def test_rings_and_polygons_become_polygons():
             "P is not a simple polygon.*Self-intersection",
         ),
         (np.array([[1.0, 1], [2, 2]]), "P has 2 distinct vertices"),
+        (1e155 * np.array(SQUARE), "P has coordinates beyond 1e\\+100"),
         (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
         (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P has coordinates that are not finite"),

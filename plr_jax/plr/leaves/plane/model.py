@@ -24,7 +24,7 @@ from plr_jax.plr.leaves.plane.codec import (
     read_planes,
     write_planes,
 )
-from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, numbers_of_planes
+from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, heights_and_slopes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, levels_of
 from plr_jax.plr.query.tables import Tables
@@ -82,10 +82,13 @@ class Plane:
             return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
 
         def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            plain, slivers, place = sampler.split_off_slivers(sampler(cells))
-            bounds = np.split(bound[np.argsort(place)], [len(plain)])
-            nodes = [nodes_of(fit, of_fit) for fit, of_fit in zip((plain, slivers), bounds, strict=True) if len(fit)]
-            return Nodes.concatenate(nodes)[place]
+            fit = sampler(cells)
+            few = fit.is_hardly_seen
+            if not few.any():
+                return nodes_of(fit, bound)
+            order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
+            fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+            return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
         encoding = _PlaneEncoding(self._choices(limits))
@@ -153,7 +156,7 @@ class Plane:
         is_inf: Bool[np.ndarray, "leaves"],
     ) -> Float[np.ndarray, "leaves terms"]:
         """What a query reads of every leaf; some answer ``inf``."""
-        numbers = numbers_of_planes(domain, cells, coefficients)
+        numbers = heights_and_slopes(domain, cells, coefficients)
         numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
         numbers[is_inf, 0] = np.inf
         return numbers
