@@ -62,3 +62,18 @@ def random_partition(seed, dim, num_splits):
         children = leaves[[chosen]].split(rng.integers(dim, size=1))
         leaves = leaves[:chosen].append(children).append(leaves[chosen + 1 :])
     return leaves
+
+
+def lstsq_plane(u, value, weight):
+    """Center and half-differences of one cell's plane, by rows scaled by the square root of their weight."""
+    root = np.sqrt(weight)
+    design = np.concatenate([np.ones((len(u), 1)), u], axis=1) * root[:, None]
+    return np.linalg.lstsq(design, value * root, rcond=None)[0]
+
+
+def chain(axes):
+    """Leaves of a tree that splits, again and again, the cell at the lower corner, along one axis after another."""
+    leaves = Cells.root(int(max(axes)) + 1)
+    for axis in axes:
+        leaves = leaves[[0]].split(np.array([axis])).append(leaves[1:])
+    return leaves

@@ -1,7 +1,7 @@
 """Spending a budget of bytes: the best tree among prefixes of the splits, and the bits its numbers are worth."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
@@ -13,6 +13,7 @@ _BYTES_SLACK = 1.15  # leaves grown beyond the budget, so that fewer bits for mo
 _ROUNDING_SHARE = 0.2  # of the error of the fit, that of rounding when bytes do not matter much
 
 
+@runtime_checkable
 class Encoding(Protocol):
     """How a model whose leaves are fitted one by one stores them, with a choice of how many bits."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
@@ -51,6 +51,7 @@ class Parameters:
         return replace(self, values=self.values + change)
 
 
+@runtime_checkable
 class LeafModel(Protocol):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 

@@ -14,8 +14,8 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Float[np.ndarray, "n"]:
     """Distances at points, checked; a masked entry is one that cannot be reached."""
     distance = distance_fn(x.copy())  # it may compute in place
     try:
-        distance = np.asarray(distance)
-        distance = distance if distance.dtype.kind == "c" else distance.astype(np.float64)
+        distance = np.ma.asarray(distance)
+        distance = distance if distance.dtype.kind == "c" else distance.astype(np.float64).filled(np.inf)
     except (TypeError, ValueError) as error:
         raise ValueError(f"distance_fn must return an array of numbers, got {distance!r}.") from error
     if distance.dtype.kind == "c":
