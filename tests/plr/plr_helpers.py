@@ -56,12 +56,12 @@ def evaluate_by_search(plr, x):
 def random_partition(seed, dim, num_splits):
     """Leaves of a tree grown by splitting random leaves along random axes, in traversal order."""
     rng = np.random.default_rng(seed)
-    leaves = Cells.root(dim)
+    leaves = [(np.zeros(dim, int), np.zeros(dim, int))]
     for _ in range(num_splits):
-        chosen = rng.integers(len(leaves))
-        children = leaves[[chosen]].split(rng.integers(dim, size=1))
-        leaves = leaves[:chosen].append(children).append(leaves[chosen + 1 :])
-    return leaves
+        chosen, axis = rng.integers(len(leaves)), np.eye(dim, dtype=int)[rng.integers(dim)]
+        depth, position = leaves[chosen]
+        leaves[chosen : chosen + 1] = [(depth + axis, (position << axis) + half * axis) for half in range(2)]
+    return Cells(*map(np.array, zip(*leaves, strict=True)))
 
 
 def lstsq_plane(u, value, weight):

@@ -53,7 +53,9 @@ def test_masked_cells_are_those_with_samples_of_another_weight():
 
 def test_noise_is_what_floats_resolve_of_the_largest_distance():
     np.testing.assert_allclose(fit(lambda x: np.full(len(x), 3.0)).noise, 3 * 2.0**-23)
-    np.testing.assert_allclose(fit(lambda x: np.full(len(x), 3.0), lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23)
+    np.testing.assert_allclose(
+        fit(lambda x: np.full(len(x), 3.0), lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23
+    )
 
 
 def test_cells_can_be_split_until_every_axis_is_at_its_end():
