@@ -1,6 +1,5 @@
 import heapq
 
-import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, walled
 

@@ -75,5 +75,5 @@ unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations
 
 def test_a_tree_larger_than_memory_is_refused():
     check_memory(1e5)
-    with pytest.raises(ValueError, match="The limits allow 5e.14 leaves or more.*Give a smaller max_depth"):
+    with pytest.raises(ValueError, match=r"The limits allow 5e\+14 leaves or more.*Give a smaller max_depth"):
         check_memory(1e15)

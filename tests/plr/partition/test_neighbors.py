@@ -65,7 +65,7 @@ def test_chunks_of_pairs_change_nothing(monkeypatch):
 
 
 def test_a_borrower_continues_the_lenders_plane_and_the_others_answer_inf():
-    """The plane ``1 + 14 x + 7 y``: in the first slab center 1 + 14 / 8 + 7 / 2 and half-differences 14 / 8, 7 / 2."""
+    """The plane ``1 + 14 x + 7 y``, whose value in the middle of the first slab is 1 + 14 / 8 + 7 / 2."""
     center = np.array([1 + 14 / 8 + 7 / 2, np.inf, np.inf, np.inf])
     half = np.array([[14 / 8, 7 / 2]] + [[0.0, 0.0]] * 3)
     contents = Contents(UNIT, Plane(), slabs(), encode_planes(center, half, 32))

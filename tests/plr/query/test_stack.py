@@ -27,7 +27,7 @@ def joint(n):
     return q
 
 
-@pytest.mark.parametrize("n", [0, 1, 3, 200])
+@pytest.mark.parametrize("n", [0, 1, 200])
 def test_a_stack_equals_the_plrs_bit_for_bit(team, n):
     q = joint(n)
     found = PLR.stack(team)(q)
