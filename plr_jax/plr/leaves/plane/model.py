@@ -149,17 +149,10 @@ class Plane:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self,
-        domain: Box,
-        cells: Cells,
-        coefficients: Float[np.ndarray, "leaves terms"],
-        is_inf: Bool[np.ndarray, "leaves"],
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """What a query reads of every leaf; some answer ``inf``."""
-        numbers = heights_and_slopes(domain, cells, coefficients)
-        numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
-        numbers[is_inf, 0] = np.inf
-        return numbers
+        """What a query reads of every leaf."""
+        return heights_and_slopes(domain, cells, coefficients)
 
     def evaluate(
         self,
