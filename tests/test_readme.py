@@ -26,7 +26,7 @@ COMMANDS = [
 
 
 def run_command(command, patch):
-    """Run ``plr-jax ...`` or ``echo "..." | plr-jax ...`` as a shell would, but in this process; others in a shell."""
+    """Run ``plr-jax ...`` or ``echo "..." | plr-jax ...`` in this process, other commands in a shell."""
     echo, _, program = command.rpartition("|")
     if program.split()[0] != "plr-jax":
         programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
