@@ -32,7 +32,7 @@ Points = Float[np.ndarray, "n 2"]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_points, num_runs = (5_000, 3) if smoke else (1_000_000, 15)
+    num_points, num_runs = (1_000, 2) if smoke else (1_000_000, 15)
     budgets = [512] if smoke else [2_048, 6_144, 30_720]
     maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     rows = []

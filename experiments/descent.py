@@ -47,15 +47,15 @@ _ARROW_COLOR = "#0072B2"
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_starts, num_points = (200, 500) if smoke else (10_000, 100_000)
-    sizes = {"maze": [1024]} if smoke else SIZES
+    num_starts, num_points, num_runs = (100, 200, 2) if smoke else (10_000, 100_000, 15)
+    sizes = {"maze": [512]} if smoke else SIZES
     results = []
     for name, (workspace, goal) in load_maps(sizes).items():
         exact = VisibilityGraph(workspace, goal)
         starts = workspace.sample_free(num_starts, START_SEED + seed)
         x = workspace.sample_free(num_points, 2 * START_SEED + seed)
         distance = exact(starts)
-        blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance)
+        blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance, num_runs)
         print(f"{name} without a field: {blind['reached']:.2%} reached, length over exact up to {_longest(blind)}")
         few = slice(num_starts // 10)  # the oracle is slow
         walked = measure_walks(exact.directions, workspace, starts[few], goal, distance[few])
@@ -64,7 +64,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         for max_bytes in sizes[name]:
             for leaf in _LEAVES:
                 field = construct(exact, workspace.bounds, leaf=leaf, max_bytes=max_bytes, seed=seed)
-                row = _measure_descent(field, workspace, starts, goal, distance)
+                row = _measure_descent(field, workspace, starts, goal, distance, num_runs)
                 row["walks"] = measure_walks(downhill(field), workspace, starts, goal, distance)
                 row["gradient"] = _gradient(field, exact, x)
                 row["finite_differences"] = _worst_finite_difference(field)
@@ -85,10 +85,11 @@ def _measure_descent(
     starts: Float[np.ndarray, "n 2"],
     goal: Float[np.ndarray, "2"],
     distance: Float[np.ndarray, "n"],
+    num_runs: int,
 ) -> dict[str, Any]:
     descent = descend(field, workspace, starts, goal)  # compiles the field's query
     seconds = []
-    for _ in range(15):
+    for _ in range(num_runs):
         begin = time.perf_counter()
         descend(field, workspace, starts, goal)
         seconds.append(time.perf_counter() - begin)

@@ -50,8 +50,8 @@ Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    budgets = [512, 1024] if smoke else [512 * 2**doubling for doubling in range(7)]
-    num_points = 2_000 if smoke else 500_000
+    budgets = [256, 512] if smoke else [512 * 2**doubling for doubling in range(7)]
+    num_points = 1_000 if smoke else 500_000
     maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     curves = {
         name: _measure_map(workspace, goal, budgets, num_points, seed) for name, (workspace, goal) in maps.items()

@@ -48,7 +48,8 @@ def planned(problem, heuristic=None, **options):
     assert report.valid, report.message
     np.testing.assert_array_equal(solution.path[[0, -1]], [problem.starts, problem.goals])
     assert solution.cost == pytest.approx(report.cost, rel=1e-12)
-    assert solution.lower_bound <= solution.cost * (1 + 1e-12) and solution.makespan <= solution.cost
+    assert solution.lower_bound <= solution.cost * (1 + 1e-12)
+    assert solution.makespan <= solution.cost * (1 + 1e-12)
     assert_history(solution)
     return solution
 

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from plr_jax import Euclidean, Roadmap, VisibilityGraph, Workspace, construct, construct_continuous
+from plr_jax import Euclidean, Roadmap, VisibilityGraph, Workspace, construct
 from plr_jax._types import DimensionedFn, PiecewiseFunction
 
 ROOM = Workspace(((0, 0), (1, 1)))
 GOAL = (0.5, 0.5)
 ORACLES = [Euclidean(GOAL), VisibilityGraph(ROOM, GOAL), Roadmap.from_workspace(ROOM, GOAL, 5)]
-PLRS = [build(ORACLES[0], ROOM.bounds, max_leaves=4) for build in (construct, construct_continuous)]
+PLRS = [construct(ORACLES[0], ROOM.bounds, leaf=leaf, max_leaves=4) for leaf in ("plane", "continuous")]
 
 
 @pytest.mark.parametrize("fn", [*ORACLES, *PLRS], ids=lambda fn: type(fn).__name__)

@@ -1,20 +1,43 @@
-"""Fixtures of the tests of refinement, its losses, and faces."""
+"""Leaf models, PLRs of the walled square, and what refinement starts from, each built once."""
 
 import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax import construct
-from plr_jax.plr.sampling.face_samples import sample_faces
+from plr_jax.plr import construct, sample_faces
+
+
+@pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
+def leaf(request):
+    """The name of a leaf model."""
+    return request.param
 
 
 @pytest.fixture(scope="session")
-def wall():
-    """A PLR of the walled square, and points of finite distance."""
+def plr(leaf):
+    """A PLR of the walled square."""
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100)
+
+
+@pytest.fixture(scope="session")
+def x():
+    """Points of the unit square."""
+    return points(1000, 0).astype(np.float32)
+
+
+@pytest.fixture(scope="session")
+def samples():
+    """Points of the walled square whose distance is finite, and their distances."""
     x = points(20_000, 1)
     distance = walled(x)
     free = np.isfinite(distance)
-    return construct(walled, UNIT, max_leaves=60), x[free], distance[free]
+    return x[free], distance[free]
+
+
+@pytest.fixture(scope="session")
+def wall(samples):
+    """A PLR with planes, and points of finite distance."""
+    return construct(walled, UNIT, max_leaves=60), *samples
 
 
 @pytest.fixture(scope="session")

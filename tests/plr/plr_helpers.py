@@ -56,9 +56,24 @@ def evaluate_by_search(plr, x):
 def random_partition(seed, dim, num_splits):
     """Leaves of a tree grown by splitting random leaves along random axes, in traversal order."""
     rng = np.random.default_rng(seed)
-    leaves = Cells.root(dim)
+    leaves = [(np.zeros(dim, int), np.zeros(dim, int))]
     for _ in range(num_splits):
-        chosen = rng.integers(len(leaves))
-        children = leaves[[chosen]].split(rng.integers(dim, size=1))
-        leaves = leaves[:chosen].append(children).append(leaves[chosen + 1 :])
+        chosen, axis = rng.integers(len(leaves)), np.eye(dim, dtype=int)[rng.integers(dim)]
+        depth, position = leaves[chosen]
+        leaves[chosen : chosen + 1] = [(depth + axis, (position << axis) + half * axis) for half in range(2)]
+    return Cells(*map(np.array, zip(*leaves, strict=True)))
+
+
+def lstsq_plane(u, value, weight):
+    """Center and half-differences of one cell's plane, by rows scaled by the square root of their weight."""
+    root = np.sqrt(weight)
+    design = np.concatenate([np.ones((len(u), 1)), u], axis=1) * root[:, None]
+    return np.linalg.lstsq(design, value * root, rcond=None)[0]
+
+
+def chain(axes):
+    """Leaves of a tree that splits, again and again, the cell at the lower corner, along one axis after another."""
+    leaves = Cells.root(int(max(axes)) + 1)
+    for axis in axes:
+        leaves = leaves[[0]].split(np.array([axis])).append(leaves[1:])
     return leaves

@@ -27,7 +27,7 @@ from plr_jax.geometry.box import Box
 
 VERSION = 2
 _MAGIC = b"PLR\n"
-_MAGIC_OF_CONTINUOUS = b"CPL\n"  # of version 1, in which continuous PLRs had a format of their own
+_START_OF_CONTINUOUS = b"CPL\n\x01"  # in version 1, continuous PLRs had a format of their own
 _HEADER = struct.Struct("<4sBBBBII")
 HEADER_SIZE = _HEADER.size
 _CRC = struct.Struct("<I")
@@ -74,7 +74,7 @@ class Container:
 
 
 def _check_start(data: bytes) -> None:
-    if data[:4] not in (_MAGIC, _MAGIC_OF_CONTINUOUS):
+    if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
         raise ValueError("it does not start like a PLR file")
     if len(data) < HEADER_SIZE + _CRC.size:
         raise ValueError("the data end too early")

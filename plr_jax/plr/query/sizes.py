@@ -32,7 +32,7 @@ def max_axis_depth(dim: int, of_class: int | None) -> int:
     In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
     """
     if of_class is None or of_class > _SLOT_BITS[-1][0] or dim > 2:
-        return max(1, _DEEP_BITS // max(dim, 2))
+        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
     return slot_bits_of_class(of_class, 0) // dim
 
 

@@ -11,7 +11,8 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
 from plr_jax.plr.refine.face_samples import Faces
 from plr_jax.plr.refine.losses import Loss, Penalty, squared
-from plr_jax.plr.refine.objective import WeightedPoints, minimize, pose
+from plr_jax.plr.refine.objective import minimize
+from plr_jax.plr.refine.posing import WeightedPoints, pose
 from plr_jax.plr.refine.report import Refinement, Stage, measure_errors, measure_jumps
 
 _CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share

@@ -59,6 +59,14 @@ class CellFit:
         return masked_cells(self.weight)
 
     @property
+    def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
+        """Cells whose free part the samples hardly met, or missed.
+
+        A plane passes through a few samples, or there is none, and no error shows.
+        """
+        return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
+
+    @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
         """Which cells may still be halved along some axis."""
         return (self.cells.depth < self.max_axis_depth).any(axis=1)
@@ -115,21 +123,9 @@ class Sampler:
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
 
-    def split_off_slivers(self, fit: CellFit) -> tuple[CellFit, CellFit, Int[np.ndarray, "cells"]]:
-        """Cells whose free part their samples hardly met, or missed, sampled again with many more.
-
-        A plane passes through a few samples, or there is none, and no error shows. Those found now tell.
-
-        Args:
-            fit: Cells as they were sampled.
-
-        Returns:
-            The other cells; those sampled again; and where each of ``fit`` is among all of these.
-        """
-        few = fit.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + fit.cells.dim)
-        order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        again = replace(self, pattern=self.dense_pattern)(fit.cells[few])
-        return fit[~few], again, np.argsort(order)
+    def densely(self, cells: Cells) -> CellFit:
+        """Sample cells again with many more points: those that :attr:`CellFit.is_hardly_seen`."""
+        return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self) -> CellFit:
         """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""

@@ -1,18 +1,17 @@
 import numpy as np
+import pytest
+from plr_helpers import UNIT, lstsq_plane
 
-from plr_jax.geometry.box import Box
 from plr_jax.plr import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
-from plr_jax.plr.growth.rules import MAX_ASPECT_BITS
+from plr_jax.plr.growth.rules import MAX_ASPECT_BITS, _sum_of_squares_after_split
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_samples import fit_cells
+from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.pattern import sample_pattern
 
-SQUARE = Box((0, 0), (1, 1))
 
-
-def fit(distance_fn, cells=None, weight_fn=None):
+def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):
     cells = Cells.root(2) if cells is None else cells
-    return fit_cells(cells, SQUARE, distance_fn, weight_fn, sample_pattern(2, 64, 0.0, 0))
+    return Sampler(distance_fn, UNIT, weight_fn, sample_pattern(2, 64, 0.0, 0), max_axis_depth)(cells)
 
 
 def test_best_axis_is_the_one_along_which_the_function_bends():
@@ -28,6 +27,30 @@ def test_best_axis_never_makes_needles():
     assert max(aspects) == MAX_ASPECT_BITS
 
 
+def test_best_axis_is_one_that_may_still_be_halved():
+    bend = lambda x: np.abs(x[:, 0] - 0.125) + 1e-3 * np.abs(x[:, 1] - 0.3)  # noqa: E731
+    cells = Cells(np.array([[2, 0]]), np.array([[0, 0]]))
+    assert best_axis(fit(bend, cells))[0] == 0
+    assert best_axis(fit(bend, cells, max_axis_depth=2))[0] == 1
+
+
+def test_sum_of_squares_after_split_equals_two_separate_fits():
+    rng = np.random.default_rng(3)
+    pattern = sample_pattern(2, 50, 0.0, 0)
+    blocked = rng.random((2, 50)) < [[0.0], [0.4]]
+    table = np.where(blocked, np.inf, rng.random((2, 50)))
+    found = Sampler(lambda x: table.ravel(), UNIT, None, pattern, 14)(Cells.root(2).split(np.array([0])))
+    for cell in range(2):
+        for axis in range(2):
+            expected = 0.0
+            for side in (pattern.u[:, axis] <= 0, pattern.u[:, axis] > 0):
+                keep = side & ~blocked[cell]
+                plane = lstsq_plane(pattern.u[keep], table[cell, keep], pattern.weight[keep])
+                rest = table[cell, keep] - plane[0] - pattern.u[keep] @ plane[1:]
+                expected += np.sum(pattern.weight[keep] * rest**2)
+            assert _sum_of_squares_after_split(found)[cell, axis] == pytest.approx(expected, rel=1e-6)
+
+
 def test_cyclic_axis_takes_turns():
     cells = Cells.root(2)
     for axis in (0, 1, 0, 1):
@@ -38,7 +61,7 @@ def test_cyclic_axis_takes_turns():
 
 def test_largest_error_is_the_largest_weighted_residual():
     found = fit(lambda x: (x[:, 0] > 0.9) * 1.0, weight_fn=lambda x: 2.0 - x[:, 0])
-    x = found.cells.points(found.pattern.u, SQUARE)[0]
+    x = found.cells.points(found.pattern.u, UNIT)[0]
     expected = np.max((2 - x[:, 0]) * np.abs(found.residual[0]))
     np.testing.assert_allclose(largest_error(found), expected)
     assert expected > 0.1

@@ -4,7 +4,8 @@ from hypothesis import strategies as st
 from plr_helpers import random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.faces import corner_bits, face_points, parents_of_corners, shared_faces, tree_of
+from plr_jax.plr.partition.faces import face_points, parents_of_corners, shared_faces
+from plr_jax.plr.partition.tree import corner_bits, tree_of
 
 
 def test_a_tree_of_three_leaves():
@@ -18,7 +19,7 @@ def test_a_tree_of_three_leaves():
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
 def test_leaves_are_the_cells_in_one_order(seed, dim):
     cells = random_partition(seed, dim, 20)
@@ -30,7 +31,7 @@ def test_leaves_are_the_cells_in_one_order(seed, dim):
     assert sorted(rows) == sorted(np.concatenate([cells.depth, cells.position], axis=1).tolist())
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
 def test_faces_are_those_found_by_comparing_all_boxes(seed, dim):
     tree = tree_of(random_partition(seed, dim, 20))
@@ -49,7 +50,7 @@ def test_faces_are_those_found_by_comparing_all_boxes(seed, dim):
     assert sorted(expected) == found
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
 def test_a_corner_is_the_middle_of_its_parents(seed, dim):
     tree = tree_of(random_partition(seed, dim, 20))

@@ -1,52 +1,84 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import random_partition
+from plr_helpers import UNIT, random_partition
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr._file import Contents
+from plr_jax.plr._plr import filled_coefficients
+from plr_jax.plr.leaves.plane.codec import encode_planes
+from plr_jax.plr.leaves.plane.model import Plane
+from plr_jax.plr.partition import neighbors
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.neighbors import fill_unreachable
+from plr_jax.plr.partition.neighbors import neighbor_of_largest_contact
 
 
-def quarters():
+def lenders(cells, blocked):
+    """For each blocked leaf the one that lends to it; -1 for none."""
+    blocked = np.array(blocked, bool)
+    return neighbor_of_largest_contact(cells, np.flatnonzero(blocked), np.flatnonzero(~blocked))
+
+
+def slabs():
     """Four slabs: [0, 1/4], [1/4, 1/2], [1/2, 3/4] and [3/4, 1] along axis 0."""
     halves = Cells.root(2).split(np.array([0]))
     return halves.split(np.array([0, 0]))
 
 
-def test_only_direct_neighbors_lend_their_plane():
-    slope, intercept = fill_unreachable(
-        quarters(), np.array([False, True, True, True]), np.full((4, 2), 7.0), np.array([1.0, 2, 3, 4])
-    )
-    np.testing.assert_array_equal(intercept, [1, 1, np.inf, np.inf])
-    np.testing.assert_array_equal(slope, [[7, 7], [7, 7], [0, 0], [0, 0]])
+def l_shape():
+    """The left half, and of the right one its lowest quarter, the one above, and the upper half."""
+    halves = Cells.root(2).split(np.array([0]))
+    right = halves[[1]].split(np.array([1]))
+    return halves[[0]].append(right[[0]].split(np.array([1])), right[[1]])
+
+
+def test_only_direct_neighbors_lend():
+    assert lenders(slabs(), [False, True, True, True]).tolist() == [0, -1, -1]
 
 
 def test_the_largest_contact_lends():
-    # Left half blocked; right half: lower quarter in two, so the upper leaf has the longer side in common.
-    halves = Cells.root(2).split(np.array([0]))
-    right = halves[[1]].split(np.array([1]))
-    lower = right[[0]].split(np.array([1]))
-    cells = halves[[0]].append(lower).append(right[[1]])
-    _, intercept = fill_unreachable(cells, np.array([True, False, False, False]), np.zeros((4, 2)), np.arange(4.0))
-    np.testing.assert_array_equal(intercept, [3, 1, 2, 3])
+    assert lenders(l_shape(), [True, False, False, False]).tolist() == [3]
 
 
-def test_nothing_to_fill_or_to_borrow():
-    _, intercept = fill_unreachable(quarters(), np.zeros(4, bool), np.zeros((4, 2)), np.arange(4.0))
-    np.testing.assert_array_equal(intercept, np.arange(4.0))
-    _, intercept = fill_unreachable(quarters(), np.ones(4, bool), np.zeros((4, 2)), np.arange(4.0))
-    assert np.isinf(intercept).all()
+def test_nobody_to_lend_or_to_borrow():
+    assert lenders(slabs(), [False] * 4).tolist() == []
+    assert lenders(slabs(), [True] * 4).tolist() == [-1] * 4
 
 
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
-def test_exactly_the_blocked_leaves_that_touch_an_open_one_are_filled(seed, dim):
+def test_exactly_the_blocked_leaves_that_touch_an_open_one_borrow_from_one_of_those(seed, dim):
     cells = random_partition(seed, dim, 25)
     blocked = np.random.default_rng(seed).random(len(cells)) < 0.7
-    _, intercept = fill_unreachable(cells, blocked, np.zeros((len(cells), dim)), np.arange(float(len(cells))))
     lo, hi = cells.boxes(Box(np.zeros(dim), np.ones(dim)))
-    for leaf in np.flatnonzero(blocked):
+    for leaf, lender in zip(np.flatnonzero(blocked), lenders(cells, blocked), strict=True):
         touches = ~blocked & np.all((lo <= hi[leaf]) & (hi >= lo[leaf]), axis=1)
-        assert np.isfinite(intercept[leaf]) == touches.any()
-        assert np.isinf(intercept[leaf]) or touches[int(intercept[leaf])]
-    np.testing.assert_array_equal(intercept[~blocked], np.flatnonzero(~blocked))
+        assert touches[lender] if lender >= 0 else not touches.any()
+
+
+def test_chunks_of_pairs_change_nothing(monkeypatch):
+    cells = random_partition(0, 3, 60)
+    blocked = np.random.default_rng(0).random(len(cells)) < 0.5
+    whole = lenders(cells, blocked)
+    monkeypatch.setattr(neighbors, "_PAIRS_AT_ONCE", 50)
+    np.testing.assert_array_equal(lenders(cells, blocked), whole)
+
+
+def test_a_borrower_continues_the_lenders_plane_and_the_others_answer_inf():
+    """The plane ``1 + 14 x + 7 y``, whose value in the middle of the first slab is 1 + 14 / 8 + 7 / 2."""
+    center = np.array([1 + 14 / 8 + 7 / 2, np.inf, np.inf, np.inf])
+    half = np.array([[14 / 8, 7 / 2]] + [[0.0, 0.0]] * 3)
+    contents = Contents(UNIT, Plane(), slabs(), encode_planes(center, half, 32))
+    coefficients, is_inf = filled_coefficients(contents)
+    assert is_inf.tolist() == [False, False, True, True]
+    np.testing.assert_allclose(coefficients[1], [1 + 14 * 3 / 8 + 7 / 2, 14 / 8, 7 / 2])
+    np.testing.assert_array_equal(coefficients[2:], 0)
+
+
+def test_a_larger_borrower_continues_the_plane_too():
+    """The left half borrows ``3 y`` from the upper right quarter."""
+    center = np.array([np.inf, np.inf, np.inf, 3 * 0.75])
+    half = np.array([[0.0, 0.0]] * 3 + [[0.0, 3 / 4]])
+    coefficients, is_inf = filled_coefficients(Contents(UNIT, Plane(), l_shape(), encode_planes(center, half, 32)))
+    np.testing.assert_allclose(coefficients[[0, 2]], [[1.5, 0, 1.5], [3 * 3 / 8, 0, 3 / 8]])
+    assert is_inf.tolist() == [False, True, False, False]

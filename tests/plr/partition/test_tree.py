@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import random_partition
 
@@ -7,6 +7,7 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import cells_of, levels_of
 
 
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
 def test_levels_give_back_the_same_leaves(seed, dim, num_splits):
     leaves = random_partition(seed, dim, num_splits)

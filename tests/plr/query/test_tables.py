@@ -1,46 +1,20 @@
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import cone, evaluate_by_search, leaf_by_search, random_partition, walled
+from plr_helpers import UNIT, chain, random_partition, walled
 
+from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
-from plr_jax.plr import construct
-from plr_jax.plr.query.tables import _pack_blocks, build_tables, lookup, table_corners
+from plr_jax.plr import Plane, construct
+from plr_jax.plr.query.tables import _pack_blocks, build_tables, table_corners
 
 
-def leaf_by_position(cells, x):
-    """Leaf of points of the unit cube, from the cells' own integers."""
-    slots = np.floor(x[:, None] * 2.0**cells.depth).astype(int)
-    found = (np.minimum(slots, 2**cells.depth - 1) == cells.position).all(axis=2)
-    assert (found.sum(axis=1) == 1).all()
-    return found.argmax(axis=1)
-
-
-@pytest.mark.parametrize("flat_bits", [20, 0], ids=["flat", "two-level"])
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 1000), dim=st.integers(1, 10), num_splits=st.integers(1, 60))
-def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_splits):
-    cells = random_partition(seed, dim, num_splits)
-    bits = cells.depth.max(axis=0)
-    assume(bits.max() <= 15 and bits.sum() <= 20)
-    domain, planes = Box(np.zeros(dim), np.ones(dim)), np.zeros((len(cells), dim))
-    tables = build_tables(domain, cells, np.column_stack([planes[:, 0], planes]), max_flat_bits=flat_bits)
-    assert (tables.blocks is None) == (flat_bits == 20)
-    # Multiples of 2**-16 are exact, and many lie on cell borders.
-    x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(200, dim)) / 2.0**16
-    np.testing.assert_array_equal(lookup(tables, jnp.asarray(x, jnp.float32)), leaf_by_position(cells, x))
-
-
-def test_edges_belong_to_the_first_and_last_cells():
-    cells = random_partition(0, 2, 30)
-    tables = build_tables(Box((0, 0), (1, 1)), cells, np.zeros((31, 3)))
-    below_one = np.nextafter(np.float32(1), np.float32(0))
-    for high in (np.float32(1), below_one):
-        x = np.array([[0, 0], [high, 0], [0, high], [high, high]], np.float32)
-        expected = leaf_by_position(cells, np.minimum(x, 1 - 2.0**-20))
-        np.testing.assert_array_equal(lookup(tables, jnp.asarray(x)), expected)
+def shapes(plr):
+    """Shape and type of every array that a query reads."""
+    tables = plr.tables
+    assert tables.blocks is None
+    return [(array.shape, array.dtype) for array in (tables.frame, tables.bits, tables.leaf_of_slot, tables.numbers)]
 
 
 @pytest.mark.parametrize(("dim", "num_words"), [(1, 1), (5, 1), (6, 2), (12, 2), (20, 3)])
@@ -58,27 +32,49 @@ def test_axes_that_do_not_fit_the_first_word_come_in_more(dim, num_words):
     np.testing.assert_array_equal(words[0] >> (3 * blocks.axes[0]), offset[:-1])
 
 
-def test_ten_axes():
-    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 10, [1.0] * 10), max_leaves=1000)
-    x = np.random.default_rng(0).random((500, 10)).astype(np.float32)
-    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
+def test_tables_of_a_class_have_one_shape():
+    """The class of 2 KB: 2**14 slots, and 1,024 planes of at least two bytes."""
+    first = construct(walled, UNIT, max_leaves=100)
+    second = construct(lambda x: 3 * walled(x), UNIT, max_leaves=130)
+    assert 1024 < first.num_bytes < second.num_bytes <= 2048
+    assert shapes(first) == shapes(second)
+    assert first.tables.numbers.shape == (3, 1024) and first.tables.leaf_of_slot.shape == (2**14,)
 
 
-def test_two_levels_answer_as_a_search_through_all_leaves():
-    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 4, [1.0] * 4), max_leaves=3000)
-    assert plr.tables.blocks is not None
-    x = np.random.default_rng(0).random((3000, 4)).astype(np.float32)
-    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
-    np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-5)
+@pytest.mark.parametrize(
+    ("leaf", "num_goals", "limits"),
+    [
+        ("plane", 12, {"max_leaves": 400}),
+        ("plane", 4, {"max_bytes": 2048}),
+        ("continuous", 3, {"max_leaves": 400}),  # each takes as long as several with planes
+        ("continuous", 2, {"max_bytes": 2048}),
+    ],
+)
+def test_all_goals_of_a_maze_have_tables_of_one_shape(leaf, num_goals, limits):
+    workspace = scenes.maze().workspace
+    oracles = [VisibilityGraph(workspace, goal) for goal in workspace.sample_free(12, seed=0)[:num_goals]]
+    plrs = [construct(oracle, workspace.bounds, leaf=leaf, num_samples=32, **limits) for oracle in oracles]
+    assert all(shapes(plr) == shapes(plrs[0]) for plr in plrs[1:])
 
 
-def test_tables_are_padded_so_that_like_plrs_share_compiled_code():
-    first = construct(walled, Box((0, 0), (1, 1)), max_leaves=140)
-    second = construct(lambda x: 3 * walled(x), Box((0, 0), (1, 1)), max_leaves=200)
-    assert first.tables.planes.shape == second.tables.planes.shape == (3, 256)
-    assert bin(len(first.tables.leaf_of_slot)).count("1") == 1
+def test_cells_too_deep_for_a_query_are_refused():
+    with pytest.raises(ValueError, match="A cell is split 24 times along one axis; a query resolves 23"):
+        build_tables(Box([0.0], [1.0]), chain([0] * 24), np.zeros((25, 2)), Plane(), 1000)
 
 
+def test_tables_larger_than_the_file_allows_are_refused():
+    cells = chain([0] * 22 + [1] * 22)
+    with pytest.raises(ValueError, match=r"too deep for a query's tables: \[22, 22\] splits .* Lower max_depth"):
+        build_tables(UNIT, cells, np.zeros((45, 3)), Plane(), 200)
+
+
+def test_room_for_more_leaves_than_16_bits_count():
+    cells = random_partition(0, 2, 3)
+    assert build_tables(UNIT, cells, np.zeros((4, 3)), Plane(), 2**17).leaf_of_slot.dtype == np.uint16
+    assert build_tables(UNIT, cells, np.zeros((4, 3)), Plane(), 2**17 + 1).leaf_of_slot.dtype == np.uint32
+
+
+@settings(max_examples=50, deadline=None)
 @given(lo=st.floats(-1e6, 1e6), width=st.floats(1e-3, 1e6))
 def test_corners_are_rounded_outward(lo, width):
     domain = Box([lo], [lo + width])

@@ -82,10 +82,13 @@ class Plane:
             return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
 
         def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            plain, slivers, place = sampler.split_off_slivers(sampler(cells))
-            bounds = np.split(bound[np.argsort(place)], [len(plain)])
-            nodes = [nodes_of(fit, of_fit) for fit, of_fit in zip((plain, slivers), bounds, strict=True) if len(fit)]
-            return Nodes.concatenate(nodes)[place]
+            fit = sampler(cells)
+            few = fit.is_hardly_seen
+            if not few.any():
+                return nodes_of(fit, bound)
+            order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
+            fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+            return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
         encoding = _PlaneEncoding(self._choices(limits))
@@ -146,17 +149,10 @@ class Plane:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self,
-        domain: Box,
-        cells: Cells,
-        coefficients: Float[np.ndarray, "leaves terms"],
-        is_inf: Bool[np.ndarray, "leaves"],
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """What a query reads of every leaf; some answer ``inf``."""
-        numbers = heights_and_slopes(domain, cells, coefficients)
-        numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
-        numbers[is_inf, 0] = np.inf
-        return numbers
+        """What a query reads of every leaf."""
+        return heights_and_slopes(domain, cells, coefficients)
 
     def evaluate(
         self,

@@ -7,7 +7,8 @@ from plr_helpers import random_partition
 from plr_jax.plr.leaves.continuous.basis import monomials, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.space import nodal_space
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.faces import corner_bits, face_points, shared_faces, tree_of
+from plr_jax.plr.partition.faces import face_points, shared_faces
+from plr_jax.plr.partition.tree import corner_bits, tree_of
 
 
 def space_of(cells, tied=lambda faces: np.ones(len(faces), bool)):

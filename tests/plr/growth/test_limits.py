@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from plr_jax.plr.growth.limits import check_limits, check_memory
+
+NAMES = ("max_depth", "max_leaves", "max_bytes", "tolerance")
+
+
+def limits(dim=2, least_bytes=2, **given):
+    return check_limits(dim, least_bytes, *(given.get(name) for name in NAMES))
+
+
+def test_no_limit_means_512_leaves():
+    found = limits()
+    assert (found.max_leaves, found.max_depth, found.max_bytes, found.tolerance) == (512, 60, np.inf, 0.0)
+
+
+def test_limits_are_kept_as_they_are():
+    found = limits(max_depth=9, max_leaves=50, max_bytes=4000, tolerance=0.1)
+    assert (found.max_leaves, found.max_depth, found.max_bytes, found.tolerance) == (50, 9, 4000.0, 0.1)
+
+
+def test_a_budget_of_bytes_bounds_the_leaves():
+    """No more than the tables of that budget have room for: 2,048 bytes of at least two a leaf."""
+    assert limits(max_bytes=2048).max_leaves == 1024
+    assert limits(max_bytes=2048, least_bytes=1).max_leaves == 2048
+    assert limits(max_bytes=2048, max_leaves=17).max_leaves == 17
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"max_bytes": 2048}, 7),
+        ({"max_bytes": 2049}, 8),
+        ({"max_bytes": 8192}, 8),
+        ({"max_bytes": 32768}, 9),
+        ({"max_bytes": 32769}, 14),
+        ({"tolerance": 0.1}, 14),
+        ({"max_depth": 20}, 14),
+        ({"max_leaves": 512}, 7),
+        ({"max_leaves": 513}, 8),
+        ({"max_bytes": 10**6, "max_leaves": 512}, 7),
+        ({"max_bytes": 2048, "dim": 3}, 9),
+        ({"max_bytes": 2048, "dim": 10}, 2),
+        ({"max_bytes": 2048, "dim": 40}, 1),
+    ],
+)
+def test_how_often_an_axis_may_be_halved(given, expected):
+    assert limits(**given).max_axis_depth == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"max_depth": -1}, "max_depth must be an integer >= 0, got -1"),
+        ({"max_depth": 2.5}, "max_depth must be an integer >= 0, got 2.5"),
+        ({"max_depth": 61}, "max_depth must be at most 60, got 61"),
+        ({"max_depth": 60}, "would need about .* GiB; this machine has"),
+        ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
+        ({"max_leaves": 10**12}, "would need about"),
+        ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
+        ({"tolerance": -0.1}, "tolerance must be a finite distance >= 0"),
+        ({"tolerance": np.nan}, "tolerance must be a finite distance >= 0"),
+        ({"tolerance": np.inf}, "tolerance must be a finite distance >= 0"),
+    ],
+)
+def test_limits_out_of_range_are_refused(given, message):
+    arguments = [given.get(name) for name in NAMES]
+    with pytest.raises(ValueError, match=message):
+        unchecked(2, 2, *arguments)
+
+
+unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations, as outside of the tests
+
+
+def test_a_tree_larger_than_memory_is_refused():
+    check_memory(1e5)
+    with pytest.raises(ValueError, match=r"The limits allow 5e\+14 leaves or more.*Give a smaller max_depth"):
+        check_memory(1e15)

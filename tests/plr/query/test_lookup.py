@@ -1,0 +1,98 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from plr_helpers import chain, cone, evaluate_by_search, leaf_by_search, random_partition, walled
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr import Plane, construct
+from plr_jax.plr.query import tables as tables_module
+from plr_jax.plr.query.lookup import evaluate_tables, lookup, outside_domain
+from plr_jax.plr.query.tables import build_tables
+
+BYTES = 1000
+
+
+def tables_of(cells, num_bytes=BYTES):
+    """Tables of the unit cube, whose leaf ``i`` holds the plane of value ``i``."""
+    numbers = np.zeros((len(cells), 1 + cells.dim))
+    numbers[:, 0] = np.arange(len(cells))
+    return build_tables(Box(np.zeros(cells.dim), np.ones(cells.dim)), cells, numbers, Plane(), num_bytes)
+
+
+def leaf_by_position(cells, x):
+    """Leaf of points of the unit cube, from the cells' own integers."""
+    slots = np.floor(x[:, None] * 2.0**cells.depth).astype(int)
+    found = (np.minimum(slots, 2**cells.depth - 1) == cells.position).all(axis=2)
+    assert (found.sum(axis=1) == 1).all()
+    return found.argmax(axis=1)
+
+
+@pytest.mark.parametrize("flat_bits", [20, 0], ids=["flat", "two-level"])
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 3, 10]), num_splits=st.integers(1, 60))
+def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_splits):
+    cells = random_partition(seed, dim, num_splits)
+    bits = cells.depth.max(axis=0)
+    assume(bits.max() <= 15 and bits.sum() <= 20)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables_module, "MAX_FLAT_BITS", flat_bits)
+        tables = tables_of(cells, 40_000)  # of a class with few sizes of tables, each of which is compiled
+    assert (tables.blocks is None) == (flat_bits == 20)
+    # Multiples of 2**-16 are exact, and many lie on cell borders.
+    x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(200, dim)) / 2.0**16
+    np.testing.assert_array_equal(jax.jit(lookup)(tables, jnp.asarray(x, jnp.float32)), leaf_by_position(cells, x))
+
+
+def test_edges_belong_to_the_first_and_last_cells():
+    cells = random_partition(0, 2, 30)
+    tables = tables_of(cells)
+    below_one = np.nextafter(np.float32(1), np.float32(0))
+    for high in (np.float32(1), below_one):
+        x = np.array([[0, 0], [high, 0], [0, high], [high, high]], np.float32)
+        expected = leaf_by_position(cells, np.minimum(x, 1 - 2.0**-20))
+        np.testing.assert_array_equal(lookup(tables, jnp.asarray(x)), expected)
+        np.testing.assert_array_equal(evaluate_tables(tables, jnp.asarray(x)), expected)
+
+
+@pytest.mark.parametrize("axes", [[0] * 23, [0, 1] * 14, [0, 1, 2] * 9], ids=["line", "plane", "space"])
+def test_cells_as_deep_as_a_query_resolves(axes):
+    cells = chain(axes)
+    tables = tables_of(cells)
+    x = np.ldexp(cells.position + 0.25, -cells.depth)  # the finest are one last bit wide, whose middle is rounded
+    assert tables.blocks is not None
+    np.testing.assert_array_equal(lookup(tables, jnp.asarray(x, jnp.float32)), np.arange(len(cells)))
+
+
+def test_the_closed_domain_is_inside():
+    tables = tables_of(random_partition(0, 2, 3))
+    x = jnp.array([[0.0, 0], [1, 1], [-1e-7, 0], [0, 1.0000002], [jnp.inf, 0], [jnp.nan, 0], [jnp.nan, -jnp.inf]])
+    outside, answer = outside_domain(tables, x)
+    np.testing.assert_array_equal(outside[:5], [False, False, True, True, True])
+    np.testing.assert_array_equal(answer, [np.inf] * 5 + [np.nan] * 2)
+    np.testing.assert_array_equal(np.isnan(evaluate_tables(tables, x)), [False] * 5 + [True] * 2)
+
+
+def test_ten_axes():
+    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 10, [1.0] * 10), max_leaves=1000)
+    x = np.random.default_rng(0).random((500, 10)).astype(np.float32)
+    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
+
+
+def test_two_levels_answer_as_a_search_through_all_leaves():
+    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 4, [1.0] * 4), max_leaves=3000)
+    assert plr.tables.blocks is not None
+    x = np.random.default_rng(0).random((1000, 4)).astype(np.float32)
+    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
+    np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-5)
+
+
+def test_large_tables_have_a_leafs_numbers_side_by_side_and_answer_alike(monkeypatch):
+    small = construct(walled, Box((0, 0), (1, 1)), max_leaves=40)
+    monkeypatch.setattr(tables_module, "_MAX_COLUMN_BYTES", 0)
+    large = construct(walled, Box((0, 0), (1, 1)), max_leaves=40)
+    assert small.tables.numbers.ndim == 2 and large.tables.numbers.ndim == 1
+    x = np.random.default_rng(0).random((500, 2)).astype(np.float32)
+    np.testing.assert_array_equal(large(x), small(x))

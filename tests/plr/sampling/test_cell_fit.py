@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.pattern import sample_pattern
+
+LINE = Box([0.0], [2.0])
+
+
+def fit(distance_fn, weight_fn=None, cells=None, domain=LINE, num_samples=64):
+    pattern = sample_pattern(domain.dim, num_samples, 0.0, 0)
+    return Sampler(distance_fn, domain, weight_fn, pattern, 14)(Cells.root(domain.dim) if cells is None else cells)
+
+
+def left_half(x):
+    return np.where(x[:, 0] < 1, 3 + 2 * x[:, 0], np.inf)
+
+
+def test_blocked_cells_are_marked_and_residuals_kept():
+    found = fit(left_half, cells=Cells.root(1).split(np.array([0])), num_samples=16)
+    assert np.isfinite(found.center[0]) and np.isinf(found.center[1])
+    np.testing.assert_allclose([found.center[0], found.half[0, 0]], [4.0, 1.0], atol=1e-7)
+    assert np.abs(found.residual).max() < 1e-7
+    assert not found.reachable[1].any() and not found.weight[1].any() and not found.value[1].any()
+
+
+def test_weights_pull_the_plane_and_zero_weights_do_not_void_it():
+    bend = lambda x: np.abs(x[:, 0] - 1.0)  # noqa: E731
+    left = fit(bend, lambda x: 1.0 * (x[:, 0] < 1))
+    np.testing.assert_allclose(left.half[0, 0], -1.0, atol=1e-6)
+    nowhere = fit(bend, lambda x: np.zeros(len(x)))
+    np.testing.assert_allclose(nowhere.center, fit(bend).center, atol=1e-8)
+
+
+def test_cells_can_be_taken_and_appended():
+    found = fit(left_half, cells=Cells.root(1).split(np.array([0])).split(np.array([0, 0])), num_samples=16)
+    again = found[[2, 3]].append(found[[0, 1]])
+    order = [2, 3, 0, 1]
+    assert len(again) == 4
+    np.testing.assert_array_equal(again.cells.position, found.cells.position[order])
+    for name in ("reachable", "weight", "value", "center", "half", "residual"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name)[order])
+
+
+def test_masked_cells_are_those_with_samples_of_another_weight():
+    halves = Cells.root(1).split(np.array([0]))
+    assert fit(left_half, cells=halves).masked.tolist() == [0, 1]  # a sample on the face at 1 is blocked
+    assert fit(lambda x: x[:, 0], cells=halves).masked.tolist() == []
+    assert fit(lambda x: x[:, 0], lambda x: np.where(x[:, 0] > 1, 2.0, 1.0), cells=halves).masked.tolist() == [1]
+
+
+def test_noise_is_what_floats_resolve_of_the_largest_distance():
+    np.testing.assert_allclose(fit(lambda x: np.full(len(x), 3.0)).noise, 3 * 2.0**-23)
+    np.testing.assert_allclose(
+        fit(lambda x: np.full(len(x), 3.0), lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23
+    )
+
+
+def test_cells_can_be_split_until_every_axis_is_at_its_end():
+    cells = Cells(np.array([[14, 13], [14, 14]]), np.zeros((2, 2), int))
+    assert fit(lambda x: x[:, 0], cells=cells, domain=Box((0, 0), (1, 1))).can_split.tolist() == [True, False]
+
+
+def test_a_root_without_a_reachable_sample_is_refused():
+    sampler = Sampler(lambda x: np.full(len(x), np.inf), LINE, None, sample_pattern(1, 16, 0.0, 0), 14)
+    with pytest.raises(ValueError, match="found nothing reachable"):
+        sampler.root()
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        (lambda pattern, value, weight: (value[:, 0], value[:, 1]), "compute_coefficients must return shapes"),
+        (lambda pattern, value, weight: (value[:, 0] * np.nan, value[:, :1]), "must return finite planes"),
+    ],
+)
+def test_bad_fits_are_refused(rule, message):
+    sampler = Sampler(lambda x: x[:, 0], LINE, None, sample_pattern(1, 16, 0.0, 0), 14, rule)
+    with pytest.raises(ValueError, match=message):
+        sampler(Cells.root(1))
