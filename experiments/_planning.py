@@ -22,7 +22,7 @@ from plr_jax import (
     zero,
 )
 
-PLR_BYTES, SMOKE_BYTES = 4_096, 1_024
+PLR_BYTES, SMOKE_BYTES = 4_096, 512
 
 SCENES: dict[str, Callable[[], Problem]] = {
     "single door": scenes.single_door,

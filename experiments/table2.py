@@ -220,7 +220,7 @@ def dbcbs(smoke: bool, plr_bytes: int) -> list[dict[str, Any]] | None:
         return None
     return [
         dbcbs_row(file, plr_bytes)
-        for file in tqdm(files[:2] if smoke else files, desc="db-CBS", delay=3, disable=None)
+        for file in tqdm(files[:1] if smoke else files, desc="db-CBS", delay=3, disable=None)
     ]
 
 

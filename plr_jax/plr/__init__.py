@@ -7,10 +7,10 @@ from plr_jax.plr.growth.rounds import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
-from plr_jax.plr.refine.driver import RefinementInterrupted, refine
-from plr_jax.plr.refine.face_samples import Faces, sample_faces
-from plr_jax.plr.refine.losses import Planes, eikonal, jumps, quantile, squared
-from plr_jax.plr.refine.report import Refinement
+from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
+from plr_jax.plr.refinement.face_samples import Faces, sample_faces
+from plr_jax.plr.refinement.losses import Planes, eikonal, jumps, quantile, squared
+from plr_jax.plr.refinement.report import Refinement
 from plr_jax.plr.sampling.cell_fit import CellFit
 from plr_jax.plr.sampling.plane_fits import least_squares, midrange
 

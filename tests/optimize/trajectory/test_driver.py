@@ -179,7 +179,7 @@ def test_a_guide_brings_a_guess_around_a_wall():
     for fn in (plr, plain):
         result = checked(problem, optimize_paths(problem, through(problem), distance_fns=[fn], num_iterations=1500))
         assert result.valid.all() and result.cost <= 1.01 * exact
-    assert not checked(problem, optimize_paths(problem, through(problem))).valid.any()
+    assert not checked(problem, optimize_paths(problem, through(problem), **ONE_GUESS)).valid.any()
 
 
 def test_a_guide_without_a_gradient_at_the_goal_spoils_nothing():

@@ -4,8 +4,8 @@ import pytest
 from plr_helpers import UNIT, cone, leaf_by_search, points, walled
 
 from plr_jax import Box, VisibilityGraph, construct, scenes
-from plr_jax.plr.refine.losses import Quantile, eikonal, jumps, quantile, squared
-from plr_jax.plr.refine.refine import refine
+from plr_jax.plr.refinement.losses import Quantile, eikonal, jumps, quantile, squared
+from plr_jax.plr.refinement.refine import refine
 from plr_jax.plr.sampling.face_samples import sample_faces
 
 

@@ -22,7 +22,7 @@ from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
 from plr_jax.plr.leaves.base import Parameters, values_at_centers
-from plr_jax.plr.refine.objective import Objective
+from plr_jax.plr.refinement.objective import Objective
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 # The least unit, should the least-squares fit be very good: a share of the error over all points, and of how much the

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, leaf_by_search, points
 
-import plr_jax.plr.refine.objective as minimize_module
+import plr_jax.plr.refinement.objective as minimize_module
 from plr_jax import construct, cyclic_axis, from_bytes, load, maximum_depth, save
-from plr_jax.plr.refine.losses import eikonal, jumps, quantile
-from plr_jax.plr.refine.refine import RefinementInterrupted, refine
+from plr_jax.plr.refinement.losses import eikonal, jumps, quantile
+from plr_jax.plr.refinement.refine import RefinementInterrupted, refine
 from plr_jax.plr.sampling.face_samples import sample_faces
 
 

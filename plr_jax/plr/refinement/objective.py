@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from tqdm import tqdm
 
-from plr_jax.plr.refine.losses import Loss, Penalty, Planes
+from plr_jax.plr.refinement.losses import Loss, Penalty, Planes
 
 STEPS_AT_ONCE = 50  # between two chances to interrupt
 _FIRST_STEP = 0.3  # of a variable's unit

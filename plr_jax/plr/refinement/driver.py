@@ -9,11 +9,11 @@ from jaxtyping import Float
 from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
-from plr_jax.plr.refine.face_samples import Faces
-from plr_jax.plr.refine.losses import Loss, Penalty, squared
-from plr_jax.plr.refine.objective import minimize
-from plr_jax.plr.refine.posing import WeightedPoints, pose
-from plr_jax.plr.refine.report import Refinement, Stage, measure_errors, measure_jumps
+from plr_jax.plr.refinement.face_samples import Faces
+from plr_jax.plr.refinement.losses import Loss, Penalty, squared
+from plr_jax.plr.refinement.objective import minimize
+from plr_jax.plr.refinement.posing import WeightedPoints, pose
+from plr_jax.plr.refinement.report import Refinement, Stage, measure_errors, measure_jumps
 
 _CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share
 
