@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -16,6 +17,11 @@ def test_every_public_name_is_there():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match=r"plr_jax.*contruct"):
         plr_jax.contruct  # noqa: B018
+
+
+def test_the_list_and_the_mark_of_types_are_installed():
+    folder = Path(plr_jax.__file__).parent
+    assert (folder / "__init__.pyi").exists() and (folder / "py.typed").exists()
 
 
 def test_help_lists_the_public_names(capsys):
