@@ -6,8 +6,7 @@ import pytest
 
 from experiments import hostile_files
 from experiments.hostile_files import READERS, Outcome, Reader, attempt, hostile, outcomes
-from plr_jax.plr.file.container import unframe
-from plr_jax.plr.file.plr_file import KIND
+from plr_jax.plr.file.container import Container
 
 NUMBER = 60
 
@@ -32,7 +31,7 @@ def test_a_mutated_plr_file_has_a_checksum_that_fits():
     assert reader.repaired(data) == data
     cut = reader.repaired(data[:-9])
     assert len(cut) == len(data) - 9
-    unframe(KIND, cut)
+    Container.from_bytes(cut)
 
 
 def unnamed(path):
