@@ -3,7 +3,9 @@
 import numpy as np
 import shapely
 
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 POINT, DISC, BAR = PointRobot(), DiscRobot(0.3), RectangleRobot(0.9, 0.3)
 ROBOTS = [POINT, DISC, BAR]

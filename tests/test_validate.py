@@ -13,7 +13,8 @@ from plr_jax._validate import validate
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")

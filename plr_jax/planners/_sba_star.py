@@ -21,7 +21,6 @@ from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import motion_test
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.robots.robot import RectangleRobot
 
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 
@@ -248,10 +247,10 @@ class _Search:
 
 
 def _lengths_of_units(problem: Problem) -> Float[np.ndarray, "robots dof"]:
-    """How far a unit of each coordinate moves a robot: of a heading, the rectangle's farthest corner."""
+    """How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner."""
     unit = np.ones(problem.starts.shape)
     for i, robot in enumerate(problem.robots):
-        unit[i, 2:] = robot.circumscribed_radius if isinstance(robot, RectangleRobot) else 0.0
+        unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
     return unit
 
 

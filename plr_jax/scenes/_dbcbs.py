@@ -12,7 +12,10 @@ from jaxtyping import Float
 
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot, team_dof
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.motion import team_dof
+from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import Robot
 
 # A db-CBS unicycle_first_order_0 is this rectangle, though a dynobench model of that name is a disc.
 _SHAPES: dict[str, Robot] = {
@@ -120,7 +123,7 @@ def _robot(i: int, entry: Any) -> Robot:
 
 def _state(i: int, key: str, state: Any, robot: Robot, dof: int) -> list[float]:
     """Position and, where the team has one, heading."""
-    needed = 3 if isinstance(robot, RectangleRobot) else 2
+    needed = robot.dof
     numbers = isinstance(state, list) and all(isinstance(x, int | float) for x in state)
     if not numbers or len(state) < needed:
         raise ValueError(f"expected robot {i} to have a {key} of at least {needed} numbers, got {state!r:.80}.")

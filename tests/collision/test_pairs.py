@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, POINT, ROBOTS, random_motions, sampled_distance
 
 from plr_jax.collision.pairs import motions_apart
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 TOLERANCE = 1e-9
 CORNER = BAR.circumscribed_radius

@@ -7,7 +7,8 @@ from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, round
 
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 UP = np.pi / 2
 

@@ -15,7 +15,9 @@ from plr_jax._problem import Problem, makespan
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._robots import ROBOT_COLORS
 from plr_jax.plot._timeline import timeline
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
 STARTS = np.array([(1, 1, 0), (1, 3, 3.0), (1, 5, 0)])
@@ -150,7 +152,9 @@ def test_a_page_loads_nothing_and_has_no_gaps(tmp_path):
     assert [e.get("stroke") for e in trails] == list(ROBOT_COLORS[:3])
     assert trails[0].get("points").split()[0] == "52.00,260.00"  # (1, 1) at 52 pixels a unit, y downward from 6
     numbers = [e.text for e in svg.iter("text")]
-    assert numbers == ["0", "1"]  # a dot has no room for one
+    assert numbers == ["0", "1", "2"]
+    beside = [e for e in svg.iter("text") if e.get("class") == "beside"]
+    assert [e.text for e in beside] == ["2"] and float(beside[0].get("x")) > 5  # a dot has no room for one
 
 
 class Frames(HTMLParser):

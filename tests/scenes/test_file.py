@@ -7,7 +7,9 @@ import shapely
 from plr_jax import scenes
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 POINT = [PointRobot()]
 
@@ -145,7 +147,7 @@ def with_obstacles(obstacles):
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        (scene_dict(version=3), "version 3, this release reads up to 2"),
+        (scene_dict(version=4), "version 4, this release reads up to 3"),
         (scene_dict(version="1"), "version number"),
         (scene_dict(format="other"), "expected a scene file"),
         ([], "expected a scene file"),

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
-from plr_jax.robots.robot import between
+from plr_jax.robots.motion import between
 
 _LONGEST = 32  # steps that one shortcut spans at most
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least

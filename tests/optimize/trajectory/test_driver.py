@@ -23,7 +23,7 @@ from plr_jax import (
     validate,
 )
 from plr_jax.optimize import OptimizationInterrupted, optimize_paths
-from plr_jax.optimize import _trajectory as trajectory
+from plr_jax.optimize.trajectory import driver as trajectory
 
 ROOM = Workspace(((0, 0), (10, 10)))
 BOX = Workspace(((0, 0), (10, 10)), [[(4, 3), (6, 3), (6, 7), (4, 7)]])
