@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 
 from plr_jax.collision.moving import Column, MovingBodies, across_motion, nearest_on_segment, riding_bulges
 
-Corners = Float[np.ndarray, "2 k n"]
+Corners = Float[np.ndarray, "2 _ n"]
 Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
@@ -73,11 +73,11 @@ def _nearest(ends: Ends) -> tuple[tuple[Column, Column], tuple[Column, Column]]:
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
     between = nearest_on_segment(*first, *(last - first))
-    points = np.array([*at_ends[0], *at_ends[1], between]).swapaxes(0, 1).reshape(2, -1, len(first[0, 0, 0]))
+    _, k, m, n = first.shape
+    points = np.array([*at_ends[0], *at_ends[1], between]).swapaxes(0, 1).reshape(2, 5 * k * m, n)
     squared = (points * points).sum(axis=0)
     x, y = np.take_along_axis(points, squared.argmin(axis=0)[None, None], axis=1)[:, 0]
-    of_an_end = 2 * first[0, ..., 0].size
-    distances = [np.sqrt(squared[k * of_an_end : (k + 1) * of_an_end].min(axis=0)) for k in (0, 1)]
+    distances = [np.sqrt(part.min(axis=0)) for part in (squared[: 2 * k * m], squared[2 * k * m : 4 * k * m])]
     length = np.hypot(x, y)
     nx = np.divide(x, length, out=np.ones_like(x), where=length > 0)
     return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])

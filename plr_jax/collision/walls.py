@@ -216,16 +216,16 @@ def _distance_to_edges(pieces: MovingBodies, edges: Float[np.ndarray, "n 2 2"]) 
 
 def _flat_boxes(edges: Float[np.ndarray, "n 2 2"]) -> MovingBodies:
     """Edges at rest as boxes of no width."""
-    center, tangent = edges.mean(axis=1), edges[:, 1] - edges[:, 0]
-    rest = np.zeros(len(edges))
+    (x, y), tangent, rest = edges.mean(axis=1).T, edges[:, 1] - edges[:, 0], np.zeros(len(edges))
     half_sides = np.stack([np.hypot(tangent[:, 0], tangent[:, 1]) / 2, rest])
-    return MovingBodies(half_sides, *center.T, np.arctan2(tangent[:, 1], tangent[:, 0]), rest, rest, rest)
+    return MovingBodies(half_sides, x, y, np.arctan2(tangent[:, 1], tangent[:, 0]), rest, rest, rest)
 
 
 def _flat_bodies(edges: Float[np.ndarray, "n 2 2"]) -> MovingBodies:
     """Edges at rest as bodies of two vertices."""
     center, rest = edges.mean(axis=1), np.zeros(len(edges))
-    return MovingBodies((edges - center[:, None]).transpose(2, 1, 0), *center.T, rest, rest, rest, rest)
+    size = (edges - center[:, None]).transpose(2, 1, 0)
+    return MovingBodies(size, center[:, 0], center[:, 1], rest, rest, rest, rest)
 
 
 def _check(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> None:

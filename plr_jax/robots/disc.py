@@ -25,13 +25,9 @@ class DiscRobot(Robot):
 
     def __init__(self, radius: Any):
         object.__setattr__(self, "radius", as_size("DiscRobot radius", radius))
+        object.__setattr__(self, "rounding", self.radius)
 
     @property
     def core(self) -> Float[np.ndarray, "1 2"]:
         """Its center."""
         return np.zeros((1, 2))
-
-    @property
-    def rounding(self) -> float:
-        """Its radius."""
-        return self.radius

@@ -35,7 +35,7 @@ class PolygonRobot(Robot):
     def __init__(self, vertices: Any):
         name = "PolygonRobot vertices"
         polygon = shapely.remove_repeated_points(as_polygon(name, vertices))
-        if polygon.geom_type != "Polygon" or len(polygon.interiors):
+        if not isinstance(polygon, shapely.Polygon) or len(polygon.interiors):
             raise ValueError(f"{name} must be those of one polygon without holes, got {vertices!r:.200}.")
         ring = shapely.get_coordinates(polygon)[:-1]
         if not polygon.exterior.is_ccw:

@@ -22,20 +22,16 @@ class Robot(ABC):
     as frozen dataclasses do.
     """
 
+    rounding: float
+    """Radius by which the core is rounded, in workspace units, at least 0."""
+
+    dof: int
+    """Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading."""
+
     @property
     @abstractmethod
     def core(self) -> Float[np.ndarray, "vertices 2"]:
         """Vertices of the core at heading 0: a convex polygon's, counterclockwise, or a segment's two, or one."""
-
-    @property
-    @abstractmethod
-    def rounding(self) -> float:
-        """Radius by which the core is rounded, in workspace units, at least 0."""
-
-    @property
-    @abstractmethod
-    def dof(self) -> int:
-        """Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading."""
 
     @cached_property
     def inscribed_radius(self) -> float:
@@ -46,6 +42,12 @@ class Robot(ABC):
     def circumscribed_radius(self) -> float:
         """Radius of the smallest disc about the reference point around the robot."""
         return self.rounding + float(np.hypot(*self.core.T).max())
+
+    @cached_property
+    def breadth(self) -> float:
+        """Smallest distance of two parallel lines between which the robot fits."""
+        across = _offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
+        return float(across) + 2 * self.rounding
 
     @cached_property
     def half_sides(self) -> Float[np.ndarray, "2"] | None:
@@ -77,7 +79,9 @@ def check_body(name: str, robot: Robot) -> None:
     slack = _ROUNDING * robot.circumscribed_radius
     sides = np.roll(core, -1, axis=0) - core
     if len(core) > 1 and ((sides == 0).all(axis=1).any() or _offsets(core, core).min() < -slack):
-        raise ValueError(f"{name} must be convex, its vertices each given once, got {core.tolist()}.")
+        raise ValueError(
+            f"{name} must be convex, its vertices counterclockwise and each given once, got {core.tolist()}."
+        )
     if robot.inscribed_radius < -slack:
         raise ValueError(
             f"{name} must have its reference point, the origin of its vertices, within it or on its boundary; it is "

@@ -56,11 +56,13 @@ class Outlines(NamedTuple):
         corners: Of their cores, counterclockwise, padded by the last one; a single one if all are round.
         radius: The radius by which each is rounded.
         turns: 1 for robots whose heading means something, else 0.
+        half: Half the sides of each core if all are boxes or points, which takes less to compute with; else None.
     """
 
     corners: Wedges
     radius: Float[Array, "robots"]
     turns: Float[Array, "robots"]
+    half: Float[Array, "robots 2"] | None
 
     @property
     def all_round(self) -> bool:
@@ -75,7 +77,10 @@ def outlines_of(robots: Sequence[Robot], scale: float) -> Outlines:
     parts = zip(*(_wedges(robot.core / scale, size) for robot in robots), strict=True)
     radius = np.array([robot.rounding for robot in robots]) / scale
     turns = np.array([float(robot.dof == 3) for robot in robots])
-    return Outlines(Wedges(*(_single(np.stack(part)) for part in parts)), _single(radius), _single(turns))
+    corners = Wedges(*(_single(np.stack(part)) for part in parts))
+    halves = [robot.half_sides for robot in robots if robot.half_sides is not None]
+    half = _single(np.stack(halves) / scale) if len(halves) == len(robots) else None
+    return Outlines(corners, _single(radius), _single(turns), half)
 
 
 def _wedges(core: Float[np.ndarray, "k 2"], size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +178,7 @@ def convex_clearances(
     return (
         point_clearance(walls, corners[0]) - radius,
         corner_clearance(walls.corners, *corners) - radius,
-        _signed_distance(outlines.corners, _seen(walls.corners.place, *poses[0])) - radius,
+        _signed_distance(outlines, _seen(walls.corners.place, *poses[0])) - radius,
         *(_passing(outlines, corners, poses, *pair) for pair in ((i, j), (j, i))),
     )
 
@@ -189,8 +194,8 @@ def _passing(
     a, b = (
         _seen(x[..., i, :, :], at[..., j, :], theta[..., j]) for x, (at, theta) in zip(corners, poses, strict=True)
     )
-    others = Wedges(*(part[j] for part in outlines.corners))
-    every = Wedges(*(jnp.broadcast_to(part[:, None], (*a.shape[:-1], *part.shape[1:])) for part in others))
+    others = jax.tree.map(lambda part: part[j], outlines)
+    every = Wedges(*(jnp.broadcast_to(part[:, None], (*a.shape[:-1], *part.shape[1:])) for part in others.corners))
     rounding = (outlines.radius[i] + outlines.radius[j])[:, None]
     return jnp.minimum(_signed_distance(others, a), corner_clearance(every, a, b)) - rounding
 
@@ -215,8 +220,12 @@ def _turned(x: Float[Array, "*#batch 2"], angle: Float[Array, "*#batch"]) -> Flo
     return jnp.stack([c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1]], axis=-1)
 
 
-def _signed_distance(corners: Wedges, x: Float[Array, "*#batch robots n 2"]) -> Float[Array, "*batch robots n"]:
-    """Signed distance of points to convex polygons, negative inside."""
+def _signed_distance(outlines: Outlines, x: Float[Array, "*#batch robots n 2"]) -> Float[Array, "*batch robots n"]:
+    """Signed distance of points to cores about the origin, negative inside."""
+    if outlines.half is not None:
+        gap = jnp.abs(x) - outlines.half[:, None]
+        return _norm(jnp.maximum(gap, 0.0)) + jnp.minimum(gap.max(axis=-1), 0.0)
+    corners = outlines.corners
     (x0, y0), (nx, ny) = (
         jnp.moveaxis(part, -1, 0)[..., None, :] for part in (corners.place, corners.normals[:, :, 1])
     )

@@ -7,9 +7,9 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_helpers import along, rounding, shapes
+from robot_helpers import Pebble, Sled, along, shapes
 
-from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace, scenes
+from plr_jax import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Workspace, scenes
 from plr_jax.optimize.trajectory.clearance import (
     convex_clearances,
     corner_clearance,
@@ -81,37 +81,57 @@ def test_round_robots_in_motion_are_as_clear_as_dense_samples(seed):
     t = np.linspace(0, 1, 401)[:, None, None]
     q = q0 + t * (q1 - q0)
     for i, robot in enumerate(robots):
-        distance = BOX.clearance(q[:, i]).min() - rounding(robot)
+        distance = BOX.clearance(q[:, i]).min() - robot.rounding
         if BOX.is_visible(q0[i : i + 1], q1[i : i + 1])[0]:
             assert min(start[i], end[i], corner[i]) == pytest.approx(distance, abs=5e-3)
     expected = [
-        np.linalg.norm(q[:, i] - q[:, j], axis=1).min() - rounding(robots[i]) - rounding(robots[j])
+        np.linalg.norm(q[:, i] - q[:, j], axis=1).min() - robots[i].rounding - robots[j].rounding
         for i, j in ((0, 1), (0, 2), (1, 2))
     ]
     np.testing.assert_allclose(pair, expected, atol=5e-3)
 
 
-@given(st.integers(0, 10_000))
+TEAMS = {
+    "boxes": [RectangleRobot(1.8, 0.5), RectangleRobot(1.0, 0.7), DiscRobot(0.4)],
+    "any shapes": [PolygonRobot([(1.2, 0), (0.3, 0.7), (-0.6, 0.5), (-0.4, -0.5)]), Pebble(1.0), DiscRobot(0.4)],
+    "no headings": [Sled(2.0), PointRobot(), Sled(3.0)],
+}
+
+
+@pytest.mark.parametrize("robots", TEAMS.values(), ids=TEAMS)
+@given(seed=st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_rectangles_at_rest_are_as_clear_as_shapely_says(seed):
+def test_bodies_at_rest_are_as_clear_as_shapely_says(robots, seed):
     rng = np.random.default_rng(seed)
-    robots = [RectangleRobot(1.8, 0.5), RectangleRobot(1.0, 0.7), DiscRobot(0.4)]
     q = np.column_stack([rng.uniform(1, 9, (3, 2)), rng.uniform(-7, 7, 3)]).astype(np.float32)
-    at = jnp.asarray(q)
+    at = jnp.asarray(q[:, : max(robot.dof for robot in robots)])
     *to_walls, first, second = convex_clearances(padded_boundary(BOX, ORIGIN, 1.0), outlines_of(robots, 1.0), at, at)
     bodies = [shapes(robot, q[i : i + 1].astype(np.float64))[0] for i, robot in enumerate(robots)]
     region = shapely.union_all([*BOX.obstacles, shapely.box(-9, -9, 19, 19).difference(shapely.box(0, 0, 10, 10))])
     walls = np.min([np.asarray(part).min(axis=1) for part in to_walls], axis=0)
     pairs = np.minimum(first, second).min(axis=1)
     for found, expected in [
-        *((walls[i], shapely.distance(bodies[i], region) - rounding(robots[i])) for i in range(3)),
+        *((walls[i], shapely.distance(bodies[i], region) - robots[i].rounding) for i in range(3)),
         *(
-            (pairs[k], shapely.distance(bodies[i], bodies[j]) - rounding(robots[i]) - rounding(robots[j]))
+            (pairs[k], shapely.distance(bodies[i], bodies[j]) - robots[i].rounding - robots[j].rounding)
             for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)))
         ),
     ]:
         if expected > 0.01:
             assert found == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("robots", TEAMS.values(), ids=TEAMS)
+def test_a_point_within_a_body_is_as_deep_as_its_nearest_side(robots):
+    """Of the corners of an obstacle in the frame of a robot."""
+    corner = np.array([4.0, 3.0])
+    for robot in robots:
+        if len(robot.core) > 1:
+            inside = robot.core.mean(axis=0)
+            at = jnp.asarray([[*(corner - inside), 0.0]], jnp.float32)
+            seen = convex_clearances(padded_boundary(BOX, ORIGIN, 1.0), outlines_of([robot], 1.0), at, at)[2]
+            depth = shapely.distance(shapely.Point(inside), shapely.Polygon(robot.core).exterior)
+            assert float(seen.min()) == pytest.approx(-depth - robot.rounding, abs=1e-5)
 
 
 def test_a_rectangle_that_cuts_a_corner_between_two_free_poses_is_seen():
