@@ -48,6 +48,8 @@ from .plr import maximum_depth as maximum_depth
 from .plr import midrange as midrange
 from .plr import refine as refine
 from .plr import save as save
-from .robots.robot import DiscRobot as DiscRobot
-from .robots.robot import PointRobot as PointRobot
-from .robots.robot import RectangleRobot as RectangleRobot
+from .robots.disc import DiscRobot as DiscRobot
+from .robots.point import PointRobot as PointRobot
+from .robots.polygon import PolygonRobot as PolygonRobot
+from .robots.rectangle import RectangleRobot as RectangleRobot
+from .robots.robot import Robot as Robot

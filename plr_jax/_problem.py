@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax._arrays import as_numbers
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot, footprint, shorter_turn, team_dof
+from plr_jax.robots.motion import footprint, shorter_turn, team_dof
+from plr_jax.robots.robot import Robot, check_body
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 
@@ -27,17 +28,17 @@ class Problem:
     Args:
         workspace: Where they move.
         robots: The robots, at least one.
-        starts: Start configurations, ``(robots, dof)``, in workspace units and radians; ``dof`` is 2 if all
-            robots are points or discs, else 3, and the heading of round robots is ignored.
+        starts: Start configurations, ``(robots, dof)``, in workspace units and radians; ``dof`` is 2 if no
+            robot has a heading, as points and discs, else 3, and the heading of those that have none is ignored.
         goals: Goal configurations, ``(robots, dof)``.
-        rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for every rectangle;
-            None: half its diagonal.
+        rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for every robot that has
+            a heading; None: its circumscribed radius, of a rectangle half the diagonal.
 
     Raises:
         ValueError: If there is no robot, starts or goals have the wrong shape or are not finite, the rotation
             weight is negative or not finite, a robot starts or ends outside the bounds or in collision with
-            an obstacle or another robot, or obstacles cut a goal off from its start (for a rectangle: for
-            its inscribed disc, so that not all impossible problems are found out).
+            an obstacle or another robot, or obstacles cut a goal off from its start (for a robot with
+            corners: for its inscribed disc, so that not all impossible problems are found out).
     """
 
     workspace: Workspace
@@ -56,8 +57,9 @@ class Problem:
     ):
         robots = tuple(robots)
         for i, robot in enumerate(robots):
-            if not isinstance(robot, PointRobot | DiscRobot | RectangleRobot):
+            if not isinstance(robot, Robot):
                 raise ValueError(f"Robot {i} must be a robot such as PointRobot(), got {robot!r}.")
+            check_body(f"Robot {i}", robot)
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
         if rotation_weight is not None and not (np.isfinite(rotation_weight) and rotation_weight >= 0):
@@ -74,21 +76,17 @@ class Problem:
 
     @property
     def dof(self) -> int:
-        """Numbers in each robot's configuration: 2 if all robots are round, else 3."""
+        """Numbers in each robot's configuration: 2 if none has a heading, else 3."""
         return team_dof(self.robots)
 
     @property
     def rotation_weights(self) -> Float[np.ndarray, "robots"]:
-        """Cost of each robot's turn by one radian, in workspace units: 0 for round robots."""
-        weight = self.rotation_weight
-        return np.array(
-            [
-                0.0
-                if not isinstance(robot, RectangleRobot)
-                else (robot.circumscribed_radius if weight is None else weight)
-                for robot in self.robots
-            ]
-        )
+        """Cost of each robot's turn by one radian, in workspace units: 0 for those without a heading."""
+        weights = [
+            robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
+            for robot in self.robots
+        ]
+        return np.array(weights) * [robot.dof == 3 for robot in self.robots]
 
 
 def motion_costs(
@@ -199,7 +197,7 @@ def _require_free(
     shapely.prepare(obstacles)
     x0, y0, x1, y1 = *workspace.bounds.lo, *workspace.bounds.hi
     for i, (robot, q) in enumerate(zip(robots, configurations, strict=True)):
-        core, radius = footprint(robot, q), _rounding(robot)
+        core, radius = footprint(robot, q), robot.rounding
         left, bottom, right, top = shapely.bounds(core)
         inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
         if inside < -workspace.tolerance:
@@ -222,7 +220,7 @@ def _require_apart(
     cores = [footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)]
     for j in range(len(robots)):
         for i in range(j):
-            clearance = separation(cores[i], cores[j]) - _rounding(robots[i]) - _rounding(robots[j])
+            clearance = separation(cores[i], cores[j]) - robots[i].rounding - robots[j].rounding
             if clearance < -tolerance:
                 raise ValueError(
                     f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
@@ -257,10 +255,6 @@ def _components(workspace: Workspace) -> tuple[Any, Any]:
         i, j = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(parts), len(parts)))
     return parts, connected_components(graph)[1]
-
-
-def _rounding(robot: Robot) -> float:
-    return robot.radius if isinstance(robot, DiscRobot) else 0.0
 
 
 def separation(a: Any, b: Any) -> float:

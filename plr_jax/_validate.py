@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from plr_jax._problem import Problem, as_path, path_cost, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot
+from plr_jax.robots.robot import Robot
 
 _TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
@@ -51,7 +51,7 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check a path on its own merits, whoever made it.
 
-    The path must begin at the starts and end at the goals exactly (but for round robots' headings), be
+    The path must begin at the starts and end at the goals exactly (but for headings of robots that have none), be
     finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
     straight, at constant rates, turning by the shorter way. Touching is allowed.
 
@@ -72,23 +72,23 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
     cost, encounters = path_cost(problem, path), _encounters(problem, path)
-    closest = min(encounters, key=lambda encounter: encounter.outcome.clearance)
-    collisions = [e for e in encounters if e.outcome.collision is not None]
+    closest = min(encounters, key=lambda encounter: encounter.findings.clearance)
+    collisions = [e for e in encounters if e.findings.collision is not None]
     if collisions:
         first = min(collisions, key=lambda encounter: encounter.first_moment)
         return _collision_report(problem, first, cost)
-    clearance = closest.outcome.clearance
+    clearance = closest.findings.clearance
     fault = _squeeze(problem, path) or _wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.outcome.motion}."
+    message = f"Valid: clearance {clearance:.4g}, {_name(closest)} in the motion from step {closest.findings.motion}."
     return ValidationReport(True, cost, clearance, message, closest.who)
 
 
 @dataclass(frozen=True)
-class _Outcome:
+class _Findings:
     clearance: float
     motion: int  # where the clearance is smallest
     collision: int | None  # the first motion that collides
@@ -107,8 +107,8 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        """Distance that the centers of discs keep beyond what their footprints, points, cover."""
-        return sum((body.radius for body in (self.robot, self.other) if isinstance(body, DiscRobot)), 0.0)
+        """Distance that cores keep for being rounded."""
+        return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Clearance at some times."""
@@ -131,10 +131,13 @@ class _Encounter:
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach == 0:
-            # Met, the other body is touched or entered: entered if so is what is left of it, peeled.
+            # Met, a body is touched or entered: entered if so is what is left of it, peeled. A point is not peeled.
             met = np.flatnonzero(distance == 0)
-            peeled = shapely.buffer(others[met], -self.tolerance, join_style="mitre")
-            distance[met[shapely.intersects(hulls[met], peeled)]] = -2 * self.tolerance
+            met_hulls, met_others = hulls[met], others[met]
+            if (shapely.area(met_others) == 0).any():
+                met_hulls, met_others = met_others, met_hulls
+            peeled = shapely.buffer(met_others, -self.tolerance, join_style="mitre")
+            distance[met[shapely.intersects(met_hulls, peeled)]] = -2 * self.tolerance
         return distance - self.reach
 
     @cached_property
@@ -149,12 +152,12 @@ class _Encounter:
 
     @cached_property
     def turns(self) -> Any:
-        """Whether a rectangle turns, in each motion."""
+        """Whether something turns, in each motion."""
         turns = _rim_speeds(self.robot, self.path) > 0
         return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
 
     @cached_property
-    def outcome(self) -> _Outcome:
+    def findings(self) -> _Findings:
         """The smallest clearance, and the first collision."""
         smallest = np.minimum(*(self.clearances(np.arange(len(self.path), dtype=float))[s] for s in _ENDS))
         straight = np.flatnonzero(~self.turns)
@@ -172,12 +175,12 @@ class _Encounter:
             begin[1::2] += size
         collisions = np.flatnonzero(smallest < -self.tolerance)
         first = int(collisions[0]) if len(collisions) else None
-        return _Outcome(float(smallest.min()), int(np.argmin(smallest)), first)
+        return _Findings(float(smallest.min()), int(np.argmin(smallest)), first)
 
     @cached_property
     def first_moment(self) -> float:
         """When the first collision begins, to a fraction of a step."""
-        motion = self.outcome.collision
+        motion = self.findings.collision
         assert motion is not None
         pieces = [(0.0, 1.0)]  # a stack, the earliest on top
         while pieces:
@@ -194,7 +197,7 @@ class _Encounter:
     @property
     def depth(self) -> float:
         """Smallest clearance seen in the first motion that collides."""
-        motion = self.outcome.collision
+        motion = self.findings.collision
         assert motion is not None
         times = np.append(motion + np.linspace(0.0, 1.0, 65), self.first_moment)
         return min(float(self.clearances(times).min()), -self.tolerance)
@@ -215,7 +218,7 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     for j, robot in enumerate(problem.robots):
         encounters.append(_Encounter((j,), robot, path[:, j], blocked, None, tolerance))
         for i, other in enumerate(problem.robots[:j]):
-            if not isinstance(robot, PointRobot) or not isinstance(other, PointRobot):
+            if robot.circumscribed_radius > 0 or other.circumscribed_radius > 0:
                 encounters.append(_Encounter((i, j), other, path[:, i], robot, path[:, j], tolerance))
     return encounters
 
@@ -245,32 +248,32 @@ def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
     """How far turning takes a robot's corners in each motion."""
-    if not isinstance(robot, RectangleRobot):
+    if robot.dof == 2:
         return np.zeros(len(path) - 1)
-    return 0.5 * np.hypot(robot.length, robot.width) * np.abs(_turns(path))
+    return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
-    """Corners of rectangles, counterclockwise; centers of round robots."""
-    if not isinstance(robot, RectangleRobot):
-        return q[:, None, :2]
-    x = 0.5 * robot.length * np.array([1, -1, -1, 1])
-    y = 0.5 * robot.width * np.array([1, 1, -1, -1])
-    c, s = np.cos(q[:, 2:]), np.sin(q[:, 2:])
+    """Vertices of cores."""
+    x, y = robot.core.T
+    heading = q[:, 2:] if robot.dof == 3 else np.zeros((len(q), 1))
+    c, s = np.cos(heading), np.sin(heading)
     return q[:, None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=2)
 
 
 def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
-    """Footprints as Shapely geometries; a disc's is its center."""
+    """Cores as Shapely geometries; a disc's is its center."""
     corners = _corners(robot, q)
-    return shapely.polygons(corners) if isinstance(robot, RectangleRobot) else shapely.points(corners[:, 0])
+    if len(robot.core) == 1:
+        return shapely.points(corners[:, 0])
+    return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
 def _squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
     """The point that first passes between obstacles that touch, where the workspace forbids it, and a message."""
     workspace, squeezes = problem.workspace, []
     for i, robot in enumerate(problem.robots):
-        if isinstance(robot, PointRobot) and not workspace.squeeze and len(workspace.boundary.contacts):
+        if robot.circumscribed_radius == 0 and not workspace.squeeze and len(workspace.boundary.contacts):
             hidden = np.flatnonzero(~workspace.is_visible(path[:-1, i, :2], path[1:, i, :2]))
             squeezes += [(int(motion), i) for motion in hidden[:1]]
     if not squeezes:
@@ -283,9 +286,8 @@ def _wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) ->
     """The robot that does not begin or end where it should, when, and a message."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
-            dof = 3 if isinstance(robot, RectangleRobot) else 2
-            if (path[row, i, :dof] != wanted[i, :dof]).any():
-                got, should = path[row, i, :dof].tolist(), wanted[i, :dof].tolist()
+            got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()
+            if got != should:
                 return i, float(row), f"Robot {i} {verb} at {got} and not exactly at {should}."
     return None
 

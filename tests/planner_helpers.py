@@ -7,7 +7,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import along, rounding, shapes
+from robot_helpers import along, shapes
 
 from plr_jax import (
     BLOptions,
@@ -112,5 +112,5 @@ def deepest_overlap(workspace, robot, q0, q1):
     else:
         inside = shapely.distance(bodies, shapely.boundary(region))
         distance = shapely.distance(bodies, region)
-        depth = rounding(robot) - np.where(distance > 0, distance, -inside)
+        depth = robot.rounding - np.where(distance > 0, distance, -inside)
     return depth.reshape(-1, num_samples).max(axis=1)

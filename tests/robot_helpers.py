@@ -1,27 +1,54 @@
 """What the tests of robots share: shapes drawn by Shapely, and motions sampled densely in time."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import shapely
 
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class Pebble(Robot):
+    """A shape that the package does not know: a triangle about its first quarter, rounded."""
+
+    size: float = 0.3
+    rounding = 0.12
+    dof = 3
+
+    @property
+    def core(self):
+        return self.size * np.array([(1.2, 0.0), (-0.4, 0.7), (-0.4, -0.7)])
+
+
+@dataclass(frozen=True)
+class Sled(Robot):
+    """Another one: a triangle that keeps its heading."""
+
+    size: float = 1.0
+    rounding = 0.0
+    dof = 2
+
+    @property
+    def core(self):
+        return self.size * np.array([(0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25)])
+
 
 POINT, DISC, BAR = PointRobot(), DiscRobot(0.3), RectangleRobot(0.9, 0.3)
-ROBOTS = [POINT, DISC, BAR]
-
-
-def rounding(robot):
-    return robot.radius if isinstance(robot, DiscRobot) else 0.0
+WING, PEBBLE = PolygonRobot([(0.5, 0.0), (0.0, 0.4), (-0.3, 0.25), (0.0, -0.1)]), Pebble()
+ROBOTS = [POINT, DISC, BAR, WING, PEBBLE]
 
 
 def shapes(robot, q):
-    """Shapely geometries at configurations (n, 3): centers for round robots."""
-    if not isinstance(robot, RectangleRobot):
-        return shapely.points(q[:, :2])
-    angle = np.exp(1j * q[:, 2])[:, None]
-    corners = (q[:, 0] + 1j * q[:, 1])[:, None] + angle * (
-        np.array([1, -1, -1, 1]) * robot.length / 2 + 1j * np.array([1, 1, -1, -1]) * robot.width / 2
-    )
-    return shapely.polygons(np.stack([corners.real, corners.imag], axis=2))
+    """Cores as Shapely geometries at configurations (n, 3)."""
+    angle = np.exp(1j * (q[:, 2] if robot.dof == 3 else np.zeros(len(q))))[:, None]
+    corners = (q[:, 0] + 1j * q[:, 1])[:, None] + angle * (robot.core[:, 0] + 1j * robot.core[:, 1])
+    corners = np.stack([corners.real, corners.imag], axis=2)
+    return shapely.points(corners[:, 0]) if len(robot.core) == 1 else shapely.polygons(corners)
 
 
 def along(q0, q1, num_samples):
@@ -35,7 +62,7 @@ def along(q0, q1, num_samples):
 def sampled_distance(robot_a, a0, a1, robot_b, b0, b1, num_samples):
     """Smallest distance over samples of each motion; negative where discs overlap, 0 where others do."""
     a, b = shapes(robot_a, along(a0, a1, num_samples)), shapes(robot_b, along(b0, b1, num_samples))
-    distance = shapely.distance(a, b) - rounding(robot_a) - rounding(robot_b)
+    distance = shapely.distance(a, b) - robot_a.rounding - robot_b.rounding
     # Touching is no overlap: only interiors that meet are.
     for polygons, others in ((a, b), (b, a)):
         if shapely.get_type_id(polygons[0]) == shapely.GeometryType.POLYGON:

@@ -3,7 +3,9 @@ import pytest
 
 from plr_jax._problem import Problem, makespan, motion_costs, path_cost
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]
 ROOM = Workspace(((0, 0), (1, 1)), [WALL])

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import BAR, DISC, POINT, along, random_motions, rounding, shapes
+from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions, shapes
 
 from plr_jax import scenes
 from plr_jax._problem import Problem, path_cost
@@ -13,7 +13,8 @@ from plr_jax._validate import validate
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")
@@ -91,6 +92,14 @@ def test_robots_that_meet_are_named_and_the_earliest_meeting_counts():
 
 def test_points_never_collide_with_points():
     assert report([POINT, POINT], [(0.5, 1), (3.5, 1)], [(3.5, 1), (0.5, 1)]).valid
+
+
+@pytest.mark.parametrize("robot", [BAR, WING])
+def test_a_body_that_passes_over_a_point_without_a_turn_is_seen(robot):
+    start, post, end = (1.0, 1.0, 0.0), (2.0, 1.0, 0.0), (3.0, 1.0, 0.0)
+    for first, second, who in ((robot, POINT, 0), (POINT, robot, 1)):
+        rows = [[q, post] if who == 0 else [post, q] for q in (start, end)]
+        assert not report([first, second], *rows).valid
 
 
 def test_a_small_point_obstacle_between_rows_is_not_missed():
@@ -175,7 +184,7 @@ def sampled_clearance(problem, path, num_samples=401):
     if path.shape[2] == 2:
         path = np.pad(path, ((0, 0), (0, 0), (0, 1)))
     bodies = [shapes(robot, along(path[:-1, i], path[1:, i], num_samples)) for i, robot in enumerate(problem.robots)]
-    radii = [rounding(robot) for robot in problem.robots]
+    radii = [robot.rounding for robot in problem.robots]
     blocked = shapely.difference(shapely.box(-99, -99, 99, 99), problem.workspace.free_space)
     shapely.prepare(blocked)
     distances = [(shapely.distance(body, blocked) - r).min() for body, r in zip(bodies, radii, strict=True)]
@@ -184,17 +193,18 @@ def sampled_clearance(problem, path, num_samples=401):
     return min(distances)
 
 
-def test_random_motions_by_dense_samples_and_by_the_planners_tests():
+@pytest.mark.parametrize("one, other", [(BAR, DISC), (WING, PEBBLE)])
+def test_random_motions_by_dense_samples_and_by_the_planners_tests(one, other):
     """Verdicts agree with samples and with the other implementation; clearances with samples."""
     rng = np.random.default_rng(8)
-    q0, q1 = (q.reshape(200, 2, 3) for q in random_motions(rng, 400, 4.0, 0.3, 0.6))
-    planner = motions_apart(BAR, q0[:, 0], q1[:, 0], DISC, q0[:, 1], q1[:, 1], 1e-9)
-    for i, robot in enumerate((BAR, DISC)):
+    q0, q1 = (q.reshape(120, 2, 3) for q in random_motions(rng, 240, 4.0, 0.3, 0.6))
+    planner = motions_apart(one, q0[:, 0], q1[:, 0], other, q0[:, 1], q1[:, 1], 1e-9)
+    for i, robot in enumerate((one, other)):
         planner &= MotionTest(ROOM, robot)(q0[:, i], q1[:, i])
     solved = 0
     for a, b, free in zip(q0, q1, planner, strict=True):
         try:
-            problem = Problem(ROOM, [BAR, DISC], a, b)
+            problem = Problem(ROOM, [one, other], a, b)
         except ValueError:
             assert not free
             continue
@@ -205,7 +215,7 @@ def test_random_motions_by_dense_samples_and_by_the_planners_tests():
             assert result.clearance == pytest.approx(sampled, abs=3e-3)
             assert result.clearance <= sampled + 1e-6
         solved += result.valid
-    assert solved > 20
+    assert solved > 12
 
 
 SOLUTIONS = [

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from plr_jax._problem import Problem, path_cost
 from plr_jax._validate import validate
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.robots.robot import Robot
 
 _PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar")
 
@@ -208,7 +208,7 @@ def _task(problem: Problem, planner: str, seed: int, time_limit: float, cost_tar
     headings = np.zeros((len(problem.robots), 3 - problem.dof))
     starts, goals = (np.hstack([q, headings]) for q in (problem.starts, problem.goals))
     for q in (starts, goals):
-        q[[not isinstance(robot, RectangleRobot) for robot in problem.robots], 2] = 0.0
+        q[[robot.dof == 2 for robot in problem.robots], 2] = 0.0
     workspace = problem.workspace
     return Task(
         planner=planner,
@@ -228,9 +228,10 @@ def _task(problem: Problem, planner: str, seed: int, time_limit: float, cost_tar
 
 def _size(robot: Robot) -> tuple[float, float, float]:
     """Half length, half width and radius."""
-    if isinstance(robot, RectangleRobot):
-        return robot.length / 2, robot.width / 2, 0.0
-    return 0.0, 0.0, robot.radius if isinstance(robot, DiscRobot) else 0.0
+    half = robot.half_sides
+    if half is None or (half.any() and (robot.rounding > 0 or robot.dof == 2)):
+        raise ValueError(f"OMPL planners take points, discs and rectangles, got {robot!r}.")
+    return float(half[0]), float(half[1]), robot.rounding
 
 
 def _check(planner: Any, seed: Any, time_limit: Any, cost_target: Any) -> None:

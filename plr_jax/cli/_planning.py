@@ -16,7 +16,7 @@ from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph, robot_distance_fns
 from plr_jax.planners import BLOptions, Solution, bl_plan, straight_line, sum_of_distances, zero
 from plr_jax.plr import PLR, ConstructionInterrupted, construct
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.robots.robot import Robot
 
 
 class Phases:
@@ -183,9 +183,8 @@ def _whole(oracle: VisibilityGraph, problem: Problem, max_bytes: int, seed: int)
 
 
 def _body(robot: Robot, plural: str) -> str:
-    match robot:
-        case DiscRobot():
-            return f"disc{plural} of radius {robot.radius:g}"
-        case RectangleRobot():
-            return f"rectangle{plural} {robot.length:g} x {robot.width:g}"
-    return f"point{plural}"
+    if len(robot.core) == 1:
+        return f"disc{plural} of radius {robot.rounding:g}" if robot.rounding else f"point{plural}"
+    kind = f"polygon{plural} of {len(robot.core)} corners" if robot.half_sides is None else f"rectangle{plural}"
+    length, width = np.ptp(robot.core, axis=0) + 2 * robot.rounding
+    return f"{kind} {length:g} x {width:g}"

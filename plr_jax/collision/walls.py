@@ -13,9 +13,11 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.collision.pairs import Bodies, bisect, bodies_of, distance_to_segment, judge_boxes
+from plr_jax.collision.boxes import judge_boxes
+from plr_jax.collision.convex import judge_convex
+from plr_jax.collision.moving import MovingBodies, bisect, distance_to_segment, moving
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import PointRobot, RectangleRobot, Robot
+from plr_jax.robots.robot import Robot
 
 _CHUNK = 1 << 14  # motions at a time, whose temporaries stay in cache
 _CELLS = (64, 256)  # fewest and most cells along the longer side
@@ -49,8 +51,9 @@ class MotionTest:
     def __init__(self, workspace: Workspace, robot: Robot):
         cell, shape, centers = _grid(workspace, robot)
         # A point's walls are looked up by the workspace, whatever the length of its motion.
-        longest = np.inf if isinstance(robot, PointRobot) else max(2 * cell, robot.circumscribed_radius)
-        reach = 0.0 if isinstance(robot, PointRobot) else robot.circumscribed_radius + longest / 2 + cell
+        size = robot.circumscribed_radius
+        longest = max(2 * cell, size) if size > 0 else np.inf
+        reach = size + longest / 2 + cell if size > 0 else 0.0
         first, edge = _edges_near(workspace, centers, reach)
         for name, value in (
             ("workspace", workspace),
@@ -68,13 +71,13 @@ class MotionTest:
         """Test motions.
 
         Args:
-            q0: Configurations at the start, ``(n, dof)``; a round robot's heading may be there or not.
+            q0: Configurations at the start, ``(n, dof)``; the heading of a robot that has none may be there or not.
             q1: Configurations at the end.
 
         Returns:
             True where the whole motion is free, to ``workspace.tolerance``. Exact for points and discs, and
-            for rectangles that do not turn; a rectangle that turns may be refused within about 1e-7 of
-            its size from a wall, and is never passed through one.
+            where nothing turns; a robot that turns may be refused within about 1e-7 of its size from a wall,
+            and is never passed through one.
         """
         _check(self.robot, q0, q1)
         free = np.empty(len(q0), dtype=bool)
@@ -93,9 +96,13 @@ class MotionTest:
         unsure = ~clear & (clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance)
         unsure = np.flatnonzero(unsure)
         clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure])
-        # Bodies that no wall cuts are wholly within free space or wholly outside: look where the center is.
+        # Bodies that no wall cuts are wholly within free space or wholly outside: look where one of their points is,
+        # not the reference point, which may touch a wall from either side.
         lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
-        clear[lost] = self.workspace.is_free(np.stack([x[lost], y[lost]], axis=1))
+        (u, v), heading = self.robot.core.mean(axis=0), pieces.theta[lost] + 0.5 * pieces.turn[lost]
+        c, s = np.cos(heading), np.sin(heading)
+        inside = np.stack([x[lost] + c * u - s * v, y[lost] + s * u + c * v], axis=1)
+        clear[lost] = self.workspace.is_free(inside)
         if owner is None:
             return clear
         free = np.ones(len(q0), dtype=bool)
@@ -112,9 +119,9 @@ class MotionTest:
         dx, dy = x - lo[0] - (column + 0.5) * self._cell, y - lo[1] - (row + 0.5) * self._cell
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
-    def _test_walls(self, pieces: Bodies, cell: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
         """Whether pieces of motions keep off the walls near their cells."""
-        if isinstance(self.robot, PointRobot):
+        if self.robot.circumscribed_radius == 0:
             a = np.stack([pieces.x, pieces.y], axis=1)
             return self.workspace.is_visible(a, a + np.stack([pieces.dx, pieces.dy], axis=1))
         count = self._first[cell + 1] - self._first[cell]
@@ -124,11 +131,18 @@ class MotionTest:
         distance = _distance_to_edges(pieces.take(piece), self.workspace.boundary.segments[edge])
         clear = np.ones(len(cell), dtype=bool)
         clear[piece[distance < self.robot.inscribed_radius - self.workspace.tolerance]] = False
-        if isinstance(self.robot, RectangleRobot):
+        if self.robot.inscribed_radius < self.robot.circumscribed_radius:
             near = np.flatnonzero((distance < self.robot.circumscribed_radius) & clear[piece])
-            bodies, walls = pieces.take(piece[near]), _walls(self.workspace.boundary.segments[edge[near]])
-            clear[piece[near][~bisect(judge_boxes, bodies, walls, -self.workspace.tolerance)]] = False
+            keeps_off = self._keep_off(pieces.take(piece[near]), self.workspace.boundary.segments[edge[near]])
+            clear[piece[near][~keeps_off]] = False
         return clear
+
+    def _keep_off(self, pieces: MovingBodies, edges: Float[np.ndarray, "n 2 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether pieces of motions keep off one edge each."""
+        reach, half = self.robot.rounding - self.workspace.tolerance, self.robot.half_sides
+        if half is not None and reach <= 0:
+            return bisect(judge_boxes, pieces.sized(half), _flat_boxes(edges), reach)
+        return bisect(judge_convex, pieces.sized(self.robot.core.T), _flat_bodies(edges), reach)
 
 
 @lru_cache(maxsize=16)
@@ -170,22 +184,22 @@ def _edges_near(
 
 def _pieces(
     robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"], longest: float
-) -> tuple[Bodies, Int[np.ndarray, "m"] | None]:
+) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
     """Motions cut into equal pieces no longer than ``longest``, and their motions if any was cut."""
-    bodies = bodies_of(robot, q0, q1)
-    count = np.ceil(np.hypot(bodies.dx, bodies.dy) / longest).astype(np.intp)
+    whole = moving(robot, q0, q1)
+    count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():
-        return bodies, None
+        return whole, None
     count = np.maximum(count, 1)
     owner = np.repeat(np.arange(len(q0)), count)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     t, share = step / count[owner], 1 / count[owner]
-    whole = bodies.take(owner)
-    pose = [q + t * rate for q, rate in zip(whole[2:5], whole[5:], strict=True)]
-    return Bodies(*whole[:2], *pose, *(rate * share for rate in whole[5:])), owner
+    whole = whole.take(owner)
+    pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
+    return MovingBodies(whole.size, *pose, *(rate * share for rate in whole[4:])), owner
 
 
-def _distance_to_edges(pieces: Bodies, edges: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+def _distance_to_edges(pieces: MovingBodies, edges: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
     """Distance of the segment that each piece's center runs along to an edge, zero where they cross."""
     tangent = edges[:, 1] - edges[:, 0]
     length = np.hypot(tangent[:, 0], tangent[:, 1])
@@ -200,17 +214,22 @@ def _distance_to_edges(pieces: Bodies, edges: Float[np.ndarray, "n 2 2"]) -> Flo
     return np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))
 
 
-def _walls(edges: Float[np.ndarray, "n 2 2"]) -> Bodies:
-    """Edges as flat bodies at rest."""
-    center, tangent = edges.mean(axis=1), edges[:, 1] - edges[:, 0]
-    rest = np.zeros(len(edges))
-    half = np.hypot(tangent[:, 0], tangent[:, 1]) / 2
-    heading = np.arctan2(tangent[:, 1], tangent[:, 0])
-    return Bodies(half, rest, center[:, 0], center[:, 1], heading, rest, rest, rest)
+def _flat_boxes(edges: Float[np.ndarray, "n 2 2"]) -> MovingBodies:
+    """Edges at rest as boxes of no width."""
+    (x, y), tangent, rest = edges.mean(axis=1).T, edges[:, 1] - edges[:, 0], np.zeros(len(edges))
+    half_sides = np.stack([np.hypot(tangent[:, 0], tangent[:, 1]) / 2, rest])
+    return MovingBodies(half_sides, x, y, np.arctan2(tangent[:, 1], tangent[:, 0]), rest, rest, rest)
+
+
+def _flat_bodies(edges: Float[np.ndarray, "n 2 2"]) -> MovingBodies:
+    """Edges at rest as bodies of two vertices."""
+    center, rest = edges.mean(axis=1), np.zeros(len(edges))
+    size = (edges - center[:, None]).transpose(2, 1, 0)
+    return MovingBodies(size, center[:, 0], center[:, 1], rest, rest, rest, rest)
 
 
 def _check(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> None:
-    dof = (3,) if isinstance(robot, RectangleRobot) else (2, 3)
+    dof = (2, 3)[robot.dof - 2 :]
     for name, q in (("q0", q0), ("q1", q1)):
         if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
             raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from plr_jax._arrays import as_numbers, require_integer
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike, DimensionedFn
-from plr_jax.robots.robot import RectangleRobot
 
 
 def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tuple[Any, ...]:
@@ -65,7 +64,7 @@ def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses s
         raise ValueError(f"Paths must be finite; path {np.argwhere(~np.isfinite(batch))[0, 0]} is not.")
     for row, wanted, name in ((0, problem.starts, "starts"), (-1, problem.goals, "goals")):
         for i, robot in enumerate(problem.robots):
-            dof = 3 if isinstance(robot, RectangleRobot) else 2
+            dof = robot.dof
             off = np.flatnonzero((batch[:, row, i, :dof] != wanted[i, :dof]).any(axis=1))
             if off.size:
                 raise ValueError(

@@ -21,7 +21,6 @@ from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._heuristics import estimates, require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.robots.robot import RectangleRobot
 
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 
@@ -239,10 +238,10 @@ class _SBAStarSearch:
 
 
 def _lengths_of_units(problem: Problem) -> Float[np.ndarray, "robots dof"]:
-    """How far a unit of each coordinate moves a robot: of a heading, the rectangle's farthest corner."""
+    """How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner."""
     unit = np.ones(problem.starts.shape)
     for i, robot in enumerate(problem.robots):
-        unit[i, 2:] = robot.circumscribed_radius if isinstance(robot, RectangleRobot) else 0.0
+        unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
     return unit
 
 

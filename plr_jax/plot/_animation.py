@@ -23,15 +23,14 @@ from plr_jax.plot._robots import (
     add_body,
     add_number,
     add_outline,
+    body_outline,
     color_of,
     ink_on,
     nose,
     number_size,
-    outline,
-    placed,
 )
 from plr_jax.plot._timeline import Timeline, timeline
-from plr_jax.robots.robot import RectangleRobot
+from plr_jax.robots.motion import placed
 
 _PANEL, _MARGIN, _DPI = 4.2, 0.08, 120  # inches, inches, pixels an inch
 _LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with
@@ -94,7 +93,7 @@ def animate(
     """Set a path in motion.
 
     Each motion takes its share of the makespan: at any time the robot of the largest cost moves at unit speed,
-    and the others arrive with it. Rectangles turn by the shorter way. Steps in which nothing moves are skipped.
+    and the others arrive with it. Robots turn by the shorter way. Steps in which nothing moves are skipped.
 
     Args:
         problem: What the path solves.
@@ -201,12 +200,14 @@ class _Actor:
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]
-        self.robot, self.bounds = problem.robots[i], problem.workspace.bounds
+        self.robot, bounds = problem.robots[i], problem.workspace.bounds
+        self.outline = body_outline(self.robot, bounds)
         (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
-        self.body, self.nose = add_body(ax, problem, i, q)
+        self.body, self.bar = add_body(ax, problem, i, q)
+        self.nose = nose(self.robot, bounds)
         self.number = add_number(ax, i, q[:2], ink_on(color_of(i)))
         self.number.set_visible(2 * self.robot.inscribed_radius >= 0.75 * number_size(ax, i))
-        self.artists = [a for a in (self.trail, self.body, self.nose, self.number) if a is not None]
+        self.artists = [a for a in (self.trail, self.body, self.bar, self.number) if a is not None]
         for artist in self.artists:
             artist.set_animated(True)
 
@@ -214,7 +215,7 @@ class _Actor:
         """Move to the end of what the robot has done so far."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
-        self.body.set_xy(outline(self.robot, q, self.bounds))
+        self.body.set_xy(placed(self.robot, self.outline, q))
         self.number.set_position(tuple(q[:2]))
-        if self.nose is not None and isinstance(self.robot, RectangleRobot):
-            self.nose.set_data(*placed(nose(self.robot), q).T)
+        if self.bar is not None:
+            self.bar.set_data(*placed(self.robot, self.nose, q).T)

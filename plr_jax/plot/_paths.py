@@ -20,7 +20,8 @@ def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
     """Draw a problem: solid bodies at the starts, dashed outlines at the goals, numbered by robot.
 
     Args:
-        problem: What to draw. A bar near the front of a rectangle shows where it heads; a point is a dot.
+        problem: What to draw. A bar near the front of a robot that has a heading shows where it heads; a point is a
+            dot.
         ax: Axes to draw on; a new figure where not given.
 
     Returns:

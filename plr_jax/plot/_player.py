@@ -12,9 +12,9 @@ from jaxtyping import Float
 from plr_jax._problem import Problem
 from plr_jax.plot._page import INK
 from plr_jax.plot._plane import OBSTACLE, blocked_polygons
-from plr_jax.plot._robots import color_of, drawn_radius, ink_on, nose, outline
+from plr_jax.plot._robots import body_outline, color_of, drawn_rounding, front, ink_on, nose, outline
 from plr_jax.plot._timeline import Timeline
-from plr_jax.robots.robot import RectangleRobot
+from plr_jax.robots.motion import placed
 
 _SIZE = 520.0  # pixels along the longer side of the bounds, before the browser scales them
 _BORDER, _CONTROLS, _PADDING = 2.0, 28, 6
@@ -28,6 +28,7 @@ def page(problem: Problem, motion: Timeline, seconds: float) -> str:
     filled = {
         "robots": str(len(problem.robots)),
         "ink": INK,
+        "obstacle": OBSTACLE,
         "svg": _svg(problem, motion),
         "motion": json.dumps(_motion(problem, motion, seconds), separators=(",", ":")),
     }
@@ -48,7 +49,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     """What the page needs to know of the path; coordinates to a twentieth of a pixel or finer."""
     bounds = problem.workspace.bounds
     digits = max(0, 4 - math.floor(math.log10(bounds.width.max())))
-    rectangles = [isinstance(robot, RectangleRobot) for robot in problem.robots]
+    headings = [robot.dof == 3 for robot in problem.robots]
     return {
         "seconds": seconds,
         "hold": HOLD,
@@ -58,7 +59,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
         "steps": [
             [
                 [_number(x, digits), _number(y, digits)] + ([_number(rest[0], 4)] if turns else [])
-                for (x, y, *rest), turns in zip(step, rectangles, strict=True)
+                for (x, y, *rest), turns in zip(step, headings, strict=True)
             ]
             for step in motion.configurations
         ],
@@ -79,7 +80,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     """Everything at its place at time 0; the script moves what moves."""
     width, height = _scale(problem) * problem.workspace.bounds.width
     robots = range(len(problem.robots))
-    frame = f'<rect width="{width:.1f}" height="{height:.1f}" fill="none" stroke="{INK}"/>'
+    frame = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
     parts = [_obstacles(problem), frame]
     parts += [_track(problem, motion, i, "track") for i in robots]
     parts += [_goal(problem, i) for i in robots]
@@ -102,43 +103,45 @@ def _obstacles(problem: Problem) -> str:
     for polygon in blocked_polygons(problem.workspace):
         for ring in (polygon.exterior, *polygon.interiors):
             rings.append(f"M{_pixels(problem, shapely.get_coordinates(ring)[:-1])}Z")
-    return f'<path d="{"".join(rings)}" fill="{OBSTACLE}" stroke="{INK}" fill-rule="evenodd"/>'
+    return f'<path d="{"".join(rings)}" class="obstacle" fill-rule="evenodd"/>'
+
+
+def _line(i: int) -> str:
+    """The color of a robot's lines, which a dark page lightens."""
+    return f'stroke="{color_of(i)}" style="--color:{color_of(i)}"'
 
 
 def _track(problem: Problem, motion: Timeline, i: int, kind: str) -> str:
     name = f' id="trail{i}" stroke-dasharray="0 1"' if kind == "trail" else ""
     points = _pixels(problem, motion.configurations[:, i, :2])
-    return f'<polyline class="{kind}"{name} stroke="{color_of(i)}" points="{points}"/>'
+    return f'<polyline class="{kind}"{name} {_line(i)} points="{points}"/>'
 
 
 def _goal(problem: Problem, i: int) -> str:
-    corners = outline(problem.robots[i], problem.goals[i], problem.workspace.bounds)
-    points = _pixels(problem, corners)
-    shape = (
-        f'<polygon class="halo" points="{points}"/><polygon class="goal" stroke="{color_of(i)}" points="{points}"/>'
-    )
-    if not isinstance(problem.robots[i], RectangleRobot):
+    robot, q, bounds = problem.robots[i], problem.goals[i], problem.workspace.bounds
+    points = _pixels(problem, outline(robot, q, bounds))
+    shape = f'<polygon class="halo" points="{points}"/><polygon class="goal" {_line(i)} points="{points}"/>'
+    if robot.dof == 2:
         return shape
-    front = _pixels(problem, corners[[0, 3]])
-    return f'{shape}<polyline class="front" stroke="{color_of(i)}" points="{front}"/>'
+    ahead = _pixels(problem, placed(robot, front(robot, bounds), q))
+    return f'{shape}<polyline class="front" {_line(i)} points="{ahead}"/>'
 
 
 def _robot(problem: Problem, i: int) -> str:
     """A robot about the origin: what turns with it, and its number, which stays upright."""
-    robot, scale, color = problem.robots[i], _scale(problem), color_of(i)
-    if isinstance(robot, RectangleRobot):
-        length, width = scale * robot.length, scale * robot.width
-        (x, y0), (_, y1) = scale * nose(robot)
-        body = (
-            f'<rect class="body" x="{-length / 2:.2f}" y="{-width / 2:.2f}" width="{length:.2f}" '
-            f'height="{width:.2f}" fill="{color}"/><path class="nose" stroke="{ink_on(color)}" '
-            f'd="M{x:.2f} {y0:.2f}V{y1:.2f}"/>'
-        )
+    robot, scale, color, bounds = problem.robots[i], _scale(problem), color_of(i), problem.workspace.bounds
+    radius = scale * drawn_rounding(robot, bounds)
+    if robot.core.any():
+        points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
+        body = f'<polygon class="body" points="{points}" fill="{color}"/>'
     else:
-        body = (
-            f'<circle class="body" r="{scale * drawn_radius(robot, problem.workspace.bounds):.2f}" fill="{color}"/>'
-        )
+        body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
+    if robot.dof == 3:
+        (x, y0), (_, y1) = scale * nose(robot, bounds)
+        body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
     number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
     if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
-        number = ""
+        beside = scale * robot.circumscribed_radius or radius
+        place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
+        number = f'<text class="beside" {place} style="--color:{color}" fill="{color}">{i}</text>'
     return f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>'

@@ -15,7 +15,8 @@ from matplotlib.text import Text
 from plr_jax._problem import Problem
 from plr_jax.geometry.box import Box
 from plr_jax.plot._page import FONT_SIZE, INK
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.robots.motion import placed
+from plr_jax.robots.robot import Robot
 
 # Chosen among named color-blind-safe palettes so that any two (the first four above all) stay apart as normal,
 # red-, green- and blue-blind readers see them.
@@ -23,6 +24,7 @@ ROBOT_COLORS = ("#0072B2", "#E69F00", "#B22222", "#56B4E9", "#009988", "#882255"
 DASHES = (3.0, 1.6)  # of a goal's outline, in line widths
 _DOT = 0.011  # radius of a point robot's dot, over the longer side of the bounds
 _CORNERS = 72  # of a disc as a polygon
+_AHEAD = 0.7  # cosine of the angle to the heading within which sides are the front
 _LIGHT = 0.55  # colors brighter than this carry dark numbers
 _AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
 
@@ -39,54 +41,73 @@ def ink_on(color: str) -> str:
     return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
 
 
-def drawn_radius(robot: Robot, bounds: Box) -> float:
-    """Radius that a round robot is drawn with; a point gets that of a small dot."""
-    return robot.radius if isinstance(robot, DiscRobot) else _DOT * float(bounds.width.max())
+def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
+    """Corners of a robot's body in its own frame, counterclockwise; a point is a small disc."""
+    radius = drawn_rounding(robot, bounds)
+    if radius == 0:
+        return robot.core
+    angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return robot.core[np.argmax(way @ robot.core.T, axis=1)] + radius * way
 
 
-def nose(robot: RectangleRobot) -> Float[np.ndarray, "2 2"]:
-    """A bar near the front of a rectangle, at heading 0, that shows where it heads."""
-    x = robot.length / 2 - 0.2 * min(robot.length, robot.width)
-    return np.array([[x, -0.28 * robot.width], [x, 0.28 * robot.width]])
+def drawn_rounding(robot: Robot, bounds: Box) -> float:
+    """Radius by which a core is drawn rounded; a point gets that of a small dot."""
+    return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
-def placed(points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
-    """Points of a body at heading 0 about the origin, moved to a configuration."""
-    cos, sin = (np.cos(q[2]), np.sin(q[2])) if len(q) == 3 else (1.0, 0.0)
-    return q[:2] + points @ np.array([[cos, sin], [-sin, cos]])
+def nose(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
+    """A bar near the front of a body, in its own frame, that shows where it heads."""
+    corners = body_outline(robot, bounds)
+    x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
+    (_, y0), (_, y1) = shapely.get_coordinates(
+        shapely.intersection(
+            shapely.Polygon(corners), shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
+        )
+    )[[0, -1]]
+    middle, half = (y0 + y1) / 2, 0.28 * abs(y1 - y0)
+    return np.array([[x, middle - half], [x, middle + half]])
+
+
+def front(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
+    """The sides of a body that face where it heads, in its own frame."""
+    corners = body_outline(robot, bounds)
+    sides = np.roll(corners, -1, axis=0) - corners
+    facing = sides[:, 1] / np.hypot(*sides.T)
+    ahead = facing >= min(_AHEAD, facing.max() - 1e-9)
+    first = int(np.flatnonzero(ahead & ~np.roll(ahead, 1))[0])
+    return corners[(first + np.arange(ahead.sum() + 1)) % len(corners)]
 
 
 def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
     """Corners of a robot's body at a configuration, counterclockwise."""
-    if isinstance(robot, RectangleRobot):
-        signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-        return placed(signs * np.array([robot.length, robot.width]) / 2, q)
-    angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
-    return q[:2] + drawn_radius(robot, bounds) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return placed(robot, body_outline(robot, bounds), q)
 
 
 def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
-    """Draw a robot as a solid body, and the bar that shows where it heads if it is a rectangle."""
+    """Draw a robot as a solid body, and the bar that shows where it heads if it has a heading."""
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
     ax.add_patch(body)
-    if not isinstance(robot, RectangleRobot):
+    if robot.dof == 2:
         return body, None
-    ends = placed(nose(robot), q)
+    ends = placed(robot, nose(robot, problem.workspace.bounds), q)
     (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
     return body, bar
 
 
 def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> Polygon:
     """Draw a robot as a dashed outline, as goals are; a white line under it parts it from bodies."""
-    corners = outline(problem.robots[i], q, problem.workspace.bounds)
+    robot, bounds = problem.robots[i], problem.workspace.bounds
+    corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
     dashed = Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2)
     ax.add_patch(dashed)
-    if isinstance(problem.robots[i], RectangleRobot):  # its front is a line without gaps
-        ax.add_patch(Polygon(corners[[0, 3]], closed=False, fill=False, **style, zorder=zorder + 0.2))
+    if robot.dof == 3:  # its front is a line without gaps
+        ahead = placed(robot, front(robot, bounds), q)
+        ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
     return dashed
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from plr_jax._problem import Problem, as_path, motion_costs
 from plr_jax._types import ArrayLike
-from plr_jax.robots.robot import RectangleRobot, shorter_turn
+from plr_jax.robots.motion import shorter_turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
         raise ValueError(f"A path must be finite, got {path[tuple(broken[0][:2])]} in step {broken[0][0]}.")
     moves = np.diff(path, axis=0)
     if problem.dof == 3:
-        turns = np.array([isinstance(robot, RectangleRobot) for robot in problem.robots])
+        turns = np.array([robot.dof == 3 for robot in problem.robots])
         moves[..., 2] = np.where(turns, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
     kept = moves.any(axis=(1, 2))
     continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])

@@ -1,166 +1,127 @@
-"""Robots: the shapes that move through a workspace, and what their configurations mean."""
+"""What a robot is to the rest of the library: a convex body as data. Each shape is one class in a file of its own."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax.geometry.boundary import cross
 
-@dataclass(frozen=True)
-class PointRobot:
-    """A point that translates in the plane: its configuration is its position ``(x, y)``.
+_ROUNDING = 1e-12  # of the body's size
 
-    Points never collide with one another, nor with a wall that they only touch.
+
+class Robot(ABC):
+    """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
+
+    Planners, checks and pictures read these three and what follows from them, never the class, so that a new shape
+    is a class that states them. The *reference point* is the origin of the core's frame: a configuration holds its
+    position, and the heading by which the body is turned about it. It must be a point of the body: where it cannot
+    be, the robot cannot be, and its way is what distances measure. Robots of one shape must be equal and hash alike,
+    as frozen dataclasses do.
     """
 
+    rounding: float
+    """Radius by which the core is rounded, in workspace units, at least 0."""
+
+    dof: int
+    """Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading."""
+
     @property
+    @abstractmethod
+    def core(self) -> Float[np.ndarray, "vertices 2"]:
+        """Vertices of the core at heading 0: a convex polygon's, counterclockwise, or a segment's two, or one."""
+
+    @cached_property
     def inscribed_radius(self) -> float:
-        """Radius of the largest disc about the center within the robot: 0."""
-        return 0.0
+        """Radius of the largest disc about the reference point within the robot; negative if it is outside."""
+        return self.rounding + _depth_of_origin(self.core)
 
-    @property
+    @cached_property
     def circumscribed_radius(self) -> float:
-        """Radius of the smallest disc about the center around the robot: 0."""
-        return 0.0
+        """Radius of the smallest disc about the reference point around the robot."""
+        return self.rounding + float(np.hypot(*self.core.T).max())
+
+    @cached_property
+    def breadth(self) -> float:
+        """Smallest distance of two parallel lines between which the robot fits."""
+        across = _offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
+        return float(across) + 2 * self.rounding
+
+    @cached_property
+    def half_sides(self) -> Float[np.ndarray, "2"] | None:
+        """Half the length and the width of a core that is a box about the reference point, 0 if it is that point."""
+        half = np.abs(self.core[0])
+        is_box = len(self.core) == 2 ** np.count_nonzero(half) and (np.abs(self.core) == half).all()
+        return half if is_box else None
 
 
-@dataclass(frozen=True, init=False)
-class DiscRobot:
-    """A disc that translates in the plane: its configuration is its center ``(x, y)``.
-
-    Args:
-        radius: Its radius, in workspace units, positive.
-
-    Raises:
-        ValueError: If the radius is not a positive finite number.
-    """
-
-    radius: float
-
-    def __init__(self, radius: Any):
-        object.__setattr__(self, "radius", _positive("DiscRobot radius", radius))
-
-    @property
-    def inscribed_radius(self) -> float:
-        """Radius of the largest disc about the center within the robot: its own."""
-        return self.radius
-
-    @property
-    def circumscribed_radius(self) -> float:
-        """Radius of the smallest disc about the center around the robot: its own."""
-        return self.radius
-
-
-@dataclass(frozen=True, init=False)
-class RectangleRobot:
-    """A rectangle in SE(2): its configuration is its center and heading ``(x, y, theta)``.
-
-    The heading, in radians, is the direction of its length, counterclockwise from the x axis; it is
-    periodic, so ``theta`` and ``theta + 2 pi`` are the same.
+def check_body(name: str, robot: Robot) -> None:
+    """Refuse what is no convex body about its reference point.
 
     Args:
-        length: Side along the heading, in workspace units, positive.
-        width: Side across the heading, in workspace units, positive.
-
-    Raises:
-        ValueError: If a side is not a positive finite number.
-    """
-
-    length: float
-    width: float
-
-    def __init__(self, length: Any, width: Any):
-        object.__setattr__(self, "length", _positive("RectangleRobot length", length))
-        object.__setattr__(self, "width", _positive("RectangleRobot width", width))
-
-    @property
-    def inscribed_radius(self) -> float:
-        """Radius of the largest disc about the center within the robot: half its shorter side."""
-        return min(self.length, self.width) / 2
-
-    @property
-    def circumscribed_radius(self) -> float:
-        """Radius of the smallest disc about the center around the robot: half its diagonal."""
-        return float(np.hypot(self.length, self.width)) / 2
-
-
-Robot: TypeAlias = PointRobot | DiscRobot | RectangleRobot
-"""Any robot."""
-
-
-def team_dof(robots: Sequence[Robot]) -> int:
-    """Numbers in each robot's configuration: 2 if all are round, else 3, the round ones' heading ignored.
-
-    Args:
-        robots: The team.
-
-    Returns:
-        2 or 3.
-    """
-    return 3 if any(isinstance(robot, RectangleRobot) for robot in robots) else 2
-
-
-def shorter_turn(
-    theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
-) -> Float[np.ndarray, "*batch"]:
-    """The turn by which a motion goes from one heading to another: the shorter one.
-
-    Args:
-        theta0: First headings, radians.
-        theta1: Last headings, radians.
-
-    Returns:
-        Signed turns in (-pi, pi], counterclockwise positive. Half a turn goes counterclockwise.
-    """
-    turns = (theta1 - theta0) / (2 * np.pi)
-    return 2 * np.pi * (turns - np.ceil(turns - 0.5))
-
-
-def between(
-    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], t: Float[np.ndarray, "*#batch 1"]
-) -> Float[np.ndarray, "*batch dof"]:
-    """Configurations along straight motions, which turn the shorter way.
-
-    Args:
-        q0: Configurations at the start of the motions, of 2 coordinates or 3.
-        q1: Configurations at the end.
-        t: Share of each motion, from 0 to 1.
-
-    Returns:
-        The configurations; at 0 those at the start, at 1 those at the end but for rounding and whole turns.
-    """
-    change = q1 - q0
-    change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
-    return q0 + t * change
-
-
-def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
-    """The set that a robot covers, less its rounding: a disc's is its center.
-
-    Args:
+        name: What the robot is called in an error.
         robot: The robot.
-        q: Its configuration; a round robot's heading may be there or not.
+
+    Raises:
+        ValueError: If the core is no array ``(vertices, 2)`` of finite numbers, or its vertices are not those of a
+            convex polygon, each once and counterclockwise; the rounding is negative or not finite; the degrees of
+            freedom are not 2 or 3; or the reference point is not in the body.
+    """
+    core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
+    if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
+        raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
+    if not (np.isfinite(rounding) and rounding >= 0 and dof in (2, 3)):
+        raise ValueError(
+            f"{name} must have a finite rounding of at least 0 and a dof of 2 or 3, got {rounding!r} and {dof!r}."
+        )
+    slack = _ROUNDING * robot.circumscribed_radius
+    sides = np.roll(core, -1, axis=0) - core
+    if len(core) > 1 and ((sides == 0).all(axis=1).any() or _offsets(core, core).min() < -slack):
+        raise ValueError(
+            f"{name} must be convex, its vertices counterclockwise and each given once, got {core.tolist()}."
+        )
+    if robot.inscribed_radius < -slack:
+        raise ValueError(
+            f"{name} must have its reference point, the origin of its vertices, within it or on its boundary; it is "
+            f"{-robot.inscribed_radius:.3g} outside. Shift the vertices {core.tolist()}."
+        )
+
+
+def as_size(name: str, value: Any) -> float:
+    """A size of a robot as a float.
+
+    Args:
+        name: What it is called in an error.
+        value: The size.
 
     Returns:
-        A Shapely Polygon for a rectangle, a Point for a round robot.
+        The number.
+
+    Raises:
+        ValueError: If it is not a positive finite number.
     """
-    import shapely
-
-    if not isinstance(robot, RectangleRobot):
-        return shapely.Point(q[:2])
-    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
-    left = np.array([-ahead[1], ahead[0]])
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    return shapely.Polygon([q[:2] + i * robot.length / 2 * ahead + j * robot.width / 2 * left for i, j in signs])
-
-
-def _positive(name: str, value: Any) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if not (np.isfinite(number) and number > 0):
-        raise ValueError(f"{name} must be a positive finite number, got {value!r}.")
+        raise ValueError(f"{name} must be a positive finite number, got {value!r:.200}.")
     return number
+
+
+def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
+    """How far points lie to the left of each side of a polygon."""
+    side = np.roll(core, -1, axis=0) - core
+    return cross((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
+
+
+def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
+    """Distance of the origin to the boundary of a convex polygon, negative if it is outside."""
+    if len(core) > 2 and (depth := float(_offsets(core, np.zeros((1, 2))).min())) >= 0:
+        return depth
+    side = np.roll(core, -1, axis=0) - core
+    squared = (side * side).sum(axis=1)
+    t = np.clip(-(core * side).sum(axis=1) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+    return -float(np.hypot(*(core + t[:, None] * side).T).min())

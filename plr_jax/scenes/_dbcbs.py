@@ -14,7 +14,10 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot, team_dof
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.motion import team_dof
+from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import Robot
 from plr_jax.scenes._documents import errors_named, yaml_of
 
 # A db-CBS unicycle_first_order_0 is this rectangle, though a dynobench model of that name is a disc.
@@ -118,7 +121,7 @@ def _robot(i: int, entry: Any) -> Robot:
 
 def _state(i: int, key: str, state: Any, robot: Robot, dof: int) -> list[float]:
     """Position and, where the team has one, heading."""
-    needed = 3 if isinstance(robot, RectangleRobot) else 2
+    needed = robot.dof
     if not _are_numbers(state, needed):
         raise ValueError(f"expected robot {i} to have a {key} of at least {needed} numbers, got {shortened(state)}.")
     return [*map(float, state[:needed]), 0.0][:dof]

@@ -1,21 +1,23 @@
 """The scene file: a problem as JSON.
 
-Version 2 is one object with these keys; coordinates are in workspace units, headings in radians::
+Version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
 
     "format":     "plr_jax scene"
-    "version":    2
+    "version":    3
     "workspace":  {"bounds": [[x0, y0], [x1, y1]],
                    "squeeze": whether paths may pass between obstacles that touch in one point,
                    "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
     "robots":     [{"shape": "point"} or {"shape": "disc", "radius": r}
-                   or {"shape": "rectangle", "length": l, "width": w}, ...]
-    "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any is a rectangle
+                   or {"shape": "rectangle", "length": l, "width": w}
+                   or {"shape": "polygon", "vertices": ring}, ...]
+    "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any has a heading
     "goals":      [[x, y], ...]
-    "rotation_weight": cost of a turn by one radian; may be left out: half a rectangle's diagonal
+    "rotation_weight": cost of a turn by one radian; may be left out: a robot's circumscribed radius
 
-Version 1 knows points only, and no ``"rotation_weight"``; a scene of points is written as version 1, so that
-older releases read it. Obstacles may overlap and leave the bounds; ``"holes"`` may be left out. A ring is a
-list of ``[x, y]`` points. Numbers are written with as many digits as it takes to read the same float64 back.
+Version 1 knows points only, and no ``"rotation_weight"``; version 2 no polygons. A scene is written in the oldest
+version that can say it, so that older releases read it. Obstacles may overlap and leave the bounds; ``"holes"`` may
+be left out. A ring is a list of ``[x, y]`` points. Numbers are written with as many digits as it takes to read the
+same float64 back.
 """
 
 import json
@@ -23,21 +25,27 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import shapely
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import Robot
 from plr_jax.scenes._documents import errors_named, json_of
 
 _FORMAT = "plr_jax scene"
-_VERSION = 2
-_SHAPES = {  # class, sizes, and the version that introduced it
+_VERSION = 3
+_SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, sizes, and the version that introduced it
     "point": (PointRobot, (), 1),
     "disc": (DiscRobot, ("radius",), 2),
     "rectangle": (RectangleRobot, ("length", "width"), 2),
+    "polygon": (PolygonRobot, ("vertices",), 3),
 }
 _KEYS = ("workspace", "robots", "starts", "goals")
 
@@ -52,15 +60,17 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
         path: Where; usually ends in ``.json``.
 
     Raises:
+        ValueError: If a robot is of a shape that scene files have no word for.
         OSError: If the file cannot be written.
     """
     weight = problem.rotation_weight
-    plain = weight is None and all(isinstance(robot, PointRobot) for robot in problem.robots)
+    entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
+    versions = [_SHAPES[entry["shape"]][2] for entry in entries]
     scene = {
         "format": _FORMAT,
-        "version": 1 if plain else _VERSION,
+        "version": max(*versions, 1 if weight is None else 2),
         "workspace": _workspace_entry(problem.workspace),
-        "robots": [_robot_entry(robot) for robot in problem.robots],
+        "robots": entries,
         "starts": problem.starts.tolist(),
         "goals": problem.goals.tolist(),
         **({} if weight is None else {"rotation_weight": weight}),
@@ -133,11 +143,11 @@ def _rotation_weight(scene: dict[str, Any]) -> float | None:
     return None if weight is None else float(weight)
 
 
-def _robot_entry(robot: Robot) -> dict[str, Any]:
+def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
     for shape, (kind, sizes, _) in _SHAPES.items():
-        if isinstance(robot, kind):
-            return {"shape": shape, **{size: getattr(robot, size) for size in sizes}}
-    raise ValueError(f"a scene file has no word for {robot!r}.")
+        if type(robot) is kind:
+            return {"shape": shape, **{size: np.asarray(getattr(robot, size)).tolist() for size in sizes}}
+    raise ValueError(f"Robot {i} cannot be saved: a scene file knows the shapes {', '.join(_SHAPES)}, got {robot!r}.")
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
@@ -145,7 +155,9 @@ def _robot(i: int, entry: Any, version: int) -> Robot:
     shape = entry.get("shape") if isinstance(entry, dict) else None
     kind, sizes, _ = known.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
     if kind is None or set(entry) != {"shape", *sizes}:
-        forms = " or ".join(str({"shape": name, **dict.fromkeys(row[1], 1.0)}) for name, row in known.items())
+        forms = " or ".join(
+            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in known.items()
+        )
         raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
     try:
         return kind(*(entry[size] for size in sizes))

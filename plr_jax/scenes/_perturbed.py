@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
-from plr_jax.robots.robot import RectangleRobot
 
 _ATTEMPTS = 1000
 
@@ -15,8 +14,8 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     Args:
         problem: The problem.
         seed: Seed of the generator; the same seed gives the same variant.
-        distance: How far a start or goal moves at most, in workspace units. A rectangle's heading turns by
-            as much as takes its corners that far.
+        distance: How far a start or goal moves at most, in workspace units. A heading turns by as
+            much as takes the robot's farthest corner that far.
 
     Returns:
         A problem that differs in its starts and goals alone.
@@ -47,7 +46,7 @@ def _moved(
         trial = ends.copy()
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
         trial[end, i, :2] += radius * np.array([np.cos(angle), np.sin(angle)])
-        if isinstance(problem.robots[i], RectangleRobot):
+        if problem.robots[i].dof == 3:
             trial[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
         try:
             _with_ends(problem, trial)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import PointRobot
+from plr_jax.robots.point import PointRobot
 from plr_jax.scenes._file import load
 
 _FOLDER = Path(__file__).parent / "published"

@@ -11,7 +11,10 @@ from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_wr
 from plr_jax.oracles import robot_distance_fns
 from plr_jax.planners import BLOptions, Status, bl_plan, straight_line
 from plr_jax.plr import construct
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 runner, app = CliRunner(), load_app()
 SQUARE = Workspace(((0, 0), (10, 10)))
@@ -206,9 +209,13 @@ def test_scenes_and_files_are_read(tmp_path):
     assert validate(scenes.read_dbcbs(tmp_path / "a.yaml"), path).valid
 
 
+TRIANGLE = [(-1, 0), (1, 0), (0, 1)]
+
+
 def test_teams_in_words():
-    team = [DiscRobot(0.4), PointRobot(), DiscRobot(0.4), RectangleRobot(1.8, 0.5)]
-    assert _planning.describe(team) == "2 discs of radius 0.4, 1 point, 1 rectangle 1.8 x 0.5"
+    team = [DiscRobot(0.4), PointRobot(), DiscRobot(0.4), RectangleRobot(1.8, 0.5), *[PolygonRobot(TRIANGLE)] * 2]
+    words = "2 discs of radius 0.4, 1 point, 1 rectangle 1.8 x 0.5, 2 polygons of 3 corners 2 x 1"
+    assert _planning.describe(team) == words
 
 
 def test_mistakes_are_explained_before_any_work(tmp_path):

@@ -1,17 +1,18 @@
-from itertools import product
+from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_helpers import BAR, DISC, POINT, ROBOTS, random_motions, sampled_distance
+from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, Pebble, random_motions, sampled_distance
 
 from plr_jax.collision.pairs import motions_apart
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 TOLERANCE = 1e-9
 CORNER = BAR.circumscribed_radius
-PAIRS = list(product(ROBOTS, ROBOTS))
+PAIRS = list(combinations_with_replacement(ROBOTS, 2))
 UP = np.pi / 2
 
 
@@ -39,6 +40,12 @@ CASES = {
     "a bar's side passes an upright bar's end": (BAR, STILL, GO, BAR, (1.0, 0.6, UP), (1.0, 0.6, UP)),
     "a bar passes a bar on its corner": (
         BAR, STILL, GO, RectangleRobot(1, 1), (1.0, 0.15 + 0.5**0.5, np.pi / 4), (1.0, 0.15 + 0.5**0.5, np.pi / 4)),
+    "a wing's corner slides along a bar": (WING, STILL, GO, BAR, (1.0, 0.55, 0), (1.0, 0.55, 0)),
+    "a wing's side slides along a bar's corner": (
+        WING, (0, 0, 0), (0.5, -0.4, 0), BAR, (0.25 + 0.45, 0.2 + 0.15, 0), None),
+    "a pebble slides along a bar": (PEBBLE, STILL, GO, BAR, (1.0, 0.21 + 0.12 + 0.15, 0), (1.0, 0.48, 0)),
+    "a pebble passes a bar's corner": (
+        PEBBLE, (-1, 1, 0), (1, -1, 0), BAR, (0.36 + 0.12 / 2**0.5 + 0.45, 0.12 / 2**0.5 + 0.15, 0), None),
     "a bar turns upright below a bar": (BAR, STILL, (0, 0, UP), BAR, (0, CORNER + 0.15, 0), None),
     "a bar turns upright below a disc": (BAR, STILL, (0, 0, UP), DISC, (0, CORNER + 0.3, 0), None),
     "a bar turns upright below a point": (BAR, STILL, (0, 0, UP), POINT, (0, CORNER, 0), None),
@@ -86,7 +93,7 @@ def test_headings_are_periodic_and_turns_take_the_shorter_way():
 @pytest.mark.parametrize(("robot_a", "robot_b"), PAIRS)
 def test_against_dense_samples(robot_a, robot_b):
     rng = np.random.default_rng(3)
-    n, num_samples = 400, 101
+    n, num_samples = 200, 101
     a0, a1 = random_motions(rng, n, 1.5, 0.4, 1.5)
     b0, b1 = random_motions(rng, n, 1.5, 0.4, 1.5)
     a1[: n // 4, 2], b1[: n // 4, 2] = a0[: n // 4, 2], b0[: n // 4, 2]  # some do not turn
@@ -135,6 +142,8 @@ robot = st.one_of(
     st.just(POINT),
     st.builds(DiscRobot, st.floats(0.05, 0.6)),
     st.builds(RectangleRobot, st.floats(0.05, 1), st.floats(0.05, 1)),
+    st.just(WING),
+    st.builds(Pebble, st.floats(0.05, 0.6)),
 )
 
 

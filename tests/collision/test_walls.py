@@ -3,11 +3,13 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, rounding, shapes
+from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shapes
 
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 UP = np.pi / 2
 
@@ -65,6 +67,12 @@ def test_within_an_obstacle_nothing_is_free():
         assert not is_free(robot, (2.6, 5, 0), (2.6, 5, 0), block)
 
 
+def test_a_body_whose_reference_point_is_a_corner_is_not_free_on_the_wrong_side_of_a_wall():
+    wedge, block = PolygonRobot([(0, 0), (1, 0), (0, 1)]), Workspace(((0, 0), (10, 10)), [box(2, 2, 9, 9)])
+    for heading, free in ((0.0, False), (UP, True), (2 * UP, True), (3 * UP, False)):
+        assert is_free(wedge, (2, 5, heading), (2, 5.5, heading), block) == free
+
+
 def test_long_motions_do_not_jump_over_thin_walls():
     thin = Workspace(((0, 0), (10, 1)), [box(5, 0, 5 + 1e-6, 1)])
     for robot in (POINT, DiscRobot(0.1), RectangleRobot(0.2, 0.1)):
@@ -82,14 +90,14 @@ def test_points_follow_the_workspace_at_point_contacts():
 @pytest.mark.parametrize("step", [0.2, 1.5])
 def test_against_dense_samples(robot, step):
     rng = np.random.default_rng(4)
-    n, num_samples = 1000, 101
+    n, num_samples = 400, 101
     q0, q1 = random_motions(rng, n, 4.0, step, 1.0)
     q1[: n // 3, 2] = q0[: n // 3, 2]
     answer = MotionTest(ROOM, robot)(q0, q1)
     bodies = shapes(robot, along(q0, q1, num_samples))
     blocked = shapely.difference(shapely.box(-20, -20, 20, 20), ROOM.free_space)
     shapely.prepare(blocked)
-    distance = shapely.distance(bodies, blocked) - rounding(robot)
+    distance = shapely.distance(bodies, blocked) - robot.rounding
     distance[shapely.relate_pattern(bodies, blocked, "T********")] = -1.0
     distance = distance.reshape(n, num_samples).min(axis=1)
     assert not answer[distance < -1e-8].any()

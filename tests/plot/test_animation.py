@@ -15,7 +15,10 @@ from plr_jax._problem import Problem, makespan
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._robots import ROBOT_COLORS
 from plr_jax.plot._timeline import timeline
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
 STARTS = np.array([(1, 1, 0), (1, 3, 3.0), (1, 5, 0)])
@@ -150,7 +153,25 @@ def test_a_page_loads_nothing_and_has_no_gaps(tmp_path):
     assert [e.get("stroke") for e in trails] == list(ROBOT_COLORS[:3])
     assert trails[0].get("points").split()[0] == "52.00,260.00"  # (1, 1) at 52 pixels a unit, y downward from 6
     numbers = [e.text for e in svg.iter("text")]
-    assert numbers == ["0", "1"]  # a dot has no room for one
+    assert numbers == ["0", "1", "2"]
+    beside = [e for e in svg.iter("text") if e.get("class") == "beside"]
+    assert [e.text for e in beside] == ["2"] and float(beside[0].get("x")) > 5  # a dot has no room for one
+
+
+def test_a_page_follows_the_dark_theme_and_draws_any_outline(tmp_path):
+    """A triangle with its apex ahead, and the disc: black and white are those of the theme."""
+    triangle = PolygonRobot([(0.6, 0), (-0.3, 0.5), (-0.3, -0.5)])
+    problem = Problem(TEAM.workspace, [triangle, ROBOTS[0]], STARTS[:2], GOALS[:2])
+    page = page_of(plot.animate(problem, [problem.starts, problem.goals]), tmp_path)
+    assert "@media (prefers-color-scheme: dark)" in page
+    svg = ElementTree.fromstring(re.search(r"<svg viewBox.*?</svg>", page, re.DOTALL).group(0))
+    drawn = {(e.tag, e.get("class")): e for e in svg.iter()}
+    assert drawn["polygon", "body"].get("points") == "31.20,-0.00 -15.60,-26.00 -15.60,26.00"
+    front = [tuple(map(float, point.split(","))) for point in drawn["polyline", "front"].get("points").split()]
+    assert len(front) == 3  # both sides that meet at the apex
+    np.testing.assert_allclose(front[1], (52 * (4 + 0.6), 52 * (6 - 1)), atol=0.01)
+    assert drawn["circle", "body"].get("r") == "26.00"
+    assert not any(e.get(name) in ("#fff", "white") for e in svg.iter("polygon") for name in ("fill", "stroke"))
 
 
 class Frames(HTMLParser):

@@ -7,7 +7,10 @@ import shapely
 from plr_jax import scenes
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 POINT = [PointRobot()]
 
@@ -48,6 +51,12 @@ PROBLEMS = {
         rotation_weight=0.3,
     ),
     "tangle": scenes.tangle,
+    "a polygon": lambda: Problem(
+        Workspace(((0, 0), (9, 9))),
+        [PolygonRobot([(-1 / 3, -0.1), (0, 0.7), (1, 0)]), PointRobot()],
+        [(1, 1, 0.1), (3, 3, 0)],
+        [(8, 8, 0), (6, 6, 0)],
+    ),
 }
 
 
@@ -118,8 +127,8 @@ def test_a_scene_made_by_hand_loads(tmp_path):
 
 
 def test_scenes_of_points_stay_readable_by_older_releases(tmp_path):
-    for make, version in ((scenes.maze, 1), (scenes.tangle, 2), (PROBLEMS["a mixed team"], 2)):
-        scenes.save(make(), tmp_path / "a.json")
+    for name, version in (("maze", 1), ("tangle", 2), ("a mixed team", 2), ("a polygon", 3)):
+        scenes.save(PROBLEMS[name](), tmp_path / "a.json")
         assert json.loads((tmp_path / "a.json").read_text())["version"] == version
 
 
@@ -145,7 +154,7 @@ def with_obstacles(obstacles):
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        (scene_dict(version=3), "version 3, this release reads up to 2"),
+        (scene_dict(version=4), "version 4, this release reads up to 3"),
         (scene_dict(version="1"), "version number"),
         (scene_dict(format="other"), "expected a scene file"),
         ([], "expected a scene file"),
@@ -157,6 +166,12 @@ def with_obstacles(obstacles):
         (scene_dict(version=2, robots=["disc"]), "expected robot 0 to be like"),
         (scene_dict(version=2, robots=[{"shape": "disc", "radius": -1}]), "robot 0: DiscRobot radius must be"),
         (scene_dict(version=2, robots=[{"shape": "disc", "radius": "x"}]), "robot 0: DiscRobot radius must be"),
+        (
+            scene_dict(version=2, robots=[{"shape": "polygon", "vertices": SQUARE}]),
+            "robot 0 to be like .* in version 2",
+        ),
+        (scene_dict(version=3, robots=[{"shape": "polygon", "vertices": SQUARE}]), "robot 0: PolygonRobot vertices"),
+        (scene_dict(version=3, robots=[{"shape": "polygon", "vertices": "x"}]), "robot 0: PolygonRobot vertices"),
         (scene_dict(version=2, rotation_weight="x"), '"rotation_weight" to be a number'),
         (scene_dict(version=2, rotation_weight=-1), "rotation_weight must be a finite number"),
         (scene_dict(robots={}), '"robots" to be a list'),

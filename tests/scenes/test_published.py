@@ -5,7 +5,9 @@ import pytest
 import shapely
 
 from plr_jax import scenes
-from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
+from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.rectangle import RectangleRobot
 
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])

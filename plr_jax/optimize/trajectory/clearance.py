@@ -1,9 +1,9 @@
 """Clearance of robots to walls and to one another along straight motions, differentiable, in JAX.
 
-Every robot is a box rounded by a radius: a disc is a box of no size, a rectangle has no rounding. A distance of two
-bodies that are apart is attained at a corner of one of them, so corners against shapes is all there is to compute:
-at some times of a motion, and between them along the chord that each corner takes past the corners of the other.
-For round robots, whose centers move along chords, that is exact wherever it is positive.
+Every robot is a convex core rounded by a radius. A distance of two bodies that are apart is attained at a corner of
+one of them, so corners against shapes is all there is to compute: at some times of a motion, and between them along
+the chord that each corner takes past the corners of the other. For round robots, whose centers move along chords,
+that is exact wherever it is positive.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
+from plr_jax.robots.robot import Robot
 
 _TINY = 1e-12  # under square roots, so that they have a gradient at 0
 _POINT = 1e-18  # squared length to which a segment is a point; the gradient divides by its square, in 32 bits
 _FAR = 1e3  # where corners are that are near to nothing
-_SIGNS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)], dtype=np.float32)
 
 
-class Corners(NamedTuple):
+class Wedges(NamedTuple):
     """Corners of solid shapes.
 
     Args:
@@ -38,7 +37,7 @@ class Corners(NamedTuple):
     reach: Float[Array, "*batch corners"]
 
 
-class Walls(NamedTuple):
+class PaddedBoundary(NamedTuple):
     """The boundary of free space, both parts padded to powers of two by what changes nothing.
 
     Args:
@@ -47,24 +46,60 @@ class Walls(NamedTuple):
     """
 
     edges: Float[Array, "edges 2 2"]
-    corners: Corners
+    corners: Wedges
 
 
-class Bodies(NamedTuple):
-    """The robots' shapes: half the sides of a box, and the radius by which it is rounded."""
+class Outlines(NamedTuple):
+    """The robots' shapes.
 
-    half: Float[Array, "robots 2"]
+    Args:
+        corners: Of their cores, counterclockwise, padded by the last one; a single one if all are round.
+        radius: The radius by which each is rounded.
+        turns: 1 for robots whose heading means something, else 0.
+        half: Half the sides of each core if all are boxes or points, which takes less to compute with; else None.
+    """
+
+    corners: Wedges
     radius: Float[Array, "robots"]
+    turns: Float[Array, "robots"]
+    half: Float[Array, "robots 2"] | None
+
+    @property
+    def all_round(self) -> bool:
+        """Whether every robot is a disc or a point about its reference point."""
+        return self.corners.place.shape[1] == 1
 
 
-def bodies_of(robots: Sequence[Robot], scale: float) -> Bodies:
+def outlines_of(robots: Sequence[Robot], scale: float) -> Outlines:
     """The shapes of robots, in units of ``scale``."""
-    half = [(r.length / 2, r.width / 2) if isinstance(r, RectangleRobot) else (0.0, 0.0) for r in robots]
-    radius = [r.radius if isinstance(r, DiscRobot) else 0.0 for r in robots]
-    return Bodies(_single(np.array(half) / scale), _single(np.array(radius) / scale))
+    all_round = not any(robot.core.any() for robot in robots)
+    size = 1 if all_round else max(3, *(len(robot.core) for robot in robots))
+    parts = zip(*(_wedges(robot.core / scale, size) for robot in robots), strict=True)
+    radius = np.array([robot.rounding for robot in robots]) / scale
+    turns = np.array([float(robot.dof == 3) for robot in robots])
+    corners = Wedges(*(_single(np.stack(part)) for part in parts))
+    halves = [robot.half_sides for robot in robots if robot.half_sides is not None]
+    half = _single(np.stack(halves) / scale) if len(halves) == len(robots) else None
+    return Outlines(corners, _single(radius), _single(turns), half)
 
 
-def walls_of(workspace: Workspace, origin: Float[np.ndarray, "2"], scale: float) -> Walls:
+def _wedges(core: Float[np.ndarray, "k 2"], size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of a convex polygon, the last one repeated; a point is within no wedge, but outside of some side."""
+    if len(core) == 1:
+        angle = 2 * np.pi * np.arange(size) / size
+        out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.repeat(core, size, axis=0), np.stack([-out, out], axis=1), np.zeros(size)
+    sides = np.stack([core, np.roll(core, -1, axis=0)], axis=1)
+    out, length = -left_normal(sides[:, 1] - sides[:, 0]), np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1)
+    away = np.array(
+        [_distance_to_segments(x, np.roll(sides, -i, axis=0)[1:-1]).min(initial=np.inf) for i, x in enumerate(core)]
+    )
+    reach = np.min([away, length, np.roll(length, 1)], axis=0) / 2
+    rows = np.minimum(np.arange(size), len(core) - 1)
+    return core[rows], np.stack([np.roll(out, 1, axis=0), out], axis=1)[rows], reach[rows]
+
+
+def padded_boundary(workspace: Workspace, origin: Float[np.ndarray, "2"], scale: float) -> PaddedBoundary:
     """The walls of a workspace, seen from ``origin`` in units of ``scale``."""
     boundary = workspace.boundary
     edges = (boundary.segments - origin) / scale
@@ -78,15 +113,15 @@ def walls_of(workspace: Workspace, origin: Float[np.ndarray, "2"], scale: float)
         for x, others in zip(place, elsewhere, strict=True)
     ]
     sides = [np.linalg.norm(side, axis=1) for side in (leaving, arriving)]
-    corners = Corners(
+    corners = Wedges(
         _single(_padded(place, np.full(2, _FAR))),
         _single(_padded(left_normal(np.stack([leaving, arriving], axis=1)), np.zeros((2, 2)))),
         _single(_padded(np.minimum(np.array(away), np.minimum(*sides)), np.zeros(()))),
     )
-    return Walls(_single(_padded(edges, edges[0, :1].repeat(2, axis=0))), corners)
+    return PaddedBoundary(_single(_padded(edges, edges[0, :1].repeat(2, axis=0))), corners)
 
 
-def point_clearance(walls: Walls, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+def point_clearance(walls: PaddedBoundary, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
     """Signed distance of points to the walls, negative where not free."""
     near, free = _nearest_edge(walls.edges, jax.lax.stop_gradient(x))
     offset = x - _nearest(x, walls.edges[near])
@@ -94,7 +129,7 @@ def point_clearance(walls: Walls, x: Float[Array, "*batch 2"]) -> Float[Array, "
 
 
 def corner_clearance(
-    corners: Corners, a: Float[Array, "*#batch 2"], b: Float[Array, "*#batch 2"]
+    corners: Wedges, a: Float[Array, "*#batch 2"], b: Float[Array, "*#batch 2"]
 ) -> Float[Array, "*batch"]:
     """Smallest distance of segments to corners; minus that, where they cut one off, and inf deeper than its reach."""
     segments = jnp.stack([a, b], axis=-2)[..., None, :, :]
@@ -114,64 +149,69 @@ def corner_clearance(
 
 
 def round_clearances(
-    walls: Walls, bodies: Bodies, q0: Float[Array, "*batch robots 2"], q1: Float[Array, "*batch robots 2"]
+    walls: PaddedBoundary,
+    outlines: Outlines,
+    q0: Float[Array, "*batch robots 2"],
+    q1: Float[Array, "*batch robots 2"],
 ) -> tuple[Float[Array, "*batch robots"], Float[Array, "*batch robots"], Float[Array, "*batch pairs"]]:
     """Clearance of round robots in motions: to the walls at first, to their corners, and to one another."""
     i, j = np.triu_indices(q0.shape[-2], 1)
     relative = jnp.stack([q0[..., i, :] - q0[..., j, :], q1[..., i, :] - q1[..., j, :]], axis=-2)
     return (
-        point_clearance(walls, q0) - bodies.radius,
-        corner_clearance(walls.corners, q0, q1) - bodies.radius,
-        _norm(_nearest(jnp.zeros(2), relative)) - bodies.radius[i] - bodies.radius[j],
+        point_clearance(walls, q0) - outlines.radius,
+        corner_clearance(walls.corners, q0, q1) - outlines.radius,
+        _norm(_nearest(jnp.zeros(2), relative)) - outlines.radius[i] - outlines.radius[j],
     )
 
 
-def box_clearances(
-    walls: Walls, bodies: Bodies, q0: Float[Array, "*batch robots 3"], q1: Float[Array, "*batch robots 3"]
+def convex_clearances(
+    walls: PaddedBoundary,
+    outlines: Outlines,
+    q0: Float[Array, "*batch robots dof"],
+    q1: Float[Array, "*batch robots dof"],
 ) -> tuple[Float[Array, "..."], ...]:
     """Clearance of any robots in short motions: their corners to the walls, the walls' to them, both in passing."""
-    corners0, corners1 = _corners(q0, bodies.half), _corners(q1, bodies.half)
-    radius = bodies.radius[:, None]
-    seen = _turned(walls.corners.place - q0[..., None, :2], -q0[..., 2, None])
+    poses = [(q[..., :2], q[..., 2] * outlines.turns if q.shape[-1] > 2 else 0.0 * q[..., 0]) for q in (q0, q1)]
+    corners = [_placed(outlines.corners.place, *pose) for pose in poses]
+    radius = outlines.radius[:, None]
     i, j = np.triu_indices(q0.shape[-2], 1)
     return (
-        point_clearance(walls, corners0) - radius,
-        corner_clearance(walls.corners, corners0, corners1) - radius,
-        _box_distance(seen, bodies.half[:, None]) - radius,
-        *(_passing(bodies, corners0, corners1, q0, q1, *pair) for pair in ((i, j), (j, i))),
+        point_clearance(walls, corners[0]) - radius,
+        corner_clearance(walls.corners, *corners) - radius,
+        _signed_distance(outlines, _seen(walls.corners.place, *poses[0])) - radius,
+        *(_passing(outlines, corners, poses, *pair) for pair in ((i, j), (j, i))),
     )
 
 
 def _passing(
-    bodies: Bodies,
-    corners0: Float[Array, "*batch robots 4 2"],
-    corners1: Float[Array, "*batch robots 4 2"],
-    q0: Float[Array, "*batch robots 3"],
-    q1: Float[Array, "*batch robots 3"],
+    outlines: Outlines,
+    corners: list[Float[Array, "*batch robots k 2"]],
+    poses: list[tuple[Float[Array, "*batch robots 2"], Float[Array, "*batch robots"]]],
     i: Int[np.ndarray, "pairs"],
     j: Int[np.ndarray, "pairs"],
-) -> Float[Array, "*batch pairs 4"]:
+) -> Float[Array, "*batch pairs k"]:
     """Clearance of the corners of robots ``i`` to robots ``j``, at first and in passing theirs."""
-    a, b = (_seen(corners[..., i, :, :], q[..., j, :]) for corners, q in ((corners0, q0), (corners1, q1)))
-    half, rounding = bodies.half[j][:, None], (bodies.radius[i] + bodies.radius[j])[:, None]
-    first = _box_distance(a, half)
-    normals = jnp.asarray(_SIGNS[:, :, None] * np.eye(2, dtype=np.float32))
-    corners = Corners(
-        jnp.broadcast_to((_SIGNS * half)[:, None], (*a.shape[:-1], 4, 2)),
-        jnp.broadcast_to(normals, (*a.shape[:-1], 4, 2, 2)),
-        jnp.broadcast_to(half.min(axis=-1)[..., None], (*a.shape[:-1], 4)),
+    a, b = (
+        _seen(x[..., i, :, :], at[..., j, :], theta[..., j]) for x, (at, theta) in zip(corners, poses, strict=True)
     )
-    return jnp.minimum(first, corner_clearance(corners, a, b)) - rounding
+    others = jax.tree.map(lambda part: part[j], outlines)
+    every = Wedges(*(jnp.broadcast_to(part[:, None], (*a.shape[:-1], *part.shape[1:])) for part in others.corners))
+    rounding = (outlines.radius[i] + outlines.radius[j])[:, None]
+    return jnp.minimum(_signed_distance(others, a), corner_clearance(every, a, b)) - rounding
 
 
-def _seen(x: Float[Array, "*batch n 2"], q: Float[Array, "*batch 3"]) -> Float[Array, "*batch n 2"]:
+def _seen(
+    x: Float[Array, "*#batch n 2"], at: Float[Array, "*batch 2"], theta: Float[Array, "*batch"]
+) -> Float[Array, "*batch n 2"]:
     """Points in the frames of robots."""
-    return _turned(x - q[..., None, :2], -q[..., 2, None])
+    return _turned(x - at[..., None, :], -theta[..., None])
 
 
-def _corners(q: Float[Array, "*batch robots 3"], half: Float[Array, "robots 2"]) -> Float[Array, "*batch robots 4 2"]:
-    """Corners of the robots' boxes."""
-    return q[..., None, :2] + _turned(jnp.asarray(_SIGNS) * half[:, None], q[..., 2, None])
+def _placed(
+    x: Float[Array, "robots k 2"], at: Float[Array, "*batch robots 2"], theta: Float[Array, "*batch robots"]
+) -> Float[Array, "*batch robots k 2"]:
+    """Points of the robots' own frames where they are."""
+    return at[..., None, :] + _turned(x, theta[..., None])
 
 
 def _turned(x: Float[Array, "*#batch 2"], angle: Float[Array, "*#batch"]) -> Float[Array, "*batch 2"]:
@@ -180,10 +220,22 @@ def _turned(x: Float[Array, "*#batch 2"], angle: Float[Array, "*#batch"]) -> Flo
     return jnp.stack([c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1]], axis=-1)
 
 
-def _box_distance(x: Float[Array, "*#batch 2"], half: Float[Array, "*#batch 2"]) -> Float[Array, "*batch"]:
-    """Signed distance of points to boxes about the origin, negative inside."""
-    gap = jnp.abs(x) - half
-    return _norm(jnp.maximum(gap, 0.0)) + jnp.minimum(gap.max(axis=-1), 0.0)
+def _signed_distance(outlines: Outlines, x: Float[Array, "*#batch robots n 2"]) -> Float[Array, "*batch robots n"]:
+    """Signed distance of points to cores about the origin, negative inside."""
+    if outlines.half is not None:
+        gap = jnp.abs(x) - outlines.half[:, None]
+        return _norm(jnp.maximum(gap, 0.0)) + jnp.minimum(gap.max(axis=-1), 0.0)
+    corners = outlines.corners
+    (x0, y0), (nx, ny) = (
+        jnp.moveaxis(part, -1, 0)[..., None, :] for part in (corners.place, corners.normals[:, :, 1])
+    )
+    dx, dy = jnp.roll(x0, -1, axis=-1) - x0, jnp.roll(y0, -1, axis=-1) - y0
+    squared = dx * dx + dy * dy
+    u, v = x[..., :1] - x0, x[..., 1:] - y0
+    depth = (nx * u + ny * v).max(axis=-1)
+    t = jnp.clip((u * dx + v * dy) / jnp.where(squared > _POINT, squared, 1.0), 0.0, 1.0)
+    away = ((u - t * dx) ** 2 + (v - t * dy) ** 2).min(axis=-1)
+    return jnp.where(depth > 0, jnp.sqrt(away + _TINY), depth)
 
 
 def _nearest(x: Float[Array, "*#batch 2"], segments: Float[Array, "*#batch 2 2"]) -> Float[Array, "*batch 2"]:

@@ -14,9 +14,9 @@ from plr_jax._problem import Problem, path_cost
 from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
 from plr_jax.optimize._arguments import as_paths, check_options, differentiable
-from plr_jax.optimize.trajectory.clearance import bodies_of, walls_of
+from plr_jax.optimize.trajectory.clearance import outlines_of, padded_boundary
 from plr_jax.optimize.trajectory.retiming import Path, retimed, subdivided, unwrapped
-from plr_jax.optimize.trajectory.scaled_problem import Aims, Scene, advance, begin, moves_of
+from plr_jax.optimize.trajectory.scaled_problem import Aims, ScaledProblem, advance, begin, moves_of
 
 _MARGIN = 1e-4  # of the extent
 _MARGINS = (1.0, 4.0)  # tried in turn, where the first leaves a path that is not valid
@@ -119,25 +119,25 @@ def optimize_paths(
     """
     given = as_paths(problem, paths)
     check_options(num_retimings, num_iterations, margin, smoothness, seed)
-    scene, fns = _scene(problem), differentiable(problem, distance_fns)
-    width = float(scene.scale) * _MARGIN if margin is None else float(margin)
+    scaled, fns = _scaled_problem(problem), differentiable(problem, distance_fns)
+    width = float(scaled.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
     guesses = _retimings(given, num_retimings if len(problem.robots) > 1 else 0, seed)
-    best = [_Outcome(path, _cost_if_valid(problem, path), np.full(num_iterations, np.nan)) for path in given]
+    best = [_Incumbent(path, _cost_if_valid(problem, path), np.full(num_iterations, np.nan)) for path in given]
     progress = np.linspace(0.0, 1.0, num_iterations, dtype=np.float32)
     try:
         for factor in _MARGINS:
-            aims = Aims(jnp.float32(factor * width / scene.scale), jnp.float32(smoothness), fns)
-            if not _improve(problem, scene, guesses, aims, best, progress):
+            aims = Aims(jnp.float32(factor * width / scaled.scale), jnp.float32(smoothness), fns)
+            if not _improve(problem, scaled, guesses, aims, best, progress):
                 break
-        _polish(problem, scene, aims._replace(distance_fns=()), best, _GENTLE + (1 - _GENTLE) * progress)
+        _polish(problem, scaled, aims._replace(distance_fns=()), best, _GENTLE + (1 - _GENTLE) * progress)
     except KeyboardInterrupt:
         message = "Interrupted: the paths are the best found so far."
         warnings.warn(message, OptimizationInterrupted, stacklevel=2)
     return _result(problem, best)
 
 
-class _Outcome(NamedTuple):
+class _Incumbent(NamedTuple):
     """A path, its cost, ``inf`` if it is not valid, and the losses of the descent that led to it."""
 
     path: Path
@@ -147,10 +147,10 @@ class _Outcome(NamedTuple):
 
 def _better(
     problem: Problem,
-    before: _Outcome,
+    before: _Incumbent,
     moved: Float[np.ndarray, "retimings rows robots dof"],
     losses: Float[np.ndarray, "retimings iterations"],
-) -> tuple[_Outcome, bool]:
+) -> tuple[_Incumbent, bool]:
     """What is to be kept of several descents from one path, and whether none of the cheaper ones was valid.
 
     The cheapest valid one; the largest step towards the first of them; or the path as it was.
@@ -160,19 +160,19 @@ def _better(
     order = order[costs[order] < before.cost]
     for k in order:
         if validate(problem, moved[k]).valid:
-            return _Outcome(moved[k], float(costs[k]), losses[k]), False
+            return _Incumbent(moved[k], float(costs[k]), losses[k]), False
     if not np.isfinite(before.cost):
-        return _Outcome(moved[0], np.inf, losses[0]), False
+        return _Incumbent(moved[0], np.inf, losses[0]), False
     change = moved[0] - before.path
     for share in 0.5 ** np.arange(1, 1 + _HALVINGS):
         path = before.path + share * change
         cost = path_cost(problem, path)
         if cost < before.cost and validate(problem, path).valid:
-            return _Outcome(path, cost, losses[0]), True
+            return _Incumbent(path, cost, losses[0]), True
     return before._replace(losses=losses[0]), len(order) > 0
 
 
-def _result(problem: Problem, outcomes: Sequence[_Outcome]) -> OptimizedPaths:
+def _result(problem: Problem, outcomes: Sequence[_Incumbent]) -> OptimizedPaths:
     paths, history = (np.stack([getattr(outcome, name) for outcome in outcomes]) for name in ("path", "losses"))
     cost = np.array([outcome.cost for outcome in outcomes])
     best = int(np.argmin(cost))
@@ -188,17 +188,17 @@ def _result(problem: Problem, outcomes: Sequence[_Outcome]) -> OptimizedPaths:
 
 def _improve(
     problem: Problem,
-    scene: Scene,
+    scaled: ScaledProblem,
     guesses: Retimings,
     aims: Aims,
-    best: list[_Outcome],
+    best: list[_Incumbent],
     progress: Float[np.ndarray, "iterations"],
 ) -> bool:
     """Put what descent makes of the guesses into ``best`` where it is better; whether collisions spoiled any.
 
     An interrupted descent counts as far as it came, before the interrupt goes on.
     """
-    moved, losses, interrupt = _descended(scene, guesses, aims, progress)
+    moved, losses, interrupt = _descended(scaled, guesses, aims, progress)
     spoiled = []
     for k in range(len(best)):
         best[k], bad = _better(problem, best[k], moved[k], losses[k])
@@ -209,7 +209,11 @@ def _improve(
 
 
 def _polish(
-    problem: Problem, scene: Scene, aims: Aims, best: list[_Outcome], progress: Float[np.ndarray, "iterations"]
+    problem: Problem,
+    scaled: ScaledProblem,
+    aims: Aims,
+    best: list[_Incumbent],
+    progress: Float[np.ndarray, "iterations"],
 ) -> None:
     """Descend once more from every valid path, gently: bold steps leave narrow places for others that cost more."""
     valid = [k for k, outcome in enumerate(best) if np.isfinite(outcome.cost)]
@@ -217,41 +221,41 @@ def _polish(
         return
     polished = [best[k] for k in valid]
     try:
-        _improve(problem, scene, np.stack([each.path for each in polished])[:, None], aims, polished, progress)
+        _improve(problem, scaled, np.stack([each.path for each in polished])[:, None], aims, polished, progress)
     finally:
         for k, outcome in zip(valid, polished, strict=True):
             best[k] = outcome._replace(losses=best[k].losses)
 
 
 def _descended(
-    scene: Scene, guesses: Retimings, aims: Aims, progress: Float[np.ndarray, "iterations"]
+    scaled: ScaledProblem, guesses: Retimings, aims: Aims, progress: Float[np.ndarray, "iterations"]
 ) -> tuple[Retimings, Float[np.ndarray, "guesses retimings iterations"], KeyboardInterrupt | None]:
     """Where descent takes paths, its losses, and what interrupted it."""
     flat = guesses.reshape(-1, *guesses.shape[2:])
-    start = _scaled(scene, flat)
+    start = _scaled(scaled, flat)
     losses, done = np.full((len(start), len(progress)), np.nan), 0
     descent, interrupt = begin(start), None
     with tqdm(total=len(progress), desc="optimize", unit=" steps", delay=2, leave=False, disable=None) as bar:
         try:
             for part in _parts(progress):
-                descent, loss = advance(scene, start, aims, descent, jnp.asarray(part))
+                descent, loss = advance(scaled, start, aims, descent, jnp.asarray(part))
                 count = int((part <= 1).sum())
                 losses[:, done : done + count] = loss[:, :count]
                 done += count
                 bar.update(count)
         except KeyboardInterrupt as error:
             interrupt = error
-    moves = np.array(moves_of(scene, start, descent)[: len(flat)], np.float64)
-    moves[..., :2] *= float(scene.scale)
+    moves = np.array(moves_of(scaled, start, descent)[: len(flat)], np.float64)
+    moves[..., :2] *= float(scaled.scale)
     moves[~np.isfinite(moves).all(axis=(1, 2, 3))] = 0.0  # of guesses so far out that 32-bit floats overflow
     return guesses + moves.reshape(guesses.shape), losses[: len(flat)].reshape(*guesses.shape[:2], -1), interrupt
 
 
-def _scaled(scene: Scene, paths: Paths) -> Float[Array, "padded rows robots dof"]:
+def _scaled(scaled: ScaledProblem, paths: Paths) -> Float[Array, "padded rows robots dof"]:
     """Paths as they are optimized, padded to a power of two of them."""
     padded = np.concatenate([paths, np.repeat(paths[:1], (1 << (len(paths) - 1).bit_length()) - len(paths), axis=0)])
     start = np.stack([unwrapped(path) for path in padded])
-    start[..., :2] = (start[..., :2] - np.asarray(scene.origin, np.float64)) / float(scene.scale)
+    start[..., :2] = (start[..., :2] - np.asarray(scaled.origin, np.float64)) / float(scaled.scale)
     return jnp.asarray(start, jnp.float32)
 
 
@@ -274,15 +278,15 @@ def _rows(paths: Float[np.ndarray, "guesses steps robots dof"]) -> int:
     return 1 + max(_FEWEST_MOTIONS, 1 << max(0, paths.shape[1] - 2).bit_length())
 
 
-def _scene(problem: Problem) -> Scene:
+def _scaled_problem(problem: Problem) -> ScaledProblem:
     bounds = problem.workspace.bounds
     # Rounded first: far from the origin, 32-bit floats would move the paths and leave the walls.
     origin = ((bounds.lo + bounds.hi) / 2).astype(np.float32).astype(np.float64)
     scale = float(bounds.width.max())
     lever = [robot.circumscribed_radius or scale for robot in problem.robots]
-    return Scene(
-        walls_of(problem.workspace, origin, scale),
-        bodies_of(problem.robots, scale),
+    return ScaledProblem(
+        padded_boundary(problem.workspace, origin, scale),
+        outlines_of(problem.robots, scale),
         jnp.asarray(problem.rotation_weights / scale, jnp.float32),
         jnp.asarray(np.array(lever) / scale, jnp.float32),
         jnp.asarray(origin, jnp.float32),

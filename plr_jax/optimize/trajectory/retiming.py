@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._problem import Problem, motion_costs
-from plr_jax.robots.robot import between, shorter_turn
+from plr_jax.robots.motion import between, shorter_turn
 
 Path = Float[np.ndarray, "rows robots dof"]
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from plr_jax._types import DimensionedFn
-from plr_jax.optimize.trajectory.clearance import Bodies, Walls, box_clearances, round_clearances
+from plr_jax.optimize.trajectory.clearance import Outlines, PaddedBoundary, convex_clearances, round_clearances
 
 _STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
 _RATES = (3e-3, 3e-6)  # learning rate at first and at last
@@ -29,20 +29,20 @@ _SMOOTHING = 1e-6  # length below which a motion costs less than its length, so 
 Path = Float[Array, "rows robots dof"]
 
 
-class Scene(NamedTuple):
+class ScaledProblem(NamedTuple):
     """What paths are optimized in, in units of the workspace's extent.
 
     Args:
         walls: The walls.
-        bodies: The robots' shapes.
+        outlines: The robots' shapes.
         rotation_weight: Cost of each robot's turn by one radian.
         lever: Distance from each robot's center of what turns the farthest.
         origin: Where, in workspace units, the coordinates have their origin.
         scale: The extent in workspace units.
     """
 
-    walls: Walls
-    bodies: Bodies
+    walls: PaddedBoundary
+    outlines: Outlines
     rotation_weight: Float[Array, "robots"]
     lever: Float[Array, "robots"]
     origin: Float[Array, "2"]
@@ -63,7 +63,7 @@ class Aims(NamedTuple):
     distance_fns: tuple[Any, ...]
 
 
-class State(NamedTuple):
+class DescentState(NamedTuple):
     """How far the descent of each path of a batch has come.
 
     Args:
@@ -75,24 +75,24 @@ class State(NamedTuple):
     moments: Any
 
 
-def begin(paths: Float[Array, "batch rows robots dof"]) -> State:
+def begin(paths: Float[Array, "batch rows robots dof"]) -> DescentState:
     """Descents that have not moved their paths yet; these have ``2**k + 1`` rows."""
     weights = jnp.zeros((len(paths), _hats(paths.shape[1]).shape[1], *paths.shape[2:]))
-    return State(weights, jax.vmap(_adam().init)(weights))
+    return DescentState(weights, jax.vmap(_adam().init)(weights))
 
 
 @jax.jit
 def advance(
-    scene: Scene,
+    problem: ScaledProblem,
     paths: Float[Array, "batch rows robots dof"],
     aims: Aims,
-    descent: State,
+    descent: DescentState,
     progress: Float[Array, "iterations"],
-) -> tuple[State, Float[Array, "batch iterations"]]:
+) -> tuple[DescentState, Float[Array, "batch iterations"]]:
     """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
 
     Args:
-        scene: Where.
+        problem: Where.
         paths: The paths as they were at first, headings unwrapped; their first and last rows stay.
         aims: What is asked of them.
         descent: How far the descents have come.
@@ -101,35 +101,37 @@ def advance(
     Returns:
         How far they have come then, and the loss in every step.
     """
-    return jax.vmap(lambda path, descent: _advanced(scene, path, aims, descent, progress))(paths, descent)
+    return jax.vmap(lambda path, descent: _advanced(problem, path, aims, descent, progress))(paths, descent)
 
 
 @jax.jit
-def moves_of(scene: Scene, paths: Float[Array, "batch rows robots dof"], descent: State) -> Float[Array, "..."]:
+def moves_of(
+    problem: ScaledProblem, paths: Float[Array, "batch rows robots dof"], descent: DescentState
+) -> Float[Array, "..."]:
     """By how much each way point has moved, of the shape of the paths."""
-    return jax.vmap(lambda path, weights: _moves(scene, path, weights))(paths, descent.weights)
+    return jax.vmap(lambda path, weights: _moves(problem, path, weights))(paths, descent.weights)
 
 
 def _advanced(
-    scene: Scene, path: Path, aims: Aims, descent: State, progress: Float[Array, "iterations"]
-) -> tuple[State, Float[Array, "iterations"]]:
+    problem: ScaledProblem, path: Path, aims: Aims, descent: DescentState, progress: Float[Array, "iterations"]
+) -> tuple[DescentState, Float[Array, "iterations"]]:
     adam, (first, last) = _adam(), _RATES
 
-    def step(descent: State, progress: Float[Array, ""]) -> tuple[State, Float[Array, ""]]:
+    def step(descent: DescentState, progress: Float[Array, ""]) -> tuple[DescentState, Float[Array, ""]]:
         weights, moments = descent
         loss, gradient = jax.value_and_grad(
-            lambda weights: _loss(scene, path + _moves(scene, path, weights), aims, progress)
+            lambda weights: _loss(problem, path + _moves(problem, path, weights), aims, progress)
         )(weights)
         update, moments = adam.update(gradient, moments)
         rate = first * (last / first) ** progress
-        after = State(weights - rate * update, moments)
+        after = DescentState(weights - rate * update, moments)
         return jax.tree.map(lambda new, old: jnp.where(progress <= 1, new, old), after, descent), loss
 
     return jax.lax.scan(step, descent, progress)
 
 
-def _moves(scene: Scene, path: Path, weights: Float[Array, "hats robots dof"]) -> Path:
-    unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / scene.lever[:, None])
+def _moves(problem: ScaledProblem, path: Path, weights: Float[Array, "hats robots dof"]) -> Path:
+    unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / problem.lever[:, None])
     return jnp.tensordot(jnp.asarray(_hats(len(path))), weights, 1) * unit
 
 
@@ -139,43 +141,43 @@ def _adam() -> Any:
     return optax.scale_by_adam()
 
 
-def _loss(scene: Scene, path: Path, aims: Aims, progress: Float[Array, ""]) -> Float[Array, ""]:
+def _loss(problem: ScaledProblem, path: Path, aims: Aims, progress: Float[Array, ""]) -> Float[Array, ""]:
     margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
-    penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(scene, path))
+    penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(problem, path))
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
-    loss = _length(scene, path) + aims.smoothness * len(path) * (bends * bends).sum()
+    loss = _length(problem, path) + aims.smoothness * len(path) * (bends * bends).sum()
     if not aims.distance_fns:
         return loss + _STEEPNESS * penalty
     # Walls fade in as the guide fades out: what begins on their wrong side could not cross them later.
     guide = _FADE**progress
-    return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(scene, path, aims.distance_fns)
+    return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(problem, path, aims.distance_fns)
 
 
-def _length(scene: Scene, path: Path) -> Float[Array, ""]:
+def _length(problem: ScaledProblem, path: Path) -> Float[Array, ""]:
     """Cost of the path, and a little for an uneven pace: that keeps motions short, and can be had for nothing."""
     change = jnp.diff(path, axis=0)
     cost = jnp.sqrt((change[..., :2] ** 2).sum(axis=-1) + _SMOOTHING**2)
     if path.shape[-1] > 2:
-        cost = cost + scene.rotation_weight * jnp.sqrt(change[..., 2] ** 2 + _SMOOTHING**2)
+        cost = cost + problem.rotation_weight * jnp.sqrt(change[..., 2] ** 2 + _SMOOTHING**2)
     pace = cost.sum(axis=1)
     total = pace.sum()
     return total + _PACE * (len(pace) * (pace * pace).sum() / total - total)
 
 
-def _clearances(scene: Scene, path: Path) -> tuple[Float[Array, "..."], ...]:
-    if path.shape[-1] == 2:
-        return round_clearances(scene.walls, scene.bodies, path[:-1], path[1:])
+def _clearances(problem: ScaledProblem, path: Path) -> tuple[Float[Array, "..."], ...]:
+    if problem.outlines.all_round:
+        return round_clearances(problem.walls, problem.outlines, path[:-1, :, :2], path[1:, :, :2])
     share = jnp.arange(_PIECES + 1)[:, None, None, None] / _PIECES
     times = path[:-1] + share * jnp.diff(path, axis=0)
-    return box_clearances(scene.walls, scene.bodies, times[:-1], times[1:])
+    return convex_clearances(problem.walls, problem.outlines, times[:-1], times[1:])
 
 
-def _lag(scene: Scene, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
+def _lag(problem: ScaledProblem, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
     """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):
-        q = _pulled_where_it_can_be(path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin))
-        cost = fn(q[:, : fn.dim] if isinstance(fn, DimensionedFn) else q) / scene.scale
+        q = _pulled_where_it_can_be(path[:, i].at[:, :2].set(path[:, i, :2] * problem.scale + problem.origin))
+        cost = fn(q[:, : fn.dim] if isinstance(fn, DimensionedFn) else q) / problem.scale
         known = jnp.isfinite(cost) & jnp.isfinite(cost[0])
         off = jnp.where(known, cost - share * cost[0], 0.0)
         lag = lag + jnp.sqrt(off * off + _SMOOTHING).sum()

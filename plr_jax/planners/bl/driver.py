@@ -246,10 +246,7 @@ def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> I
 def _first_step(problem: Problem) -> float:
     """A lattice about as fine as the smallest robot is large, but not one that takes long to build."""
     extent = float(problem.workspace.bounds.width.max())
-    sizes = [
-        min(robot.circumscribed_radius, 2 * robot.inscribed_radius) or _POINT_STEP * extent
-        for robot in problem.robots
-    ]
+    sizes = [min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots]
     step = float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     while max(num_configurations(problem.workspace, robot, step) for robot in problem.robots) > _LARGEST_FIRST:
         step *= _REFINEMENT

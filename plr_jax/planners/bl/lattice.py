@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import RectangleRobot, Robot, shorter_turn
+from plr_jax.robots.motion import shorter_turn
+from plr_jax.robots.robot import Robot
 
 Primitive: TypeAlias = tuple[int, int, int]
 """A motion to another cell: so many columns, rows and turns away."""
@@ -162,7 +163,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
     """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
     turns = max(2 * math.pi / _WIDEST_TURN, 2 * math.pi * robot.circumscribed_radius / step)
     return math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist()) * (
-        turns if isinstance(robot, RectangleRobot) else 1
+        turns if robot.dof == 3 else 1
     )
 
 
@@ -181,8 +182,8 @@ def build_lattices(
 
     Args:
         problem: The problem.
-        step: Largest side of a cell, in workspace units; turning by one cell takes a rectangle's corners as far.
-        primitives: Motions besides staying; turns are for rectangles alone.
+        step: Largest side of a cell, in workspace units; turning by one cell takes a robot's corners as far.
+        primitives: Motions besides staying; turns are for robots that have a heading.
         deadline: When to give up, on the clock of ``time.perf_counter``.
 
     Returns:
@@ -193,7 +194,7 @@ def build_lattices(
     """
     lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
     for i, robot in enumerate(problem.robots):
-        ends = np.stack([problem.starts[i], problem.goals[i]])[:, : 3 if isinstance(robot, RectangleRobot) else 2]
+        ends = np.stack([problem.starts[i], problem.goals[i]])[:, : robot.dof]
         recipe = _Recipe(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
         grid = _grid(problem.workspace, robot, step)
         if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
@@ -214,7 +215,7 @@ def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.ceil(width / step - _ROUNDING).astype(int)
     side = width / shape
-    if isinstance(robot, RectangleRobot):
+    if robot.dof == 3:
         turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
         quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
         shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)

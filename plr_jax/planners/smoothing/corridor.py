@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.robots.robot import RectangleRobot
 
 Path = Float[np.ndarray, "steps robots dof"]
 Corridor = Float[np.ndarray, "steps size dof"]
@@ -100,7 +99,7 @@ def _corridor(
     """Configurations about each row, the row itself first; at both ends nothing else."""
     offsets = np.zeros((len(pattern), q.shape[1]))
     offsets[:, :2] = pattern
-    if isinstance(problem.robots[i], RectangleRobot):
+    if problem.robots[i].dof == 3:
         turns = np.zeros((2, 3))
         turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
         offsets = np.concatenate([offsets, turns])

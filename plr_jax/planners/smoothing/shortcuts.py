@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.robots.robot import between
+from plr_jax.robots.motion import between
 
 _LONGEST = 32  # steps that one shortcut spans at most
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least

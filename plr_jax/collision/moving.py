@@ -1,0 +1,142 @@
+"""Bodies in straight motion, and the bisection of their motions until what a kernel says of them is certain.
+
+A motion goes from one configuration to another in one unit of time: the position at constant velocity, the
+heading at a constant rate along the shorter turn. Touching is no collision.
+
+Over a piece of a motion, a body is shut off from another by an axis that stands still or rides with one of the
+two: the gap along it deviates from its linear interpolation by at most an eighth of its largest second derivative,
+so the smaller of the gaps at the piece's two ends, less that *bulge*, holds throughout. Bulges fall fourfold at
+each bisection, and vanish for bodies that only translate, whose answer is therefore exact. A piece that is still
+uncertain at the last bisection counts as a collision.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from plr_jax.robots.motion import shorter_turn
+from plr_jax.robots.robot import Robot
+
+_MAX_BISECTIONS = 12
+
+Column: TypeAlias = Float[np.ndarray, "n"]
+
+
+class MovingBodies(NamedTuple):
+    """Bodies in straight motion, one a column. What their size holds is between a kernel and its caller."""
+
+    size: Float[np.ndarray, "*size n"]
+    x: Column
+    y: Column
+    theta: Column
+    dx: Column
+    dy: Column
+    turn: Column
+
+    def take(self, columns: np.ndarray) -> "MovingBodies":
+        """The bodies of some columns, by index or mask."""
+        return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
+
+    def sized(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
+        """The same motions of bodies that all have one size."""
+        return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
+
+    def bisected(self) -> "MovingBodies":
+        """The first and the second half of each motion, side by side."""
+        half = [0.5 * rate for rate in (self.dx, self.dy, self.turn)]
+        pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
+        return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
+
+
+def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
+    """A robot's motions, their size left open; one without a heading keeps 0."""
+    heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
+    if robot.dof == 3:
+        heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
+    dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
+    return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
+
+
+Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]]
+"""A kernel: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not."""
+
+
+def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float) -> Bool[np.ndarray, "n"]:
+    """Whether bodies keep a distance, their motions bisected until that is certain.
+
+    Args:
+        judge: The kernel.
+        a: Bodies of the kind that the kernel takes first.
+        b: The others, as many.
+        reach: The distance; below 0 a depth to which they may overlap.
+
+    Returns:
+        True where they certainly do.
+    """
+    apart, owner = np.ones(len(a.x), dtype=bool), np.arange(len(a.x))
+    for bisections in range(_MAX_BISECTIONS + 1):
+        clear, hit = judge(a, b, reach)
+        apart[owner[hit]] = False
+        unsure = ~clear & apart[owner]
+        if not unsure.any():
+            break
+        if bisections == _MAX_BISECTIONS:
+            apart[owner[unsure]] = False
+            break
+        a, b, owner = a.take(unsure).bisected(), b.take(unsure).bisected(), np.repeat(owner[unsure], 2)
+    return apart
+
+
+def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> tuple[Column, Column]:
+    """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
+
+    Args:
+        a: Bodies.
+        b: The others.
+        rim_a: How far the first reach from their reference points.
+        rim_b: How far the others do.
+
+    Returns:
+        The bulges of the offset between the two and of the other body's turn, as seen from the one.
+    """
+    x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
+    far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
+    relative = (b.turn - a.turn) ** 2
+    of_a, of_b = (
+        (far * body.turn**2 + 2 * speed * np.abs(body.turn) + rim * relative) / 8
+        for body, rim in ((a, rim_b), (b, rim_a))
+    )
+    return of_a, of_b
+
+
+def across_motion(a: MovingBodies, b: MovingBodies) -> tuple[Column, Column]:
+    """The unit normal of the relative motion, the y axis where there is none."""
+    dx, dy = b.dx - a.dx, b.dy - a.dy
+    speed = np.hypot(dx, dy)
+    nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
+    return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
+
+
+def distance_to_segment(
+    x: Float[np.ndarray, "*#batch"],
+    y: Float[np.ndarray, "*#batch"],
+    dx: Float[np.ndarray, "*#batch"],
+    dy: Float[np.ndarray, "*#batch"],
+) -> Float[np.ndarray, "*batch"]:
+    """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    x, y = nearest_on_segment(x, y, dx, dy)
+    return np.sqrt(x * x + y * y)
+
+
+def nearest_on_segment(
+    x: Float[np.ndarray, "*#batch"],
+    y: Float[np.ndarray, "*#batch"],
+    dx: Float[np.ndarray, "*#batch"],
+    dy: Float[np.ndarray, "*#batch"],
+) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
+    """The point nearest to the origin on segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    squared = dx * dx + dy * dy
+    t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+    return x + t * dx, y + t * dy

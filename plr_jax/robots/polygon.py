@@ -1,0 +1,59 @@
+"""A convex polygon."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+
+from plr_jax.geometry.polygons import as_polygon
+from plr_jax.robots.robot import Robot, check_body
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class PolygonRobot(Robot):
+    """A convex polygon in SE(2): its configuration is ``(x, y, theta)``, its reference point and its heading.
+
+    The reference point is the origin of the vertices' frame: ``(x, y)`` is its position, about which the polygon
+    turns. It must lie in the polygon or on its boundary, since distances are those of its way. The heading is in
+    radians, counterclockwise from the x axis, 0 for the polygon as given, and periodic.
+
+    Args:
+        vertices: Its corners ``(n, 2)``, in workspace units, in either order, closed or not; kept counterclockwise,
+            the first one first.
+
+    Raises:
+        ValueError: If the vertices are not finite, fewer than three, on one line or not convex, or the polygon does
+            not contain the origin.
+    """
+
+    vertices: Float[np.ndarray, "n 2"]
+    rounding = 0.0
+    dof = 3
+
+    def __init__(self, vertices: Any):
+        name = "PolygonRobot vertices"
+        polygon = shapely.remove_repeated_points(as_polygon(name, vertices))
+        if not isinstance(polygon, shapely.Polygon) or len(polygon.interiors):
+            raise ValueError(f"{name} must be those of one polygon without holes, got {vertices!r:.200}.")
+        ring = shapely.get_coordinates(polygon)[:-1]
+        if not polygon.exterior.is_ccw:
+            ring = np.roll(ring[::-1], 1, axis=0)
+        ring.flags.writeable = False
+        object.__setattr__(self, "vertices", ring)
+        check_body(name, self)
+
+    @property
+    def core(self) -> Float[np.ndarray, "n 2"]:
+        """Its vertices."""
+        return self.vertices
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PolygonRobot) and np.array_equal(self.vertices, other.vertices)
+
+    def __hash__(self) -> int:
+        return hash(self.vertices.tobytes())
+
+    def __repr__(self) -> str:
+        return f"PolygonRobot({self.vertices.tolist()})"
