@@ -219,7 +219,7 @@ MEGABYTES = 50 * 2**20
 def refused_for_little(data):
     """Whether a file is refused before much memory is allocated for it."""
     tracemalloc.start()
-    with pytest.raises(ValueError, match="too deep for a query's tables|a query resolves 23"):
+    with pytest.raises(ValueError, match=r"too deep for a query's tables|a query resolves 23"):
         from_bytes(data)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
