@@ -24,14 +24,12 @@ from tqdm import tqdm
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
 from plr_jax.plr.leaves.base import Parameters, values_at_centers
+from plr_jax.plr.refine.coordinates import count_in, leaf_normal_matrices, scaled_one_by_one, sums, units, whitened
 from plr_jax.plr.refine.losses import Loss, Penalty, Planes
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 STEPS_AT_ONCE = 50  # between two chances to interrupt
 _FIRST_STEP = 0.3  # of a unit
-# The least unit, should the least-squares fit be very good: a share of the error over all points, and of how much the
-# leaf's own function varies. Penalties may ask more of it than its points do.
-_OF_ALL_ERROR, _OF_VARIATION = 0.1, 0.01
 _RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as it is
 _TINY = 1e-30
 
@@ -107,6 +105,7 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     """The problem of refining a PLR with some points.
 
     Points of leaves that have too few of them get no weight, and nothing moves what those leaves alone depend on.
+    Where leaves share parameters, some points on which the given functions are right are counted in.
     """
     leaf = leaf_of(plr, points.x)
     order = np.argsort(leaf, kind="stable")
@@ -115,20 +114,24 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     basis = plr.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
     parameters = plr.leaf.parameters(plr.cells, plr.stored)
     shape = (plr.num_leaves, basis.shape[1])
-    num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
-    has_enough = (num_points >= POINTS_A_COEFFICIENT * basis.shape[1]) & ~plr.unreachable
-    weight = _normalized(weight * has_enough[leaf], plr, POINTS_A_COEFFICIENT * basis.shape[1])
-    sum_up = _sums(leaf, len(lo))
-    normal, share = _normal_matrices(sum_up, basis, weight), sum_up(weight)
+    num_points, enough = np.bincount(leaf[weight > 0], minlength=len(lo)), POINTS_A_COEFFICIENT * (plr.dim + 1)
+    has_enough = (num_points >= enough) & ~plr.unreachable
+    weight = _normalized(weight * has_enough[leaf], plr, enough)
+    sum_up = sums(leaf, len(lo))
+    normal, share = leaf_normal_matrices(sum_up, basis, weight), sum_up(weight)
+    counted_in, mean_squares = count_in(plr.leaf, plr.dim, normal, share, num_points)
     error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
-    parameters = parameters.moved(-_least_squares(parameters, normal, moments))
+    parameters = parameters.moved(
+        -_least_squares(parameters, normal if parameters.is_leafwise else counted_in, moments)
+    )
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
     center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
-    unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
-    scaling = _whitened if parameters.is_leafwise else _scaled
-    scaled, to_parameters = scaling(parameters, share, normal, unit, np.where(has_enough, num_points, 1))
+    unit = has_enough * units(share, sum_up(weight * error**2), coefficients @ half)
+    scaled, to_parameters = (whitened if parameters.is_leafwise else scaled_one_by_one)(
+        parameters, mean_squares, unit
+    )
     objective = Objective(
         *map(_padded, (leaf, basis, error, weight, share, coefficients, scaled.row, scaled.column, scaled.weight)),
         center,
@@ -172,44 +175,6 @@ def _least_squares(
     matrix = csc_array(matrix + diags_array(_RIDGE * (diagonal + diagonal.max())))
     factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return factors.solve(of_leaves.T @ moments.ravel())
-
-
-def _whitened(
-    parameters: Parameters,
-    share: Float[np.ndarray, "leaves"],
-    normal: Float[np.ndarray, "leaves terms terms"],
-    unit: Float[np.ndarray, "leaves"],
-    num_points: Int[np.ndarray, "leaves"],
-) -> tuple[Parameters, Callable]:
-    """Coordinates in which the values at a leaf's points change by a unit in the root mean square.
-
-    As many points as a leaf has coefficients, spread evenly over the cell, are counted in: along directions in
-    which the points hardly vary, a function is not flung about.
-    """
-    leaves, terms, _ = normal.shape
-    even = np.diag([1.0, *[1 / 3] * (terms - 1)])
-    counted_in = np.where(share > 0, share * terms / num_points, 1.0)
-    moments = (normal + counted_in[:, None, None] * even) / (share + counted_in)[:, None, None]
-    transform = unit[:, None, None] * np.linalg.inv(np.linalg.cholesky(moments)).swapaxes(1, 2)
-    row, column = np.broadcast_arrays(*np.ogrid[: leaves * terms, :terms])
-    scaled = Parameters(parameters.values, row.ravel(), (row // terms * terms + column).ravel(), transform.ravel())
-    return scaled, lambda z: np.einsum("lij,lj->li", transform, z.reshape(leaves, terms)).ravel()
-
-
-def _scaled(
-    parameters: Parameters,
-    share: Float[np.ndarray, "leaves"],
-    normal: Float[np.ndarray, "leaves terms terms"],
-    unit: Float[np.ndarray, "leaves"],
-    num_points: Int[np.ndarray, "leaves"],
-) -> tuple[Parameters, Callable]:
-    """Parameters in units of their leaves', each divided by how much it changes the values at the points it moves."""
-    of_row = np.einsum("lii->li", normal) / np.where(share > 0, share, 1.0)[:, None]
-    sum_up = _sums(parameters.column, len(parameters.values))
-    leaf, effect = parameters.row // normal.shape[1], parameters.weight**2 * of_row.ravel()[parameters.row]
-    scale = sum_up(effect * unit[leaf]) / np.maximum(sum_up(effect), _TINY)
-    weight = parameters.weight * scale[parameters.column]
-    return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
 
 
 def minimize(
@@ -326,27 +291,6 @@ def _adam():
 
     # Divided by its start, an objective has gradients of about a leaf's share of the points; far above this eps.
     return optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
-
-
-def _sums(leaf: Int[np.ndarray, "n"], leaves: int) -> Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "leaves"]]:
-    """Sums a number a point over the points of each leaf."""
-    return lambda values: np.bincount(leaf, values, minlength=leaves)
-
-
-def _normal_matrices(
-    sum_up: Callable, design: Float[np.ndarray, "n terms"], weight: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "leaves terms terms"]:
-    rows = [[sum_up(weight * a * b) for b in design.T] for a in design.T]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
-def _units(
-    share: Float[np.ndarray, "leaves"], squares: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-) -> Float[np.ndarray, "leaves"]:
-    """Unit of each leaf's variables: how far off its least-squares fit is, but not next to nothing."""
-    of_leaf = np.sqrt(squares / np.where(share > 0, share, 1.0))
-    least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(half, axis=1))
-    return np.maximum(of_leaf, least)
 
 
 def _as_pytree(function: Callable) -> Any:
