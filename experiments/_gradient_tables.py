@@ -8,31 +8,31 @@ _SHOWN = 6_144  # bytes; the results have other sizes too
 
 
 def continuity(results: dict[str, Any]) -> str:
-    """Plain and continuous PLRs at equal bytes: error, jumps, and what they cost."""
-    rows = [["map", "PLR", "leaves", "mean error", "largest jump", "of the gradient", "ns a point", "built in s"]]
+    """The kinds of leaves at equal bytes: error, jumps, and what they cost."""
+    rows = [["map", "leaf", "leaves", "mean error", "largest jump", "of the gradient", "ns a point", "built in s"]]
     for row in results["rows"]:
         if row["budget"] == _SHOWN:
             rows.append(
                 [
                     row["map"],
-                    row["kind"],
+                    row["leaf"],
                     f"{row['leaves']:,}",
                     f"{row['mean']:.2g} ({row['max']:.2g})",
                     f"{row['value_jump']:.1g}",
                     f"{row['gradient_jump']:.1g}",
-                    f"{row['nanoseconds']:.1f} ({row['to_plain']:.1f} x)",
+                    f"{row['nanoseconds']:.1f} ({row['to_planes']:.1f} x)",
                     f"{row['seconds']:.1f}",
                 ]
             )
-    slowest = {row["kind"]: 0.0 for row in results["rows"]}
+    slowest = {row["leaf"]: 0.0 for row in results["rows"]}
     for row in results["rows"]:
-        slowest[row["kind"]] = max(slowest[row["kind"]], row["to_plain"])
+        slowest[row["leaf"]] = max(slowest[row["leaf"]], row["to_planes"])
     sizes = sorted({row["budget"] for row in results["rows"]})
     note = (
-        f"At {_SHOWN:,} bytes. In brackets the largest error, and the multiple of the plain PLR's time, which from "
-        f"{sizes[0]:,} to {sizes[-1]:,} bytes is at most {slowest['order 0']:.1f} for order 0 and "
-        f"{slowest['order 1']:.1f} for order 1. Jumps are over faces that one can step across, of the value as a "
-        "share of the largest distance."
+        f"At {_SHOWN:,} bytes. In brackets the largest error, and the multiple of the time of planes, which from "
+        f"{sizes[0]:,} to {sizes[-1]:,} bytes is at most {slowest['continuous']:.1f} for continuous and "
+        f"{slowest['smooth']:.1f} for smooth leaves. Jumps are over faces that one can step across, of the value as "
+        "a share of the largest distance."
     )
     return markdown(rows, numbers=6) + f"\n{note}\n"
 
@@ -40,7 +40,7 @@ def continuity(results: dict[str, Any]) -> str:
 def descent(results: dict[str, Any]) -> str:
     """Where gradients point, where they lead alone, and where descent does."""
     head = ["angle", "raw gradient reaches", "descent reaches", "crosses a wall", "length / exact", "s"]
-    rows = [["map", "PLR", *head]]
+    rows = [["map", "leaf", *head]]
     for each in results["maps"]:
         for row in each["rows"]:
             if row["budget"] == _SHOWN:
@@ -48,7 +48,7 @@ def descent(results: dict[str, Any]) -> str:
                 rows.append(
                     [
                         each["map"],
-                        row["kind"],
+                        row["leaf"],
                         f"{angles['0.5']:.2g} ({angles['0.99']:.2g})",
                         f"{row['walks']['reached']:.1%}",
                         f"{row['reached']:.2%}",

@@ -22,7 +22,7 @@ from plr_jax import (
     zero,
 )
 
-PLR_BYTES = 4_096
+PLR_BYTES, SMOKE_BYTES = 4_096, 512
 
 SCENES: dict[str, Callable[[], Problem]] = {
     "single door": scenes.single_door,
@@ -46,8 +46,8 @@ class Built(NamedTuple):
     plr_seconds: float
 
 
-def build(problem: Problem, name: str) -> Built:
-    """A heuristic of :data:`HEURISTICS` for a problem."""
+def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> Built:
+    """A heuristic of :data:`HEURISTICS` for a problem, its PLRs of so many bytes each."""
     if name == NONE:
         return Built(zero(), 0.0, 0.0)
     if name == STRAIGHT:
@@ -57,7 +57,7 @@ def build(problem: Problem, name: str) -> Built:
     middle = time.perf_counter()
     if name == EXACT:
         return Built(sum_of_distances(oracles), middle - began, 0.0)
-    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=PLR_BYTES) for oracle in oracles]
+    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=plr_bytes) for oracle in oracles]
     return Built(sum_of_distances(plrs), middle - began, time.perf_counter() - middle)
 
 
@@ -78,12 +78,14 @@ def is_valid(problem: Problem, solution: Solution) -> bool | None:
     return None if solution.path is None else validate(problem, solution.path).valid
 
 
-def solve(problem: Problem, heuristic: str) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
+def solve(
+    problem: Problem, heuristic: str, plr_bytes: int = PLR_BYTES
+) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
     """BL's first path under a heuristic, to nine decimals, and how it was found.
 
     A path that is missing, or not valid when rounded, is an error, and ends the experiment.
     """
-    solution, _ = plan(problem, build(problem, heuristic).heuristic, BLOptions())
+    solution, _ = plan(problem, build(problem, heuristic, plr_bytes).heuristic, BLOptions())
     if solution.path is None:
         raise RuntimeError(f"The scene was not solved: {solution.status}.")
     path = np.round(solution.path, 9)
@@ -93,7 +95,7 @@ def solve(problem: Problem, heuristic: str) -> tuple[Solution, Float[np.ndarray,
     return solution, path
 
 
-def solved_scene(name: str) -> dict[str, Any]:
+def solved_scene(name: str, plr_bytes: int = PLR_BYTES) -> dict[str, Any]:
     """A scene as published, solved under PLRs, for JSON."""
-    solution, path = solve(SCENES[name](), PLR)
+    solution, path = solve(SCENES[name](), PLR, plr_bytes)
     return {"cost": solution.cost, "makespan": solution.makespan, "path": path.tolist()}

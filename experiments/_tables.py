@@ -1,5 +1,6 @@
 """Tables of runs as text: medians with their worst cases, and columns that line up, as text or in Markdown."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,24 @@ def nodes_of(row: dict[str, Any]) -> str:
     """Median nodes of the runs of a row; ``>`` where most of them ended without a path."""
     more = "> " if 2 * num_solved(row) < len(row["seed"]) else ""
     return f"{more}{np.median(row['nodes']):,.0f}"
+
+
+def mean_and_largest(errors: dict[str, Any] | None) -> str:
+    """Mean error, and in brackets the largest; ``*`` where some points got no answer."""
+    if errors is None or errors["mean"] is None:
+        return "-"
+    return f"{errors['mean']:.2g} ({errors['max']:.2g}){'*' if errors['unanswered'] else ''}"
+
+
+def at_least(total: dict[str, Any], key: str) -> str:
+    """A number of a race's summary; ``>`` where it is that of the limit."""
+    return f"{'> ' if total['at_least'] else ''}{rounded_down(total[key])}"
+
+
+def rounded_down(value: float) -> str:
+    """Two digits, rounded down, as lower bounds stay true then."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / scale + 1e-9) * scale:.6g}"
 
 
 def aligned(rows: list[list[str]], numbers: int) -> str:

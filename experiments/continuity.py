@@ -1,4 +1,4 @@
-"""What continuity costs: plain PLRs against continuous ones and ones with a continuous gradient, at equal bytes.
+"""What continuity costs: planes against continuous leaves and ones with a continuous gradient, at equal bytes.
 
 Errors are over random free points against the exact distance. Jumps are measured at random points of the leaves'
 faces, moved ``2**-22`` of the domain to either side, where both sides are free: of the value as a share of the
@@ -7,7 +7,6 @@ take turns; medians are reported.
 """
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +18,21 @@ from jaxtyping import Float
 from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, Box, ContinuousPLR, VisibilityGraph, Workspace, construct, construct_continuous, metrics
-from plr_jax.plr.partition.faces import face_points, shared_faces, tree_of
+from plr_jax import PLR, Box, VisibilityGraph, Workspace, construct, metrics
+from plr_jax.plr.partition.faces import face_points, shared_faces
+from plr_jax.plr.partition.tree import tree_of
 
 POINT_SEED, FACE_SEED = 1_000, 3_000
 BESIDE = 2.0**-22
 POINTS_A_FACE = 8
 _MAPS = ("maze", "thin_maze", "arena")
+_LEAVES = ("plane", "continuous", "smooth")
 
 Points = Float[np.ndarray, "n 2"]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_points, num_runs = (5_000, 3) if smoke else (1_000_000, 15)
+    num_points, num_runs = (1_000, 2) if smoke else (1_000_000, 15)
     budgets = [512] if smoke else [2_048, 6_144, 30_720]
     maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     rows = []
@@ -41,42 +42,35 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         distance = exact(x)
         for budget in budgets:
             contenders = build(exact, workspace, budget, seed)
-            nanoseconds = time_queries({label: plr for label, (plr, _) in contenders.items()}, num_points, num_runs)
-            for label, (plr, seconds) in contenders.items():
+            nanoseconds = time_queries({leaf: plr for leaf, (plr, _) in contenders.items()}, num_points, num_runs)
+            for leaf, (plr, seconds) in contenders.items():
                 row = measure(plr, workspace, exact, x, distance)
-                timing = {"nanoseconds": nanoseconds[label], "to_plain": nanoseconds[label] / nanoseconds["plain"]}
-                rows.append({"map": name, "budget": budget, "kind": label, **row, **timing, "seconds": seconds})
+                timing = {"nanoseconds": nanoseconds[leaf], "to_planes": nanoseconds[leaf] / nanoseconds["plane"]}
+                rows.append({"map": name, "budget": budget, "leaf": leaf, **row, **timing, "seconds": seconds})
                 print(line(rows[-1]), flush=True)
     return {"points": num_points, "runs": num_runs, "rows": rows}
 
 
-def build(
-    exact: VisibilityGraph, workspace: Workspace, max_bytes: int, seed: int
-) -> dict[str, tuple[PLR | ContinuousPLR, float]]:
+def build(exact: VisibilityGraph, workspace: Workspace, max_bytes: int, seed: int) -> dict[str, tuple[PLR, float]]:
     """The three contenders, and seconds that each took."""
-    builders: dict[str, Callable[[], PLR | ContinuousPLR]] = {
-        "plain": lambda: construct(exact, workspace.bounds, max_bytes=max_bytes, seed=seed),
-        "order 0": lambda: construct_continuous(exact, workspace.bounds, order=0, max_bytes=max_bytes, seed=seed),
-        "order 1": lambda: construct_continuous(exact, workspace.bounds, order=1, max_bytes=max_bytes, seed=seed),
-    }
     contenders = {}
-    for label, builder in builders.items():
+    for leaf in _LEAVES:
         start = time.perf_counter()
-        plr = builder()
-        contenders[label] = (plr, time.perf_counter() - start)
+        plr = construct(exact, workspace.bounds, leaf=leaf, max_bytes=max_bytes, seed=seed)
+        contenders[leaf] = (plr, time.perf_counter() - start)
     return contenders
 
 
-def time_queries(plrs: dict[str, PLR | ContinuousPLR], num_points: int, num_runs: int) -> dict[str, float]:
+def time_queries(plrs: dict[str, PLR], num_points: int, num_runs: int) -> dict[str, float]:
     domain = next(iter(plrs.values())).domain
     x = domain.lo + domain.width * np.random.default_rng(POINT_SEED).random((num_points, domain.dim))
     on_device = jnp.asarray(x, jnp.float32)
-    queries = {label: (lambda plr=plr: plr(on_device)) for label, plr in plrs.items()}
+    queries = {leaf: (lambda plr=plr: plr(on_device)) for leaf, plr in plrs.items()}
     return {name: 1e9 / num_points * seconds.median for name, seconds in interleaved(queries, num_runs).items()}
 
 
 def measure(
-    plr: PLR | ContinuousPLR,
+    plr: PLR,
     workspace: Workspace,
     exact: VisibilityGraph,
     x: Points,
@@ -96,7 +90,7 @@ def measure(
     }
 
 
-def jumps(plr: PLR | ContinuousPLR, workspace: Workspace, exact: VisibilityGraph) -> tuple[float, float]:
+def jumps(plr: PLR, workspace: Workspace, exact: VisibilityGraph) -> tuple[float, float]:
     """Largest jumps of value and gradient over random points of free faces."""
     below, above = both_sides(plr, plr.domain)
     free = workspace.is_free(below) & workspace.is_free(above)
@@ -107,7 +101,7 @@ def jumps(plr: PLR | ContinuousPLR, workspace: Workspace, exact: VisibilityGraph
     return float(np.abs(np.asarray(low) - np.asarray(high)).max()), float(gradient.max())
 
 
-def both_sides(plr: PLR | ContinuousPLR, domain: Box) -> tuple[Points, Points]:
+def both_sides(plr: PLR, domain: Box) -> tuple[Points, Points]:
     tree = tree_of(plr.cells)
     faces = shared_faces(tree)
     w = np.random.default_rng(FACE_SEED).random((POINTS_A_FACE, domain.dim))
@@ -119,10 +113,10 @@ def both_sides(plr: PLR | ContinuousPLR, domain: Box) -> tuple[Points, Points]:
 
 def line(row: dict[str, Any]) -> str:
     return (
-        f"{row['map']:10}{row['budget']:>7,}  {row['kind']:8}{row['leaves']:>7,} leaves {row['bytes']:>7,} bytes "
+        f"{row['map']:10}{row['budget']:>7,}  {row['leaf']:11}{row['leaves']:>7,} leaves {row['bytes']:>7,} bytes "
         f"({row['resident_bytes']:>9,} resident)  mean {row['mean']:.2e}  max {row['max']:.2e}  "
         f"jump {row['value_jump']:.1e}  gradient jump {row['gradient_jump']:.1e}  "
-        f"{row['nanoseconds']:6.2f} ns ({row['to_plain']:.2f} x)  built in {row['seconds']:.2f} s"
+        f"{row['nanoseconds']:6.2f} ns ({row['to_planes']:.2f} x)  built in {row['seconds']:.2f} s"
     )
 
 

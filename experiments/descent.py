@@ -8,7 +8,6 @@ is zero everywhere shows what descent does without one.
 import dataclasses
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +25,10 @@ from experiments._walks import downhill, measure_walks
 from experiments.benchmarks._maps import load_maps
 from plr_jax import (
     PLR,
-    ContinuousPLR,
     Descent,
     VisibilityGraph,
     Workspace,
     construct,
-    construct_continuous,
     descend,
     metrics,
     plot,
@@ -40,11 +37,7 @@ from plr_jax import (
 START_SEED = 1_000
 SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384], "den312d": [6_144]}
 """Bytes of the PLRs of each map; the last is drawn."""
-_KINDS: dict[str, Callable[..., PLR | ContinuousPLR]] = {
-    "plain": construct,
-    "order 0": partial(construct_continuous, order=0),
-    "order 1": partial(construct_continuous, order=1),
-}
+_LEAVES = ("plane", "continuous", "smooth")
 DRAWN = ("maze", "arena")
 NUM_DRAWN = 40
 POINTS_A_LEAF = 4
@@ -54,30 +47,30 @@ _ARROW_COLOR = "#0072B2"
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_starts, num_points = (200, 500) if smoke else (10_000, 100_000)
-    sizes = {"maze": [1024]} if smoke else SIZES
+    num_starts, num_points, num_runs = (20, 200, 2) if smoke else (10_000, 100_000, 15)
+    sizes = {"maze": [512]} if smoke else SIZES
     results = []
     for name, (workspace, goal) in load_maps(sizes).items():
         exact = VisibilityGraph(workspace, goal)
         starts = workspace.sample_free(num_starts, START_SEED + seed)
         x = workspace.sample_free(num_points, 2 * START_SEED + seed)
         distance = exact(starts)
-        blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance)
+        blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance, num_runs)
         print(f"{name} without a field: {blind['reached']:.2%} reached, length over exact up to {_longest(blind)}")
         few = slice(num_starts // 10)  # the oracle is slow
         walked = measure_walks(exact.directions, workspace, starts[few], goal, distance[few])
         print(f"{name} along the exact directions: {_outcome(walked)}")
         rows, plr = [], None
         for max_bytes in sizes[name]:
-            for kind, build in _KINDS.items():
-                field = build(exact, workspace.bounds, max_bytes=max_bytes, seed=seed)
-                row = _measure_descent(field, workspace, starts, goal, distance)
+            for leaf in _LEAVES:
+                field = construct(exact, workspace.bounds, leaf=leaf, max_bytes=max_bytes, seed=seed)
+                row = _measure_descent(field, workspace, starts, goal, distance, num_runs)
                 row["walks"] = measure_walks(downhill(field), workspace, starts, goal, distance)
                 row["gradient"] = _gradient(field, exact, x)
                 row["finite_differences"] = _worst_finite_difference(field)
-                if isinstance(field, PLR):
+                if leaf == "plane":
                     plr = field
-                rows.append({"budget": max_bytes, "kind": kind, "bytes": field.num_bytes, **row})
+                rows.append({"budget": max_bytes, "leaf": leaf, "bytes": field.num_bytes, **row})
                 _say(name, rows[-1])
         assert plr is not None
         entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind}
@@ -92,10 +85,11 @@ def _measure_descent(
     starts: Float[np.ndarray, "n 2"],
     goal: Float[np.ndarray, "2"],
     distance: Float[np.ndarray, "n"],
+    num_runs: int,
 ) -> dict[str, Any]:
     descent = descend(field, workspace, starts, goal)  # compiles the field's query
     seconds = []
-    for _ in range(15):
+    for _ in range(num_runs):
         begin = time.perf_counter()
         descend(field, workspace, starts, goal)
         seconds.append(time.perf_counter() - begin)
@@ -124,7 +118,7 @@ def _count_crossings(descent: Descent, workspace: Workspace) -> int:
     return int(shapely.intersects(core, paths).sum())
 
 
-def _gradient(plr: PLR | ContinuousPLR, exact: VisibilityGraph, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
+def _gradient(plr: PLR, exact: VisibilityGraph, x: Float[np.ndarray, "n 2"]) -> dict[str, Any]:
     report = metrics.gradient_report(
         plr,
         exact.directions,
@@ -136,7 +130,7 @@ def _gradient(plr: PLR | ContinuousPLR, exact: VisibilityGraph, x: Float[np.ndar
     return dataclasses.asdict(report)
 
 
-def _worst_finite_difference(plr: PLR | ContinuousPLR) -> float:
+def _worst_finite_difference(plr: PLR) -> float:
     """Largest relative difference of the gradient to central differences in 64 bits, at random points in all leaves.
 
     Where both are zero, as beside leaves that have no way to the goal, there is nothing to compare.
@@ -191,7 +185,7 @@ def _outcome(walks: dict[str, Any]) -> str:
 def _say(name: str, row: dict[str, Any]) -> None:
     ratio, gradient = row["ratio"], row["gradient"]
     print(
-        f"{name} {row['kind']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
+        f"{name} {row['leaf']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
         f"length over exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
         f"{row['seconds']['median']:.3f} s; "
         f"angle {gradient['angles'][0.5]:.2f} degrees (90 % {gradient['angles'][0.9]:.1f}, "
@@ -215,7 +209,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 
 def _draw_map(ax: Axes, entry: dict[str, Any]) -> None:
     picture = entry["picture"]
-    row = [row for row in entry["rows"] if row["kind"] == "plain"][-1]
+    row = [row for row in entry["rows"] if row["leaf"] == "plane"][-1]
     workspace = _workspace_of(picture["free_space"])
     plot.plot_workspace(workspace, ax)
     angle = np.radians(picture["degrees"])

@@ -28,11 +28,12 @@ from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._trees import NUM_TREES, leaves_that_fit, train_linear_trees
 from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics
+from plr_jax.plr import Plane
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena")
 _PLRS = {
-    f"PLR, {rule}, {coefficients}": {"split": split, "coefficient_bits": bits}
+    f"PLR, {rule}, {coefficients}": {"split": split, "leaf": Plane(coefficient_bits=bits)}
     for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
     for coefficients, bits in (("chosen bits", None), ("16-bit", 16), ("float32", 32))
 }
@@ -49,8 +50,8 @@ Approximation = Callable[[Float[np.ndarray, "n dim"]], Any]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    budgets = [512, 1024] if smoke else [512 * 2**doubling for doubling in range(7)]
-    num_points = 2_000 if smoke else 500_000
+    budgets = [256, 512] if smoke else [512 * 2**doubling for doubling in range(7)]
+    num_points = 1_000 if smoke else 500_000
     maps = load_maps(_MAPS[:1] if smoke else _MAPS)
     curves = {
         name: _measure_map(workspace, goal, budgets, num_points, seed) for name, (workspace, goal) in maps.items()

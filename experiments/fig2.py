@@ -42,8 +42,8 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     exact = VisibilityGraph(workspace, goal)
-    roadmap = Roadmap.from_workspace(workspace, goal, 300 if smoke else 10_000, seed=seed)
-    resolution = 48 if smoke else 256
+    roadmap = Roadmap.from_workspace(workspace, goal, 200 if smoke else 10_000, seed=seed)
+    resolution = 24 if smoke else 256
     panels = []
     for label, oracle in (("(a) visibility graph", exact), ("(b) PRM*", roadmap)):
         paper = construct(
@@ -54,7 +54,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
             max_depth=5 if smoke else 9,
             seed=seed,
         )
-        ours = construct(oracle, workspace.bounds, max_bytes=512 if smoke else MAX_BYTES, seed=seed)
+        ours = construct(oracle, workspace.bounds, max_bytes=256 if smoke else MAX_BYTES, seed=seed)
         for configuration, plr in (("axes in turn, depth 9", paper), ("best axis", ours)):
             errors = metrics.error_grid(plr, exact, workspace, resolution=resolution)
             panels.append(

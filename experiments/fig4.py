@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments._planning import PLR, PLR_BYTES, SCENES, STRAIGHT, solve
+from experiments._planning import PLR, PLR_BYTES, SCENES, SMOKE_BYTES, STRAIGHT, solve
 from experiments._results import run
 from plr_jax import Problem, plot
 
@@ -18,19 +18,23 @@ _DOT = 9.0  # square points
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    """The scenes as published; nothing here is random, and the smallest setting is the full one."""
-    samples = {
-        name: {heuristic: np.round(solve(SCENES[name](), heuristic)[0].samples, 4).tolist() for heuristic in ROWS}
-        for name in COLUMNS
-    }
-    return {"plr_bytes": PLR_BYTES, "samples": samples}
+    """The scenes as published; nothing here is random."""
+    plr_bytes, columns = (SMOKE_BYTES, COLUMNS[:2]) if smoke else (PLR_BYTES, COLUMNS)
+
+    def samples_of(name: str, heuristic: str) -> list[Any]:
+        solution, _ = solve(SCENES[name](), heuristic, plr_bytes)
+        return np.round(solution.samples, 4).tolist()
+
+    samples = {name: {heuristic: samples_of(name, heuristic) for heuristic in ROWS} for name in columns}
+    return {"plr_bytes": plr_bytes, "samples": samples}
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
     figure = Figure(figsize=(11.6, 8.4), layout="constrained", facecolor="white")
-    axes = figure.subplots(len(ROWS), len(COLUMNS))
+    columns = list(results["samples"])
+    axes = figure.subplots(len(ROWS), len(columns))
     for row, heuristic in zip(axes, ROWS, strict=True):
-        for ax, name in zip(row, COLUMNS, strict=True):
+        for ax, name in zip(row, columns, strict=True):
             problem, samples = SCENES[name](), np.array(results["samples"][name][heuristic])
             plot.plot_samples(problem, moved_apart(problem, samples), ax)
             ax.collections[-1].set_sizes([_DOT])

@@ -1,10 +1,11 @@
-"""Renders the README's tables from the results files, between ``<!-- table:NAME -->`` and ``<!-- /table -->``.
+"""Renders the tables of README.md and experiments/README.md from the results files.
+
+A table stands between ``<!-- table:NAME -->`` and ``<!-- /table -->``.
 
 python -m experiments.readme_tables [--check]
 """
 
 import argparse
-import math
 import re
 import sys
 from collections.abc import Callable
@@ -12,28 +13,31 @@ from pathlib import Path
 from typing import Any
 
 from experiments import _gradient_tables as gradients
+from experiments import _short_tables as short
 from experiments._results import RESULTS, read
-from experiments._tables import markdown, nodes_of, num_solved, spread
+from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
 
 README = Path(__file__).parent.parent / "README.md"
+ALL_RESULTS = Path(__file__).parent / "README.md"
 _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.readme_tables", description="Render the README's tables."
+        prog="python -m experiments.readme_tables", description="Render the tables of both README files."
     )
     # Every experiment has a --smoke; here it means the same as --check.
     parser.add_argument(
         "--check", "--smoke", action="store_true", help="change nothing; fail if a table is out of date"
     )
     arguments = parser.parse_args()
-    text = README.read_text(encoding="utf-8")
-    rendered = render(text)
-    if arguments.check and rendered != text:
-        sys.exit("README.md is out of date: run python -m experiments.readme_tables")
-    if rendered != text:
-        README.write_text(rendered, encoding="utf-8")
+    for page in (README, ALL_RESULTS):
+        text = page.read_text(encoding="utf-8")
+        rendered = render(text)
+        if arguments.check and rendered != text:
+            sys.exit(f"{page} is out of date: run python -m experiments.readme_tables")
+        if rendered != text:
+            page.write_text(rendered, encoding="utf-8")
 
 
 def render(text: str) -> str:
@@ -101,15 +105,9 @@ def accuracy(results: dict[str, Any]) -> str:
     for name, rows in maps.items():
         for contender in dict.fromkeys(row["contender"] for row in rows):
             errors = {row["budget"]: row["free"] for row in rows if row["contender"] == contender}
-            table.append([name, contender, *(_mean_and_largest(errors.get(budget)) for budget in budgets)])
+            table.append([name, contender, *(mean_and_largest(errors.get(budget)) for budget in budgets)])
     note = "Mean error, and in brackets the largest, over the free points that it answers; *: not all of them."
     return markdown(table, numbers=len(budgets)) + f"\n{note}\n"
-
-
-def _mean_and_largest(errors: dict[str, Any] | None) -> str:
-    if errors is None or errors["mean"] is None:
-        return "-"
-    return f"{errors['mean']:.2g} ({errors['max']:.2g}){'*' if errors['unanswered'] else ''}"
 
 
 def oracle(results: dict[str, Any]) -> str:
@@ -163,8 +161,7 @@ def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
             *(nodes_of(runs[name, heuristic]) for heuristic in ("straight line", "none")),
         ]
         best = summaries.get(name)
-        more = "> " if best and best["at_least"] else ""
-        cells += [f"{more}{rounded(best['best'])}", f"{more}{rounded(best['ratio'])}"] if best else ["-", "-"]
+        cells += [at_least(best, "best"), at_least(best, "ratio")] if best else ["-", "-"]
         rows.append([name, *cells])
     rows_of_plr, none = (
         [row for row in results["rows"] if row["heuristic"] == "PLR"],
@@ -196,7 +193,7 @@ def race(results: dict[str, Any]) -> str:
     for total in results["summary"]:
         same, near = total["same_cost"], total["cost_5_percent_more"]
         cells = [(same, "best"), (same, "ratio"), (same, "ratio_with_plr"), (near, "best"), (near, "ratio")]
-        texts = [f"{'> ' if each['at_least'] else ''}{rounded(each[key])}" for each, key in cells]
+        texts = [at_least(each, key) for each, key in cells]
         rows.append([total["scene"], f"{total['ours']:.3f}", *texts])
     limit = results["limit"]
     return markdown(rows, numbers=6) + (
@@ -207,17 +204,14 @@ def race(results: dict[str, Any]) -> str:
     )
 
 
-def rounded(value: float) -> str:
-    """Two digits, rounded down, as lower bounds stay true then."""
-    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.floor(value / scale + 1e-9) * scale:.6g}"
-
-
 def results_of(name: str) -> dict[str, Any]:
     return read(RESULTS, name)["results"]
 
 
 TABLES: dict[str, Callable[[], str]] = {
+    "rivals": lambda: short.rivals(results_of("benchmark")["accuracy"]),
+    "speed": lambda: short.speed(results_of("benchmark")["query"]),
+    "planning": lambda: short.planning(results_of("table2"), results_of("race")),
     "table1": lambda: table1(results_of("table1")),
     "error_curve": lambda: error_curve(results_of("error_curve")),
     "query": lambda: query(results_of("benchmark")["query"]),

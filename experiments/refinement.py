@@ -37,8 +37,8 @@ def configurations(faces: Faces) -> dict[str, dict[str, Any]]:
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    budgets = [512] if smoke else [2_048, 6_000]
-    num_points, num_test = (3_000, 3_000) if smoke else (100_000, 500_000)
+    budgets = [256] if smoke else [2_048, 6_000]
+    num_points, num_test = (1_000, 1_000) if smoke else (100_000, 500_000)
     rows = []
     for name, problem in {"maze": scenes.maze(), **({} if smoke else {"thin_maze": scenes.thin_maze()})}.items():
         exact = VisibilityGraph(problem.workspace, problem.goals[0])

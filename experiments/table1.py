@@ -55,7 +55,7 @@ def smoothed(budget: int) -> dict[str, dict[str, Any]]:
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_points, num_samples, num_seeds = (2_000, 500, 2) if smoke else (NUM_POINTS, NUM_ROADMAP_SAMPLES, NUM_SEEDS)
+    num_points, num_samples, num_seeds = (1_000, 100, 2) if smoke else (NUM_POINTS, NUM_ROADMAP_SAMPLES, NUM_SEEDS)
     seeds = list(range(seed, seed + num_seeds))
     rows = []
     for name, problem, from_roadmap in (("maze", scenes.maze(), True), ("thin_maze", scenes.thin_maze(), False)):
@@ -79,7 +79,7 @@ def _measure_scene(
     exact = VisibilityGraph(workspace, goal)
     points = workspace.sample_free(num_points, POINT_SEED + seeds[0])
     distance = exact(points)
-    fixed, budgets = (papers_own(4), (512,)) if smoke else (papers_own(9), (1_024, 2_048, 6_144))
+    fixed, budgets = (papers_own(3), (128,)) if smoke else (papers_own(9), (1_024, 2_048, 6_144))
     table: dict[tuple[str, str], list[dict[str, Any]]] = {}
 
     def measure(method: str, configuration: str, seed: int, build: Callable[[], Any]) -> None:
@@ -105,7 +105,7 @@ def _measure_scene(
         if num_samples:
             make_roadmap = partial(Roadmap.from_workspace, workspace, goal, num_samples, seed=seed)
             roadmap = make_roadmap()
-            for name, options in {**fixed, **smoothed(1_536), **ours(*budgets[-2:])}.items():
+            for name, options in {**fixed, **smoothed(128 if smoke else 1_536), **ours(*budgets[-2:])}.items():
                 measure("PLR (PRM*)", name, seed, partial(construct, roadmap, workspace.bounds, seed=seed, **options))
             measure("PRM*", f"{num_samples:,} samples", seed, make_roadmap)
     return [{"method": method, "configuration": name, "seeds": entry} for (method, name), entry in table.items()]

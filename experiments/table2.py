@@ -22,6 +22,7 @@ from experiments._planning import (
     PLR,
     PLR_BYTES,
     SCENES,
+    SMOKE_BYTES,
     STRAIGHT,
     Built,
     build,
@@ -56,22 +57,26 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     names = ["single door", "four rooms 2"] if smoke else list(SCENES)
     seeds = list(range(seed, seed + (2 if smoke else NUM_STARTS)))
     seeds_none, limit_none = (seeds[:1], 0.3) if smoke else (seeds[:NUM_STARTS_NONE], TIME_LIMIT_NONE)
+    plr_bytes = SMOKE_BYTES if smoke else PLR_BYTES
     return {
-        "plr_bytes": PLR_BYTES,
+        "plr_bytes": plr_bytes,
         "seeds": seeds,
         "teams_without_heuristic": {"starts": len(seeds_none), "seconds": limit_none},
         "paper": PAPER,
-        "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none)],
+        "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none, plr_bytes)],
         "within": [
-            within(name, factor, seeds) for name in names if len(SCENES[name]().robots) > 1 for factor in COST_FACTORS
+            within(name, factor, seeds, plr_bytes)
+            for name in names
+            if len(SCENES[name]().robots) > 1
+            for factor in COST_FACTORS
         ],
         "cold": [
             {"scene": name, "heuristic": heuristic, **cold_seconds(name, heuristic)}
             for name in tqdm(names[:1] if smoke else names, desc="cold", delay=3, disable=None)
             for heuristic in ((PLR,) if smoke else (STRAIGHT, PLR, EXACT))
         ],
-        "children_rate": children_rates(20 if smoke else RATE_EXPANSIONS, 1 if smoke else RATE_RUNS),
-        "dbcbs": dbcbs(smoke),
+        "children_rate": children_rates(20 if smoke else RATE_EXPANSIONS, 1 if smoke else RATE_RUNS, plr_bytes),
+        "dbcbs": dbcbs(smoke, plr_bytes),
     }
 
 
@@ -80,26 +85,26 @@ def renew(results: dict[str, Any], name: str) -> dict[str, Any]:
     if name not in SCENES:
         raise SystemExit(f"--only must be one of {', '.join(SCENES)}, got {name!r}.")
     none = results["teams_without_heuristic"]
-    fresh = measure_scene(name, results["seeds"], results["seeds"][: none["starts"]], none["seconds"])
+    fresh = measure_scene(name, results["seeds"], results["seeds"][: none["starts"]], none["seconds"], PLR_BYTES)
     rows = {(row["scene"], row["heuristic"]): row for row in [*results["rows"], *fresh]}
     return {**results, "rows": list(rows.values())}
 
 
 def measure_scene(
-    name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float
+    name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float, plr_bytes: int
 ) -> list[dict[str, Any]]:
     """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in HEURISTICS}
     alone = len(SCENES[name]().robots) == 1
     limits = {heuristic: limit_none if heuristic == NONE and not alone else TIME_LIMIT for heuristic in HEURISTICS}
     # What compiles, compiles here, so that the seconds of the first PLRs are like those of the others.
-    build(SCENES[name](), PLR)
+    build(SCENES[name](), PLR, plr_bytes)
     for seed in tqdm(seeds, desc=name, delay=3, disable=None):
         problem = scenes.perturbed(SCENES[name](), seed)
         bound = lower_bound(problem)
         for heuristic in HEURISTICS:
             if heuristic != NONE or alone or seed in seeds_none:
-                measured = measure(problem, build(problem, heuristic), bound, limits[heuristic])
+                measured = measure(problem, build(problem, heuristic, plr_bytes), bound, limits[heuristic])
                 runs[heuristic].append({"seed": seed, **measured})
     return [
         {
@@ -112,13 +117,13 @@ def measure_scene(
     ]
 
 
-def within(name: str, factor: float, seeds: Sequence[int]) -> dict[str, Any]:
+def within(name: str, factor: float, seeds: Sequence[int], plr_bytes: int) -> dict[str, Any]:
     """Warm seconds to a path within a factor of the lower bound, under PLRs."""
     seconds, ratios = [], []
     for seed in tqdm(seeds, desc=f"{name} within {factor}", delay=3, disable=None):
         problem = scenes.perturbed(SCENES[name](), seed)
         bound = lower_bound(problem)
-        heuristic = build(problem, PLR).heuristic
+        heuristic = build(problem, PLR, plr_bytes).heuristic
         options = BLOptions(cost_factor=factor, lower_bound=bound, time_limit=TIME_LIMIT_WITHIN)
         plan(problem, heuristic, options)
         solution, took = plan(problem, heuristic, options)
@@ -168,7 +173,7 @@ def with_phases(solution: Solution) -> dict[str, float]:
     return {phase: solution.stats.seconds.get(phase, 0.0) for phase in ("lattice", "heuristic", "search", "shorten")}
 
 
-def children_rates(num_expansions: int, num_runs: int) -> list[dict[str, Any]]:
+def children_rates(num_expansions: int, num_runs: int, plr_bytes: int) -> list[dict[str, Any]]:
     """Joint children a second of the search's own seconds: 4 discs of 9 primitives, ``9**4`` joint children a node.
 
     Children grow robot by robot: 9, 81, 729 and 6,561 of them get a score and are tested against the robots before.
@@ -178,7 +183,7 @@ def children_rates(num_expansions: int, num_runs: int) -> list[dict[str, Any]]:
     that a search does is in its seconds; building lattices and shortening the path is not.
     """
     problem = SCENES["four rooms 4"]()
-    heuristic = build(problem, PLR).heuristic
+    heuristic = build(problem, PLR, plr_bytes).heuristic
     # Weight 1 searches longer; it ends at a path or at the limit.
     longer = BLOptions(heuristic_weight=1.0, max_expansions=num_expansions)
     searches = {
@@ -206,23 +211,26 @@ def children_rates(num_expansions: int, num_runs: int) -> list[dict[str, Any]]:
     return rows
 
 
-def dbcbs(smoke: bool) -> list[dict[str, Any]] | None:
+def dbcbs(smoke: bool, plr_bytes: int) -> list[dict[str, Any]] | None:
     """The problems of db-CBS, their robots holonomic; None where their folder is not there."""
     folder = os.environ.get("PLR_JAX_DATA")
     files = sorted((Path(folder) / "dbcbs").glob("*.yaml")) if folder else []
     if not files:
         print("The problems of db-CBS are left out: PLR_JAX_DATA names no folder that holds them.")
         return None
-    return [dbcbs_row(file) for file in tqdm(files[:2] if smoke else files, desc="db-CBS", delay=3, disable=None)]
+    return [
+        dbcbs_row(file, plr_bytes)
+        for file in tqdm(files[:1] if smoke else files, desc="db-CBS", delay=3, disable=None)
+    ]
 
 
-def dbcbs_row(file: Path) -> dict[str, Any]:
+def dbcbs_row(file: Path, plr_bytes: int) -> dict[str, Any]:
     """One problem of db-CBS under PLRs, or why it is refused."""
     try:
         problem = scenes.read_dbcbs(file)
     except ValueError as refusal:
         return {"problem": file.stem, "refused": str(refusal).removeprefix(f"{file}: ")}
-    measured = measure(problem, build(problem, PLR), lower_bound(problem), TIME_LIMIT)
+    measured = measure(problem, build(problem, PLR, plr_bytes), lower_bound(problem), TIME_LIMIT)
     return {"problem": file.stem, "robots": len(problem.robots), **measured}
 
 

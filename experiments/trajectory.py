@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments._planning import PLR, PLR_BYTES, SCENES, lower_bound, solve
+from experiments._planning import PLR, PLR_BYTES, SCENES, SMOKE_BYTES, lower_bound, solve
 from experiments._results import run
 from experiments._tables import aligned
 from plr_jax import (
@@ -34,20 +34,21 @@ NUM_GUESSES, NUM_WAY_POINTS, NUM_ROADMAP_SAMPLES, SHAKE = 64, 6, 300, 0.01
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    names = ["single door", SHOWN] if smoke else list(SCENES)
+    names, plr_bytes = (["single door", SHOWN], SMOKE_BYTES) if smoke else (list(SCENES), PLR_BYTES)
     return {
-        "plr_bytes": PLR_BYTES,
-        "rows": [scene_row(name, seed, smoke) for name in names],
-        "guesses": guess_rows(seed, 4 if smoke else NUM_GUESSES, smoke),
+        "plr_bytes": plr_bytes,
+        "rows": [scene_row(name, plr_bytes, seed, smoke) for name in names],
+        "guesses": guess_rows(plr_bytes, seed, 2 if smoke else NUM_GUESSES, smoke),
     }
 
 
-def scene_row(name: str, seed: int, smoke: bool) -> dict[str, Any]:
+def scene_row(name: str, plr_bytes: int, seed: int, smoke: bool) -> dict[str, Any]:
     """A scene as published: BL's path, and the optimized one."""
     problem = SCENES[name]()
     bound = lower_bound(problem)
-    solve(problem, PLR)  # compiles
-    solution, path = solve(problem, PLR)
+    if not smoke:
+        solve(problem, PLR)  # compiles
+    solution, path = solve(problem, PLR, plr_bytes)
     path[[0, -1]] = problem.starts, problem.goals
     result, first = optimized(problem, path, seed, smoke)
     result, warm = optimized(problem, path, seed, smoke)
@@ -71,17 +72,17 @@ def optimized(
 ) -> tuple[OptimizedPaths, float]:
     """The result, and its seconds."""
     if smoke:
-        options |= {"num_retimings": 1, "num_iterations": 20}
+        options |= {"num_retimings": 0, "num_iterations": 50}
     began = time.perf_counter()
     result = optimize_paths(problem, paths, seed=seed, **options)
     return result, time.perf_counter() - began
 
 
-def guess_rows(seed: int, num_guesses: int, smoke: bool) -> list[dict[str, Any]]:
+def guess_rows(plr_bytes: int, seed: int, num_guesses: int, smoke: bool) -> list[dict[str, Any]]:
     """Batches of guesses in the maze: how many end valid, and how long they are."""
     problem, rng = scenes.maze(), np.random.default_rng(seed)
     oracle = VisibilityGraph(problem.workspace, problem.goals[0])
-    plr = construct(oracle, problem.workspace.bounds, max_bytes=PLR_BYTES)
+    plr = construct(oracle, problem.workspace.bounds, max_bytes=plr_bytes)
     points = rng.uniform(0, 1, (num_guesses, NUM_WAY_POINTS, 1, 2))
     random = np.stack([np.concatenate([problem.starts[None], each, problem.goals[None]]) for each in points])
     exact = float(oracle(problem.starts)[0])

@@ -5,6 +5,9 @@ Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any functi
 heuristic of ``bl_plan``, which plans for several robots at once). ``descend`` follows a distance function to its
 goal, and ``optimize_paths`` shortens paths.
 
+A ``DistanceFn`` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
+be reached; a ``HeuristicFn`` one of joint configurations ``(n, robots, dof)`` that answers costs-to-go ``(n,)``.
+
 The public names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and
 queries a PLR imports neither Shapely nor NetworkX nor Matplotlib, nor the slow parts of SciPy.
 """

@@ -1,5 +1,6 @@
 from . import metrics as metrics
 from . import plot as plot
+from . import plr as plr
 from . import scenes as scenes
 from ._problem import Problem as Problem
 from ._problem import makespan as makespan

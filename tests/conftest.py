@@ -7,6 +7,20 @@ import pytest
 # The experiments are not installed. At the end of the path, so that the package under test is the installed one.
 sys.path.append(str(Path(__file__).parent.parent))
 
+# One thread a process: xdist has a process for each core already, and threads that wait for one another cost more
+# than they save. Set before anything imports JAX or NumPy, also for the processes that tests start.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+for _library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+# Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.
+_LONG = ("test_notebooks.py", "test_experiments.py", "test_benchmark_", "test_readme.py", "test_dbcbs.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests first; else the order of the files."""
+    items.sort(key=lambda item: not item.path.name.startswith(_LONG))
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:

@@ -19,11 +19,12 @@ from plr_jax import (
     robot_distance_fns,
     validate,
 )
+from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import sum_of_distances
+from plr_jax.planners.bl.joint_lattice import JointLattice
 from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
-from plr_jax.planners.bl.search import Effort
-from plr_jax.planners.bl.successors import Team
+from plr_jax.planners.bl.search import SearchBudget
 
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
@@ -47,7 +48,8 @@ def planned(problem, heuristic=None, **options):
     assert report.valid, report.message
     np.testing.assert_array_equal(solution.path[[0, -1]], [problem.starts, problem.goals])
     assert solution.cost == pytest.approx(report.cost, rel=1e-12)
-    assert solution.lower_bound <= solution.cost * (1 + 1e-12) and solution.makespan <= solution.cost
+    assert solution.lower_bound <= solution.cost * (1 + 1e-12)
+    assert solution.makespan <= solution.cost * (1 + 1e-12)
     assert_history(solution)
     return solution
 
@@ -58,12 +60,13 @@ def assert_history(solution):
     assert costs[-1] == solution.cost and solution.stats.first_solution == seconds[0]
 
 
-def team_of(problem, step, primitives=PRIMITIVES):
-    return Team(problem, tuple(build_lattices(problem, step, primitives)))
+def joint_lattice_of(problem, step, primitives=PRIMITIVES):
+    test = JointMotionTest(problem.workspace, problem.robots)
+    return JointLattice(problem, tuple(build_lattices(problem, step, primitives)), test)
 
 
-def effort(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
-    return Effort(time.perf_counter() + seconds, max_expansions, max_memory)
+def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
+    return SearchBudget(time.perf_counter() + seconds, max_expansions, max_memory)
 
 
 def graph_of(lattice):
@@ -78,14 +81,14 @@ def graph_of(lattice):
     return graph
 
 
-def apart(team, state, primitive):
+def apart(joint, state, primitive):
     """Whether joint primitives keep all pairs of robots apart, one by one."""
-    robots, tolerance = team.problem.robots, team.problem.workspace.tolerance
+    robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
     clear = np.ones(len(state), dtype=bool)
     for i, j in combinations(range(len(robots)), 2):
         motions = []
         for k in (i, j):
-            lattice = team.lattices[k]
+            lattice = joint.lattices[k]
             motions += [robots[k], lattice.q[state[:, k]], lattice.q[lattice.child[state[:, k], primitive[:, k]]]]
         clear &= motions_apart(*motions, tolerance)
     return clear

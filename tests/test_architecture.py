@@ -26,7 +26,7 @@ PLR_LAYERS = [
     ["growth"],
     ["file"],
     ["leaves"],
-    ["refine"],
+    ["refinement"],
 ]
 MOST_MODULES, MOST_LINES = 12, 350
 SOURCES = sorted(PACKAGE.rglob("*.py"))

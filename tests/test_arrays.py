@@ -1,7 +1,17 @@
 import numpy as np
 import pytest
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
+from plr_jax._arrays import (
+    as_distances,
+    as_finite_point,
+    as_point,
+    as_points,
+    as_values,
+    padded,
+    padded_size,
+    require_integer,
+    shortened,
+)
 
 
 def test_points_become_float64_rows():
@@ -76,3 +86,70 @@ def test_what_is_no_integer_or_too_small_is_refused(value):
 @pytest.mark.parametrize("value", [0, 7, np.int64(3), np.uint8(0)])
 def test_integers_of_any_type_are_let_through(value):
     require_integer("num", value, 0)
+
+
+@pytest.mark.parametrize(
+    ("n", "sizes", "size"),
+    [(0, (), 1), (1, (), 1), (3, (), 4), (4, (), 4), (5, (), 8), (0, (1, 6), 1), (2, (1, 6), 6), (7, (1, 6), 8)],
+)
+def test_sizes_to_fill_up_to(n, sizes, size):
+    assert padded_size(n, sizes) == size
+
+
+def test_arrays_are_filled_up_with_a_row():
+    rows = np.array([[1, 2], [3, 4]], np.int16)
+    filled = padded(rows, 4, rows[-1])
+    assert filled.dtype == np.int16 and filled.tolist() == [[1, 2], [3, 4], [3, 4], [3, 4]]
+    assert padded(rows, 3).tolist() == [[1, 2], [3, 4], [0, 0]]
+    assert padded(np.zeros((0, 2, 2)), 1, 7.0).tolist() == [[[7, 7], [7, 7]]]
+    assert padded(rows, 2).tolist() == rows.tolist() and padded(rows, 2) is not rows
+
+
+def test_values_may_be_anything_but_masked_ones_are_infinite():
+    given = np.array([np.nan, -np.inf, 1.0])
+    assert as_values("f", given, 3) is given
+    masked = np.ma.masked_array([1, 2, 3], [False, True, False])
+    for value in (masked, masked.astype(np.float32)):
+        values = as_values("f", value, 3)
+        assert type(values) is np.ndarray and values.dtype == np.float64
+        np.testing.assert_array_equal(values, [1, np.inf, 3])
+    np.testing.assert_array_equal(as_values("f", np.ma.masked_all(2), 2), [np.inf, np.inf])
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([1.0], r"f must give one number a point, shape \(2,\), got \(1,\)"),
+        (3.0, r"got \(\)"),
+        ([1j, 2], r"f's answer must be real numbers of shape \(2,\)"),
+        (np.ma.masked_array([1j, 2], [True, False]), "real numbers"),
+        (["a", "b"], "real numbers"),
+    ],
+)
+def test_answers_of_another_kind_are_refused(value, message):
+    with pytest.raises(ValueError, match=message):
+        as_values("f", value, 2)
+
+
+def test_distances_are_never_nan():
+    x = np.array([[1.0, 2], [3, 4]])
+    np.testing.assert_array_equal(as_distances("f", [-1e-9, np.inf], x), [-1e-9, np.inf])
+    np.testing.assert_array_equal(as_distances("f", np.ma.masked_invalid([np.nan, 2]), x), [np.inf, 2])
+    for bad, word in ((np.nan, "NaN"), (-np.inf, "-inf")):
+        with pytest.raises(ValueError, match=rf"f gives {word} at \[3.0, 4.0\]; use inf"):
+            as_distances("f", [0, bad], x)
+
+
+def test_what_an_error_shows_is_short_and_says_what_came():
+    assert shortened({"a": [1, 2.5, "x"]}) == "{'a': [1, 2.5, 'x']}"
+    for huge in (list(range(10**6)), "x" * 10**6, 10**400, {i: [i] * 9 for i in range(999)}, np.zeros((99, 99))):
+        assert 3 <= len(shortened(huge)) <= 200
+    assert shortened([1] * 9).startswith("[1, 1, 1, ")
+    assert shortened(10**5000) == "a very large int"
+
+
+def test_the_text_of_a_value_whose_lists_share_their_parts_is_never_built():
+    value = ["parts"]
+    for _ in range(60):  # 2**60 entries
+        value = [value, value]
+    assert len(shortened(value)) <= 200

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from types import ModuleType
 
 import pytest
 
@@ -13,8 +14,21 @@ def test_every_public_name_is_there():
 
 
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'contruct'"):
+    with pytest.raises(AttributeError, match=r"plr_jax.*contruct"):
         plr_jax.contruct  # noqa: B018
+
+
+def test_help_lists_the_public_names(capsys):
+    help(plr_jax)
+    text = capsys.readouterr().out
+    assert all(name in text for name in plr_jax.__all__)
+
+
+@pytest.mark.parametrize("name", ["metrics", "plot", "plr", "scenes"])
+def test_public_packages_list_their_names(name):
+    package = getattr(plr_jax, name)
+    loaded = {name for name, value in vars(package).items() if name[0] != "_" and not isinstance(value, ModuleType)}
+    assert set(package.__all__) == loaded
 
 
 def test_loading_and_asking_a_plr_imports_no_heavy_library(tmp_path):

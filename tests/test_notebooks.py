@@ -13,6 +13,32 @@ import plr_jax
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 LARGEST = 900_000
+# What the first cell of a notebook says, small: its values go over those of the cell, whose names they share.
+SMALL = {
+    "1_a_first_plr": """
+MAX_BYTES = 512
+NUM_POINTS = 2_000
+NUM_QUERIES = 10_000
+RESOLUTION = 40
+BUDGETS = {"plane": [256, 512], "continuous": [256, 512], "smooth": [256, 512]}
+""",
+    "2_a_floor_plan": """
+NUM_POINTS = 2_000
+BYTES = (512, 1024, 1536)
+NUM_SAMPLES = 200
+RESOLUTION = 64
+""",
+    "3_a_team": """
+PLR_BYTES = 1024
+NUM_CONFIGURATIONS = 10_000
+NUM_TESTS = 1_000
+NUM_TRAINING = 3_000
+NUM_RETIMINGS, NUM_ITERATIONS = 1, 50
+TIME_LIMIT = 1.0
+RESOLUTION, SECONDS = 40, 1.0
+""",
+}
+PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
@@ -24,6 +50,12 @@ def outputs(path):
     return [output for cell in code_cells(path) for output in cell.outputs]
 
 
+def assigned(code):
+    """Names that statements of the outermost level assign to."""
+    targets = [target for node in ast.parse(code).body if isinstance(node, ast.Assign) for target in node.targets]
+    return {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+
+
 def test_there_are_three():
     assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3"]
 
@@ -31,6 +63,10 @@ def test_there_are_three():
 @each_notebook
 def test_runs_from_start_to_end(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
+    first = next(cell for cell in notebook.cells if cell.metadata == PARAMETERS)
+    small = SMALL[path.stem]
+    assert assigned(small) <= assigned(first.source)
+    first.source += small
     resources = {"metadata": {"path": str(tmp_path)}}
     NotebookClient(notebook, kernel_name="python3", timeout=300, resources=resources).execute()
     ran = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -71,6 +107,8 @@ def test_is_small_and_clean(path):
     nbformat.validate(raw)
     assert (raw["nbformat"], raw["nbformat_minor"]) == (4, 5)
     assert raw["metadata"]["kernelspec"]["name"] == "python3"
-    assert all(cell["metadata"] == {} for cell in raw["cells"])
+    codes = [cell["metadata"] for cell in raw["cells"] if cell["cell_type"] == "code"]
+    assert codes == [PARAMETERS] + [{}] * (len(codes) - 1)
+    assert all(cell["metadata"] == {} for cell in raw["cells"] if cell["cell_type"] != "code")
     text = re.sub(r'"image/png": "[^"]*"', "", path.read_text())
     assert re.findall(r"/(?:home|root|tmp|work|Users)/\S*", text) == []

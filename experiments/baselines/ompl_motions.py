@@ -7,12 +7,11 @@ numbers through the bindings would cost more than testing them.
 Round robots are decided by closed forms. A motion that may bring a rectangle near something is bisected: bodies
 whose gap is as large as what they move in half a piece stay clear throughout the piece.
 
-Numba is imported with this module, which only a worker process and tests import. The type checks that tests turn
-on cannot see into compiled functions.
+Numba is imported with this module, which only a worker process, a benchmark and tests import.
 """
 
 import math
-from typing import Any, no_type_check
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -74,7 +73,6 @@ def configurations_of(state: Any, scene: Scene) -> Float[np.ndarray, "robots 3"]
 
 
 @njit(cache=True)
-@no_type_check
 def is_free(first: int, last: int, scene: int) -> bool:
     """Whether a joint motion is free; a state is a motion from itself to itself.
 
@@ -86,7 +84,7 @@ def is_free(first: int, last: int, scene: int) -> bool:
     Returns:
         True if all robots stay clear of walls and of one another along the whole motion. Touching is clear.
     """
-    header = carray(_pointer(scene), (_HEADER,), np.float64)
+    header = carray(pointer(scene), (_HEADER,), np.float64)
     q0, q1 = _configurations(first, scene), _configurations(last, scene)
     free = is_motion_free(q0, q1, scene)
     header[_CHECKED] += 1
@@ -95,7 +93,6 @@ def is_free(first: int, last: int, scene: int) -> bool:
 
 
 @njit(cache=True)
-@no_type_check
 def is_motion_free(q0, q1, scene: int) -> bool:
     """Whether a joint motion is free, given as configurations.
 
@@ -107,10 +104,10 @@ def is_motion_free(q0, q1, scene: int) -> bool:
     Returns:
         As :func:`is_free`.
     """
-    header = carray(_pointer(scene), (_HEADER,), np.float64)
+    header = carray(pointer(scene), (_HEADER,), np.float64)
     robots, walls, slack, piece = int(header[_ROBOTS]), int(header[_WALLS]), header[_SLACK], header[_PIECE]
-    sizes = carray(_pointer(scene + 8 * _HEADER), (robots, 3), np.float64)
-    table = carray(_pointer(scene + 8 * (_HEADER + 3 * robots)), (walls, 8), np.float64)
+    sizes = carray(pointer(scene + 8 * _HEADER), (robots, 3), np.float64)
+    table = carray(pointer(scene + 8 * (_HEADER + 3 * robots)), (walls, 8), np.float64)
     for i in range(robots):
         if not _clear_of_walls(q0[i], q1[i], sizes[i], table, slack, piece):
             return False
@@ -122,7 +119,6 @@ def is_motion_free(q0, q1, scene: int) -> bool:
 
 
 @njit(cache=True)
-@no_type_check
 def _clear_of_walls(q0, q1, size, walls, slack, piece):
     inner, outer, boxy = _inner(size), _outer(size), size[0] > 0
     x0, y0, x1, y1 = q0[0], q0[1], q1[0], q1[1]
@@ -149,7 +145,6 @@ def _clear_of_walls(q0, q1, size, walls, slack, piece):
 
 
 @njit(cache=True)
-@no_type_check
 def _apart(a0, a1, size_a, b0, b1, size_b, slack, piece):
     """Whether two robots stay apart."""
     x, y = b0[0] - a0[0], b0[1] - a0[1]
@@ -162,7 +157,6 @@ def _apart(a0, a1, size_a, b0, b1, size_b, slack, piece):
 
 
 @njit(cache=True)
-@no_type_check
 def _stay_apart(a0, a1, size_a, b0, b1, size_b, slack, piece):
     """Whether two bodies, one a box, stay apart, by bisection: piece ``k`` of ``2**level`` after another."""
     turn_a, turn_b = _turn(a0[2], a1[2]), _turn(b0[2], b1[2])
@@ -188,7 +182,6 @@ def _stay_apart(a0, a1, size_a, b0, b1, size_b, slack, piece):
 
 
 @njit(cache=True)
-@no_type_check
 def _gap(x, y, theta_a, size_a, theta_b, size_b):
     """A bound on the distance of two bodies, ``b`` at ``(x, y)`` from ``a``; negative where they overlap."""
     if size_b[0] == 0:
@@ -206,7 +199,6 @@ def _gap(x, y, theta_a, size_a, theta_b, size_b):
 
 
 @njit(cache=True)
-@no_type_check
 def _gap_to_round(x, y, theta, size):
     """Signed distance of a point to a box about the origin."""
     c, s = math.cos(theta), math.sin(theta)
@@ -215,7 +207,6 @@ def _gap_to_round(x, y, theta, size):
 
 
 @njit(cache=True)
-@no_type_check
 def _turn(theta0, theta1):
     """The shorter turn; half a turn goes counterclockwise."""
     turns = (theta1 - theta0) / (2 * math.pi)
@@ -223,19 +214,16 @@ def _turn(theta0, theta1):
 
 
 @njit(cache=True)
-@no_type_check
 def _inner(size):
     return size[2] if size[0] == 0 else min(size[0], size[1])
 
 
 @njit(cache=True)
-@no_type_check
 def _outer(size):
     return size[2] if size[0] == 0 else math.hypot(size[0], size[1])
 
 
 @njit(cache=True)
-@no_type_check
 def _crosses(x0, y0, x1, y1, ax, ay, bx, by):
     """Whether a motion goes from one side of a wall to the other."""
     v0 = (bx - ax) * (y0 - ay) - (by - ay) * (x0 - ax)
@@ -246,7 +234,6 @@ def _crosses(x0, y0, x1, y1, ax, ay, bx, by):
 
 
 @njit(cache=True)
-@no_type_check
 def _segment_distance(x0, y0, x1, y1, ax, ay, bx, by):
     """Distance of two segments that do not cross."""
     return min(
@@ -258,7 +245,6 @@ def _segment_distance(x0, y0, x1, y1, ax, ay, bx, by):
 
 
 @njit(cache=True)
-@no_type_check
 def _point_distance(x, y, dx, dy):
     """Distance of a point to a segment from the origin to ``(dx, dy)``."""
     squared = dx * dx + dy * dy
@@ -268,36 +254,33 @@ def _point_distance(x, y, dx, dy):
 
 
 @njit(cache=True)
-@no_type_check
 def _configurations(state, scene):
-    robots = int(carray(_pointer(scene), (_HEADER,), np.float64)[_ROBOTS])
-    sizes = carray(_pointer(scene + 8 * _HEADER), (robots, 3), np.float64)
+    robots = int(carray(pointer(scene), (_HEADER,), np.float64)[_ROBOTS])
+    sizes = carray(pointer(scene + 8 * _HEADER), (robots, 3), np.float64)
     # A nanobind instance holds, after its 16-byte Python header, where its C++ object is, as a distance to it or
     # to a pointer to it; bit 2 of the flags that follow says which. An OMPL state has its data after one
     # pointer: the parts of a compound state, the values of a real vector, the value of an angle.
-    offset, flags = carray(_pointer(state + 16), (2,), np.int32)
+    offset, flags = carray(pointer(state + 16), (2,), np.int32)
     parts = state + offset
     if not flags & 4:
-        parts = _word(parts)
-    parts = carray(_pointer(_word(parts + 8)), (2 * robots,), np.int64)
+        parts = word(parts)
+    parts = carray(pointer(word(parts + 8)), (2 * robots,), np.int64)
     q = np.zeros((robots, 3))
     rectangles = 0
     for i in range(robots):
-        q[i, :2] = carray(_pointer(_word(parts[i] + 8)), (2,), np.float64)
+        q[i, :2] = carray(pointer(word(parts[i] + 8)), (2,), np.float64)
         if sizes[i, 0] > 0:
-            q[i, 2] = carray(_pointer(parts[robots + rectangles] + 8), (1,), np.float64)[0]
+            q[i, 2] = carray(pointer(parts[robots + rectangles] + 8), (1,), np.float64)[0]
             rectangles += 1
     return q
 
 
 @njit(cache=True)
-@no_type_check
-def _word(address):
-    return carray(_pointer(address), (1,), np.int64)[0]
+def word(address):
+    """The eight bytes at an address, as an integer."""
+    return carray(pointer(address), (1,), np.int64)[0]
 
 
-@intrinsic
-@no_type_check
 def _pointer(typing_context, address):
     """A number as a pointer."""
 
@@ -305,3 +288,6 @@ def _pointer(typing_context, address):
         return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), generate
+
+
+pointer: Any = intrinsic(_pointer)  # of one argument, the number: Numba adds the context

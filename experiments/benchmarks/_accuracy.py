@@ -3,13 +3,14 @@
 All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
 map's smaller side. What each is given:
 
-- The PLRs, plain and continuous: a budget of bytes. They ask the oracle as often as they like, which is counted.
+- The PLRs, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they like, which is
+  counted.
 - Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
   many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
-- Triangles, linear trees, network: as many samples, at random free points, as the plain PLR asked for, up to half a
-  million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where the error
-  is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept in 16-bit
-  floats, which costs it no accuracy.
+- Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half
+  a million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where the
+  error is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept in
+  16-bit floats, which costs it no accuracy.
 - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
   so points beside them get no answer.
 
@@ -40,14 +41,14 @@ from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._network import train_network
 from experiments.benchmarks._rivals import Rival, make_all
 from experiments.benchmarks._trees import best_linear_trees
-from plr_jax import VisibilityGraph, Workspace, construct, construct_continuous
+from plr_jax import VisibilityGraph, Workspace, construct
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena", "den312d")
 _BUDGETS = (2_048, 6_144, 30_720)
 _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
-_PLRS = {"PLR": construct, "PLR, continuous": construct_continuous}
+_PLRS = {"PLR": "plane", "PLR, continuous": "continuous"}
 _TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
 
 draw = _accuracy_figure.draw
@@ -102,8 +103,8 @@ def _measure_map(
     for budget in tqdm(budgets, desc=name, disable=None):
         oracle = Oracle(exact)
         ours = {
-            name: _timed(partial(_plr, build, oracle, workspace, budget, seed), oracle, 0)()
-            for name, build in _PLRS.items()
+            name: _timed(partial(_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
+            for name, leaf in _PLRS.items()
         }
         x_train, at_train = (part[: ours["PLR"][1]] for part in samples)
         makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
@@ -118,8 +119,8 @@ def _measure_map(
     return rows, skipped
 
 
-def _plr(build: Callable[..., Any], oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
-    plr = build(oracle, workspace.bounds, max_bytes=budget, seed=seed)
+def _plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
+    plr = construct(oracle, workspace.bounds, leaf=leaf, max_bytes=budget, seed=seed)
     return Rival(plr.num_bytes, plr, True)
 
 

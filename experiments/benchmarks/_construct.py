@@ -33,7 +33,7 @@ NUM_POINTS, NUM_TURNS, NUM_RUNS = 1_000_000, 15, 3
 LIMIT, SECONDS_IN_ALL = 60.0, 10.0
 _POINT_SEED = 1_000
 _UNIT_SQUARE = ((0.0, 0.0), (1.0, 1.0))
-_FIT_MODULES = ("plr_jax/plr/_fit.py", "plr_jax/plr/_pattern.py", "plr_jax/plr/_split.py")
+_FIT_FOLDERS = ("plr_jax/plr/sampling/", "plr_jax/plr/leaves/")
 _MORE_LEAVES = 1.05
 _SAMPLES_OF_CONE = 64  # of a function that bends as little
 
@@ -136,7 +136,8 @@ def _part_of(code: CodeType, oracle: CodeType) -> str | None:
     """The part that a function begins; None where it goes on with its caller's."""
     if code is oracle:
         return "oracle"
-    return "fit" if Path(code.co_filename).as_posix().endswith(_FIT_MODULES) else None
+    path = Path(code.co_filename).as_posix()
+    return "fit" if any(folder in path for folder in _FIT_FOLDERS) else None
 
 
 def _error(plr: PLR, x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"]) -> dict[str, Any]:

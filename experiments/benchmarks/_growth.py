@@ -83,12 +83,12 @@ def _call(function: Callable[[Any], Any], x: Any) -> Callable[[], Any]:
 
 
 def _query_by_points(seed: int, smoke: bool) -> Curve:
-    sizes = [10**power for power in range(5 if smoke else 8)]
-    return sizes, _queries([_cone_plr(2, 512, seed)] * len(sizes), sizes, seed, smoke)
+    sizes = [10**power for power in range(3 if smoke else 8)]
+    return sizes, _queries([_cone_plr(2, 64 if smoke else 512, seed)] * len(sizes), sizes, seed, smoke)
 
 
 def _query_by_leaves(seed: int, smoke: bool) -> Curve:
-    sizes = [4**power for power in range(2, 5 if smoke else 9)]
+    sizes = [4**power for power in range(2, 4 if smoke else 9)]
     return sizes, _queries(
         [_cone_plr(2, n, seed) for n in sizes], [10_000 if smoke else 10**6] * len(sizes), seed, smoke
     )
@@ -101,7 +101,7 @@ def _query_by_dimension(seed: int, smoke: bool) -> Curve:
 
 
 def _construct_by_leaves(seed: int, smoke: bool) -> Curve:
-    sizes = [4**power for power in range(2, 5 if smoke else 8)]
+    sizes = [4**power for power in range(2, 4 if smoke else 8)]
     return sizes, [median_seconds(lambda n=n: _cone_plr(2, n, seed), 1 if smoke else NUM_RUNS) for n in sizes]
 
 
@@ -129,13 +129,13 @@ def _oracle_seconds(num_vertices: int, num_points: int, seed: int) -> float:
 
 
 def _num_vertices(smoke: bool) -> list[int]:
-    return [48, 96, 192] if smoke else [48, 128, 256, 512, 1_024, 2_048, 4_000]
+    return [48, 96] if smoke else [48, 128, 256, 512, 1_024, 2_048, 4_000]
 
 
 def _heuristic_by_robots(seed: int, smoke: bool) -> Curve:
-    sizes = [1, 2, 4] if smoke else [1, 2, 4, 8, 16]
+    sizes = [1, 2] if smoke else [1, 2, 4, 8, 16]
     problem = scenes.four_rooms(4)
-    plrs, _ = team_plrs(problem, _PLR_BYTES, seed)
+    plrs, _ = team_plrs(problem, 512 if smoke else _PLR_BYTES, seed)
     calls = {}
     for robots in sizes:
         q = team_configurations(problem, robots, 1_024 if smoke else _BATCH, seed)
@@ -144,13 +144,13 @@ def _heuristic_by_robots(seed: int, smoke: bool) -> Curve:
 
 
 def _plan_by_robots(seed: int, smoke: bool) -> Curve:
-    sizes = [2, 3] if smoke else [2, 3, 4, 8]
-    return sizes, [_plan_seconds(scenes.four_rooms(robots), 1 if smoke else NUM_RUNS) for robots in sizes]
+    sizes, num_runs, num_bytes = ([2, 3], 1, 512) if smoke else ([2, 3, 4, 8], NUM_RUNS, _planning.PLR_BYTES)
+    return sizes, [_plan_seconds(scenes.four_rooms(robots), num_runs, num_bytes) for robots in sizes]
 
 
-def _plan_seconds(problem: Problem, num_runs: int) -> float:
+def _plan_seconds(problem: Problem, num_runs: int, plr_bytes: int) -> float:
     """Seconds of BL with PLRs, which are there already."""
-    heuristic = _planning.build(problem, _planning.PLR).heuristic
+    heuristic = _planning.build(problem, _planning.PLR, plr_bytes).heuristic
     _planning.plan(problem, heuristic, BLOptions())
     runs = [_planning.plan(problem, heuristic, BLOptions()) for _ in range(num_runs)]
     if not runs[0][0].solved:

@@ -25,7 +25,7 @@ from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, Problem, construct, robot_distance_fns, scenes, sum_of_distances
 
 TEAMS = (2, 4, 8, 16)
-BATCHES, SMOKE_BATCHES = (1, 64, 4_096, 32_768, 1_000_000), (1, 64, 1_024)
+BATCHES, SMOKE_BATCHES = (1, 64, 4_096, 32_768, 1_000_000), (1, 64)
 NUM_TURNS, NUM_STATES = 9, 10_000
 SUM, TERMS, IN_JIT, LOOP = "sum_of_distances", "its terms, per_robot", "sum within jax.jit", "Numba loop"
 CALLBACK, FLOOR = "OMPL callback", "OMPL callback that does nothing"

@@ -5,14 +5,14 @@ compiled, which follows it to the coordinates, looks up each robot's plane, and 
 through OMPL's bindings would take longer than all of that. Numba is imported with this module.
 """
 
-from typing import Any, no_type_check
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 from numba.np.numpy_support import carray
 
-from experiments.baselines.ompl_motions import _pointer, _word
+from experiments.baselines.ompl_motions import pointer, word
 from plr_jax import PLR
 
 _HEADER, _FRAME = 4, 4
@@ -52,7 +52,6 @@ def _tables(plr: PLR) -> tuple[np.ndarray, np.ndarray, list[float]]:
 
 
 @njit
-@no_type_check
 def sums(q, address: int):
     """The Numba loop: sum of the robots' distances in each joint configuration ``(n, robots, 2)``."""
     total = np.empty(len(q))
@@ -62,24 +61,22 @@ def sums(q, address: int):
 
 
 @njit
-@no_type_check
 def sum_at_state(state: int, address: int):
     """The same for an OMPL state of a real vector space, given by the ``id`` of its Python object."""
     # The layout of nanobind's objects and OMPL's states is as in experiments.baselines.ompl_motions.
-    offset, flags = carray(_pointer(state + 16), (2,), np.int32)
+    offset, flags = carray(pointer(state + 16), (2,), np.int32)
     values = state + offset
     if not flags & 4:
-        values = _word(values)
-    robots = _word(address)
-    return _sum(carray(_pointer(_word(values + 8)), (robots, 2), np.float64), address)
+        values = word(values)
+    robots = word(address)
+    return _sum(carray(pointer(word(values + 8)), (robots, 2), np.float64), address)
 
 
 @njit
-@no_type_check
 def _sum(q, address):
-    robots = _word(address)
-    header = carray(_pointer(address), (1 + robots, _HEADER), np.int64)
-    frame = carray(_pointer(header[0, 1]), (robots, _FRAME), np.float64)
+    robots = word(address)
+    header = carray(pointer(address), (1 + robots, _HEADER), np.int64)
+    frame = carray(pointer(header[0, 1]), (robots, _FRAME), np.float64)
     total = 0.0
     for i in range(robots):
         rows, columns = header[1 + i, 2], header[1 + i, 3]
@@ -89,8 +86,8 @@ def _sum(q, address):
         if not (0 <= row <= rows and 0 <= column <= columns):
             return np.inf
         slot = min(row, rows - 1) * columns + min(column, columns - 1)
-        leaf = carray(_pointer(header[1 + i, 0]), (rows * columns,), np.uint16)[slot]
-        plane = carray(_pointer(header[1 + i, 1] + 24 * leaf), (3,), np.float64)
+        leaf = carray(pointer(header[1 + i, 0]), (rows * columns,), np.uint16)[slot]
+        plane = carray(pointer(header[1 + i, 1] + 24 * leaf), (3,), np.float64)
         total += plane[0] + plane[1] * x + plane[2] * y
     return total
 

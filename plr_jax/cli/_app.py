@@ -1,13 +1,12 @@
 """The application, and what all its commands have in common: their errors and exit codes."""
 
 import functools
-import sys
 from collections.abc import Callable
 from typing import NoReturn
 
 import typer
 
-INTERRUPTED_EXIT = 130
+from plr_jax.cli import INTERRUPTED_EXIT
 
 app = typer.Typer(
     name="plr-jax",
@@ -19,14 +18,6 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
-def main() -> None:
-    """Run the command line; the entry point of ``plr-jax``."""
-    try:
-        app()
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED_EXIT)
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -8,31 +8,32 @@ import time
 import warnings
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Float
 
-from plr_jax.cli._app import INTERRUPTED_EXIT, command
-from plr_jax.cli._inputs import SCENES, parse_goal, parse_points, read_map, read_text
+from plr_jax.cli import INTERRUPTED_EXIT
+from plr_jax.cli._app import command
+from plr_jax.cli._inputs import (
+    DEFAULT_BYTES,
+    PICTURES,
+    SCENES,
+    map_and_goal,
+    parse_points,
+    read_text,
+    require_writable,
+)
 
-if TYPE_CHECKING:
-    from plr_jax.geometry.box import Box
-    from plr_jax.geometry.workspace import Workspace
-    from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import PLR, ContinuousPLR
-
-_DEFAULT_BYTES = 16_384
 _ERROR_POINTS = 20_000
 
 
-class Continuity(StrEnum):
-    """What of a distance function that ``plr-jax build`` makes does not jump where one can walk."""
+class Leaf(StrEnum):
+    """What a leaf of a PLR that ``plr-jax build`` makes holds, by the names of ``plr_jax.construct``."""
 
-    NONE = "none"
-    VALUE = "value"
-    GRADIENT = "gradient"
+    plane = "plane"
+    continuous = "continuous"
+    smooth = "smooth"
 
 
 _Map = Annotated[
@@ -53,7 +54,7 @@ _Goal = Annotated[
 
 @command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
-    "plr-jax build floor_plan --continuity gradient",
+    "plr-jax build floor_plan --leaf smooth",
     "plr-jax build arena.map --goal 10.5,30",
 )
 def build(
@@ -65,47 +66,49 @@ def build(
     ] = None,
     max_bytes: Annotated[
         int | None,
-        typer.Option(help="Largest size of the file.", show_default=f"{_DEFAULT_BYTES} where no limit is given"),
+        typer.Option(help="Largest size of the file.", show_default=f"{DEFAULT_BYTES} where no limit is given"),
     ] = None,
     max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
-    max_depth: Annotated[
-        int | None, typer.Option(help="Largest depth of the tree; for --continuity none.", show_default=False)
-    ] = None,
+    max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(help="Sample error (workspace units) at which to stop.", show_default=False),
     ] = None,
-    continuity: Annotated[
-        Continuity,
+    leaf: Annotated[
+        Leaf,
         typer.Option(
-            help="What does not jump where one can walk: nothing (a plane a cell); the distance; "
-            "its gradient as well. Continuous ones take longer to build."
+            help="What a cell holds: a plane; a function that does not jump where one can walk; one whose gradient "
+            "does not either. The latter take longer to build."
         ),
-    ] = Continuity.NONE,
+    ] = Leaf.plane,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file."""
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import ConstructionInterrupted, save
+    from plr_jax.plr import ConstructionInterrupted, construct, save
 
-    if max_depth is not None and continuity is not Continuity.NONE:
-        raise ValueError(
-            f"--max-depth is for --continuity none, not for {continuity}: "
-            "give --max-bytes, --max-leaves or --tolerance."
-        )
-    workspace, goal_point = _map_and_goal(map, goal)
+    output = output or Path(f"{Path(map).stem}.plr")
+    require_writable(output)
+    workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
         raise ValueError(f"{map} has no goal of its own: give one with --goal X,Y.")
-    output = output or Path(f"{Path(map).stem}.plr")
     if max_bytes is max_leaves is max_depth is None:
-        max_bytes = _DEFAULT_BYTES
+        max_bytes = DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConstructionInterrupted)
-        limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "tolerance": tolerance}
-        plr = _construct(continuity, oracle, workspace.bounds, max_depth, **limits, seed=seed)
+        plr = construct(
+            oracle,
+            workspace.bounds,
+            leaf=leaf.value,
+            max_bytes=max_bytes,
+            max_leaves=max_leaves,
+            max_depth=max_depth,
+            tolerance=tolerance,
+            seed=seed,
+        )
     save(plr, output)
     if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
@@ -163,7 +166,7 @@ def info(file: _File) -> None:
 
     plr = load(file)
     typer.echo(f"file       {file}")
-    typer.echo(f"kind       {_kind_of(plr)}")
+    typer.echo(f"leaf       {plr.leaf.name}")
     typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D)")
     typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
@@ -185,7 +188,12 @@ class Picture(StrEnum):
 )
 def plot(
     file: _File,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="The picture to write: .png (also where it has no ending), .pdf or .svg."
+        ),
+    ],
     map: Annotated[
         str | None,
         typer.Option("--map", metavar="MAP", help="Draw this map's obstacles.", show_default=False),
@@ -197,12 +205,14 @@ def plot(
     ] = Picture.distance,
 ) -> None:
     """Draw a .plr file."""
-    from plr_jax.plr import PLR, load
+    from plr_jax.plr import load
 
     if goal is not None and map is None:
         raise ValueError("--goal needs --map.")
+    output = output if output.suffix else output.with_name(f"{output.name}.png")
+    require_writable(output, PICTURES)
     plr = load(file)
-    workspace, goal_point = (None, None) if map is None else _map_and_goal(map, goal)
+    workspace, goal_point = (None, None) if map is None else map_and_goal(map, goal)
     from plr_jax import metrics
     from plr_jax import plot as draw
 
@@ -212,10 +222,6 @@ def plot(
         case Picture.cells:
             ax = draw.plot_cells(plr, workspace=workspace)
         case Picture.surface:
-            if not isinstance(plr, PLR):
-                raise ValueError(
-                    f"{file} is a continuous PLR, which has no plane a leaf: draw --kind distance or cells."
-                )
             ax = draw.plot_surface(plr, workspace=workspace)
         case Picture.error:
             if workspace is None or goal_point is None:
@@ -236,30 +242,3 @@ def demo(
     from plr_jax.cli import _demo
 
     _demo.run(output)
-
-
-def _construct(
-    continuity: Continuity, oracle: "VisibilityGraph", domain: "Box", max_depth: int | None, **options: Any
-) -> "PLR | ContinuousPLR":
-    from plr_jax.plr import construct, construct_continuous
-
-    match continuity:
-        case Continuity.NONE:
-            return construct(oracle, domain, max_depth=max_depth, **options)
-        case Continuity.VALUE:
-            return construct_continuous(oracle, domain, order=0, **options)
-        case Continuity.GRADIENT:
-            return construct_continuous(oracle, domain, order=1, **options)
-
-
-def _kind_of(plr: "PLR | ContinuousPLR") -> str:
-    from plr_jax.plr import PLR
-
-    if isinstance(plr, PLR):
-        return "a plane a leaf"
-    return f"continuous{', and so is its gradient' if plr.order else ''}, wherever one can walk"
-
-
-def _map_and_goal(map: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-    workspace, own = read_map(map)
-    return workspace, own if goal is None else parse_goal(goal)

@@ -13,13 +13,12 @@ from plr_jax import metrics, plot, scenes
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.cli import _planning
 from plr_jax.cli._app import fail
-from plr_jax.cli._inputs import Heuristic
+from plr_jax.cli._inputs import DEFAULT_BYTES, Heuristic
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.planners import BLOptions
 from plr_jax.plr import PLR, construct, save
 
-_MAX_BYTES = 2_048
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
 _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames: they take longer to draw than the path to find
@@ -43,7 +42,7 @@ def _maze(output: Path) -> None:
 
     began = time.perf_counter()
     oracle = VisibilityGraph(workspace, goal)
-    plr = construct(oracle, workspace.bounds, max_bytes=_MAX_BYTES)
+    plr = construct(oracle, workspace.bounds, max_bytes=DEFAULT_BYTES)
     seconds = time.perf_counter() - began
     save(plr, output / "maze.plr")
     typer.echo(f"  built   {plr.num_leaves} planes in {seconds:.1f} s")
@@ -72,8 +71,8 @@ def _four_rooms(output: Path) -> None:
     problem = scenes.four_rooms(4)
     typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
     phases = _planning.Phases(began)
-    outcome = _planning.solve(problem, Heuristic.plr, BLOptions(), _MAX_BYTES, 0, phases)
-    path, report = outcome.solution.path, outcome.report
+    checked = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
+    path, report = checked.solution.path, checked.report
     if path is None or report is None or not report.valid:
         fail("There is no valid path for the four rooms.", code=1)
     animation = plot.animate(problem, path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
@@ -81,7 +80,7 @@ def _four_rooms(output: Path) -> None:
         animation.save(file)
         typer.echo(f"  wrote      {file}")
     phases.end("writing")
-    _planning.say_seconds(phases, outcome.solution)
+    _planning.say_seconds(phases, checked.solution)
 
 
 def _device() -> str:

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import stat
 import sys
 from collections.abc import Sequence
 from enum import StrEnum
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)
+DEFAULT_BYTES = 4_096
+"""Largest size of a PLR that a command makes, where no limit is given."""
+
+PICTURES = (".png", ".pdf", ".svg")
 _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 
 
@@ -30,14 +35,15 @@ class Heuristic(StrEnum):
     oracle = "oracle"
 
 
-def read_map(name: str) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
+def map_and_goal(name: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
     """The workspace that a MAP argument means, and its goal if it has one.
 
     Args:
         name: Name of a scene, or path of a scene file, a Moving AI grid or a polygon file.
+        goal: The goal as ``X,Y``; None for that of a scene with one robot.
 
     Returns:
-        The workspace, and the goal of a scene with one robot.
+        The workspace and the goal.
 
     Raises:
         ValueError: If it is none of these.
@@ -45,20 +51,21 @@ def read_map(name: str) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
     """
     from plr_jax import scenes
 
-    path = Path(name)
+    path, given = Path(name), None if goal is None else parse_goal(goal)
     if name in SCENES:
         problem = getattr(scenes, name)()
     elif path.suffix == ".map":
-        return scenes.read_map(path), None
+        return scenes.read_map(path), given
     elif path.suffix == ".json":
         if not scenes.is_scene(path):
-            return scenes.read_polygons(path), None
+            return scenes.read_polygons(path), given
         problem = scenes.load(path)
     else:
         raise ValueError(
             f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in .map or .json, got {name!r}."
         )
-    return problem.workspace, problem.goals[0, :2] if len(problem.robots) == 1 else None
+    own = problem.goals[0, :2] if len(problem.robots) == 1 else None
+    return problem.workspace, own if given is None else given
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
@@ -93,12 +100,12 @@ def read_problem(name: str, num_robots: int | None) -> "Problem":
     )
 
 
-def require_writable(path: Path | None, endings: Sequence[str]) -> None:
+def require_writable(path: Path | None, endings: Sequence[str] = ()) -> None:
     """Refuse a file to be written before the work that it would hold is done.
 
     Args:
         path: The file; None is nothing to write.
-        endings: What its name may end in.
+        endings: What its name may end in; anything where there are none.
 
     Raises:
         ValueError: If its name ends otherwise.
@@ -106,13 +113,20 @@ def require_writable(path: Path | None, endings: Sequence[str]) -> None:
     """
     if path is None:
         return
-    if path.suffix.lower() not in endings:
+    if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path} must end in {' or '.join(endings)}.")
-    if path.is_dir():
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        mode = None
+    folder = path.resolve().parent
+    if mode is not None and stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not path.parent.is_dir():
+    if not folder.is_dir():
         raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    # A file is replaced by a new one in its folder, but a device or a pipe is written to.
+    places = [path] * (mode is not None) + [folder] * (mode is None or stat.S_ISREG(mode))
+    if not all(os.access(place, os.W_OK) for place in places):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 

@@ -3,19 +3,36 @@
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from plr_jax.cli._app import INTERRUPTED_EXIT, command, fail
-from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
+from plr_jax.cli import INTERRUPTED_EXIT
+from plr_jax.cli._app import command, fail
+from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, TEAM_SCENES, Heuristic, read_problem, require_writable
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
-    from plr_jax.cli._planning import Outcome
+    from plr_jax.cli._planning import CheckedSolution
 
-DEFAULT_BYTES = 2_048
-_INF = float("inf")
+
+class _Default:
+    """What ``BLOptions`` holds where nothing is given. It is imported only where it is asked for."""
+
+    def __init__(self, field: str):
+        self.field = field
+
+    def __call__(self) -> Any:
+        from plr_jax.planners import BLOptions
+
+        return getattr(BLOptions, self.field)
+
+    def __str__(self) -> str:  # in the help
+        return f"{self():g}"
+
+
+def _of_planner(field: str, help: str) -> Any:
+    return typer.Option(help=help, default_factory=_Default(field))
 
 
 @command(
@@ -32,6 +49,7 @@ def plan(
             show_default=False,
         ),
     ],
+    *,
     robots: Annotated[
         int | None,
         typer.Option(
@@ -65,16 +83,18 @@ def plan(
             help="Factor of the heuristic; the larger, the greedier.", show_default="by the number of robots"
         ),
     ] = None,
-    batch: Annotated[int, typer.Option(help="Most nodes expanded at once.")] = 16,
-    branching: Annotated[int, typer.Option(help="Children that a node adds at a time.")] = 1,
-    width: Annotated[int, typer.Option(help="Joint children held while a product is assembled.")] = 1024,
+    batch: Annotated[int, _of_planner("batch", "Most nodes expanded at once.")],
+    branching: Annotated[int, _of_planner("branching", "Children that a node adds at a time.")],
+    width: Annotated[int, _of_planner("width", "Joint children held while a product is assembled.")],
     cost_factor: Annotated[
         float,
-        typer.Option(help="Search on while the cost is above this multiple of the lower bound, until a limit."),
-    ] = _INF,
-    time_limit: Annotated[float, typer.Option(help="Seconds of planning.")] = 60.0,
-    max_expansions: Annotated[float, typer.Option(help="Most expansions.")] = _INF,
-    max_memory: Annotated[float, typer.Option(help="Most bytes of lattices and nodes.", show_default="4e9")] = 4e9,
+        _of_planner(
+            "cost_factor", "Search on while the cost is above this multiple of the lower bound, until a limit."
+        ),
+    ],
+    time_limit: Annotated[float, _of_planner("time_limit", "Seconds of planning.")],
+    max_expansions: Annotated[float, _of_planner("max_expansions", "Most expansions.")],
+    max_memory: Annotated[float, _of_planner("max_memory", "Most bytes of lattices and nodes.")],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help='Write the path as JSON: "path" is (steps, robots, dof).'),
@@ -89,7 +109,7 @@ def plan(
     began = time.perf_counter()
     require_writable(output, (".json",))
     require_writable(animation, (".gif", ".html"))
-    require_writable(picture, (".png", ".pdf", ".svg"))
+    require_writable(picture, PICTURES)
     from plr_jax.cli import _planning
     from plr_jax.planners import BLOptions, Status
 
@@ -109,10 +129,10 @@ def plan(
     phases = _planning.Phases(began)
     phases.end("loading")
     typer.echo(scene)
-    outcome = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
-    solution, report = outcome.solution, outcome.report
+    checked = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
+    solution, report = checked.solution, checked.report
     if report is not None and report.valid:
-        _write(problem, outcome, output, animation, picture)
+        _write(problem, checked, output, animation, picture)
         phases.end("writing")
     _planning.say_seconds(phases, solution)
     if report is not None and not report.valid:
@@ -125,12 +145,12 @@ def plan(
 
 
 def _write(
-    problem: "Problem", outcome: "Outcome", output: Path | None, animation: Path | None, picture: Path | None
+    problem: "Problem", checked: "CheckedSolution", output: Path | None, animation: Path | None, picture: Path | None
 ) -> None:
-    path = outcome.solution.path
+    path = checked.solution.path
     assert path is not None
     if output is not None:
-        _write_json(outcome, output)
+        _write_json(checked, output)
     if animation is not None or picture is not None:
         from plr_jax import plot
 
@@ -143,11 +163,11 @@ def _write(
             typer.echo(f"  wrote      {file}")
 
 
-def _write_json(outcome: "Outcome", output: Path) -> None:
+def _write_json(checked: "CheckedSolution", output: Path) -> None:
     """One object; numbers have as many digits as it takes to read the same float64 back."""
     from plr_jax._atomic import write_atomically
 
-    solution, report = outcome.solution, outcome.report
+    solution, report = checked.solution, checked.report
     assert solution.path is not None and report is not None
     entry = {
         "status": solution.status.name,

@@ -42,7 +42,7 @@ class Phases:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckedSolution:
     """A solution and what the independent check says about its path.
 
     Args:
@@ -56,7 +56,7 @@ class Outcome:
 
 def solve(
     problem: Problem, heuristic: Heuristic, options: BLOptions, max_bytes: int, seed: int, phases: Phases
-) -> Outcome:
+) -> CheckedSolution:
     """Plan with a heuristic built on the way, check the path, and print what was built and found.
 
     Args:
@@ -76,7 +76,7 @@ def solve(
     typer.echo(f"  robots     {describe(problem.robots)}")
     exact = robot_distance_fns(problem)
     phases.end("oracles")
-    function, plrs = build(heuristic, problem, exact, max_bytes, seed)
+    function, plrs = heuristic_of(heuristic, problem, exact, max_bytes, seed)
     phases.end("PLRs")
     typer.echo(f"  heuristic  {heuristic}{_of_plrs(plrs, phases.seconds['PLRs'])}")
     bound = lower_bound(problem, exact)
@@ -90,17 +90,17 @@ def solve(
     )
     if solution.path is None:
         typer.echo("  cost       none: no path was found")
-        return Outcome(solution, None)
+        return CheckedSolution(solution, None)
     ratio = f", {solution.cost / bound:.3f} times the lower bound of {bound:.4g}" if bound else ""
     typer.echo(f"  cost       {solution.cost:.4g}{ratio}")
     typer.echo(f"  makespan   {solution.makespan:.4g}")
     report = validate(problem, solution.path)
     phases.end("validation")
     typer.echo(f"  check      {report.message}")
-    return Outcome(solution, report)
+    return CheckedSolution(solution, report)
 
 
-def build(
+def heuristic_of(
     heuristic: Heuristic, problem: Problem, exact: Sequence[VisibilityGraph], max_bytes: int, seed: int
 ) -> tuple[HeuristicFn, list[PLR]]:
     """A heuristic by its name.

@@ -1,36 +1,14 @@
-"""Vectorized 2-D kernels that Shapely does not give: boundary edges, the free sectors at a vertex, fans."""
+"""The boundary of a polygonal region as a graph: its edges, and the free sectors at its vertices."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-
-def cross(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
-    """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
-    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
-
-
-def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Each vector after a quarter turn to the left."""
-    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
-
-
-def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """The unit vector a quarter turn to the left of each vector."""
-    return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
-
-
-def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """A number in [0, 4] that grows with the direction's angle in [0, 2 pi], at the cost of a division.
-
-    It turns at between half and the full rate of the angle. The zero vector gives 0.
-    """
-    length = np.abs(dx) + np.abs(dy)
-    slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
-    return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
+from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +29,21 @@ class Boundary:
     edges: Int[np.ndarray, "edges 2"]
     sector_end: Int[np.ndarray, "edges"]
 
-    @property
+    @cached_property
     def segments(self) -> Float[np.ndarray, "edges 2 2"]:
         """First and last point of each edge."""
         return self.vertices[self.edges]
+
+    @cached_property
+    def normal(self) -> Float[np.ndarray, "edges 2"]:
+        """Unit normal of each edge, into the region."""
+        start, end = self.segments.transpose(1, 0, 2)
+        return left_normal(end - start)
+
+    @cached_property
+    def offset(self) -> Float[np.ndarray, "edges"]:
+        """``normal @ x`` on each edge; beside the edge, the region is where it is more."""
+        return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
@@ -67,7 +56,7 @@ class Boundary:
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
         span = np.linalg.norm(to_start - to_end, axis=1)
-        return cross(to_start, to_end) < -tolerance * span
+        return cross_product(to_start, to_end) < -tolerance * span
 
     def in_sector(
         self, edge: int | np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
@@ -76,9 +65,9 @@ class Boundary:
         vertex = self.vertices[self.edges[edge, 0]]
         start = self.vertices[self.edges[edge, 1]] - vertex
         end = self.vertices[self.sector_end[edge]] - vertex
-        left_of_start = cross(start, offsets) >= -tolerance * np.linalg.norm(start)
-        right_of_end = cross(end, offsets) <= tolerance * np.linalg.norm(end)
-        return left_of_start & right_of_end if cross(start, end) > 0 else left_of_start | right_of_end
+        left_of_start = cross_product(start, offsets) >= -tolerance * np.linalg.norm(start)
+        right_of_end = cross_product(end, offsets) <= tolerance * np.linalg.norm(end)
+        return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
 
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:
@@ -132,27 +121,3 @@ def _sector_ends(
     ends = np.empty(len(order), dtype=np.intp)
     ends[order] = other[successor]
     return ends[: len(edges)]
-
-
-def arc(
-    center: Float[np.ndarray, "2"],
-    start: Float[np.ndarray, "2"],
-    end: Float[np.ndarray, "2"],
-    num_segments: int,
-) -> Float[np.ndarray, "points 2"]:
-    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``.
-
-    Args:
-        center: Center of the circle.
-        start: Offset of the first point.
-        end: Offset of the last point, of the same length.
-        num_segments: Chords a quarter turn.
-
-    Returns:
-        The chords' ends, the first and last exactly ``center + start`` and ``center + end``.
-    """
-    turn = np.arctan2(cross(start, end), start @ end) % (2 * np.pi)
-    angle = np.linspace(0.0, turn, 1 + max(1, int(np.ceil(num_segments * turn / (np.pi / 2) - 1e-9))))
-    points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.array([-start[1], start[0]])
-    points[-1] = end
-    return center + points

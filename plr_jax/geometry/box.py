@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite_point, as_points
+from plr_jax._arrays import as_finite_point, as_points, shortened
 from plr_jax._types import ArrayLike
 
 
@@ -57,7 +57,7 @@ class Box:
         try:
             lo, hi = value
         except (TypeError, ValueError):
-            raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {value!r:.200}.") from None
+            raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {shortened(value)}.") from None
         return cls(lo, hi)
 
     @property

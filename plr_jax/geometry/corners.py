@@ -5,94 +5,112 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.geometry.boundary import turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, Walls, visibility_table
+from plr_jax.geometry.vectors import turned_left
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
 
 _CHUNK = 1 << 20
+_SLACK = 100
+"""Tolerances of the workspace by which a line may cut into a corner and still count as tangent."""
 
 
 @dataclass(frozen=True, eq=False)
-class Corners:
-    """The turning points of shortest paths. Knows no goal.
+class ReflexCorners:
+    """Points that shortest paths run through: corners that stick out into free space, and what turns like them.
 
     Args:
-        table: Visibility polygons of the corners.
-        opens: Unit vector along the wall with which each corner's sector opens, ``(corners, 2)``; zero for the
-            point contacts of a workspace with ``squeeze``, which may be turned around on any side.
-        closes: The same for the wall with which it closes.
+        points: The corners, ``(corners, 2)``.
+        walls: Unit vectors along the walls with which each corner's free sector opens, counterclockwise, and
+            closes, ``(2, corners, 2)``; zero for what may be turned around on any side: the goal, and the point
+            contacts of a workspace with ``squeeze``.
+        slack: How far on the wrong side of a line through a corner a point may lie.
+    """
+
+    points: Float[np.ndarray, "corners 2"]
+    walls: Float[np.ndarray, "2 corners 2"]
+    slack: float
+
+    def with_goal(self, goal: Float[np.ndarray, "2"]) -> "ReflexCorners":
+        """The goal first, then the corners: the vertices of a graph whose paths lead to vertex 0."""
+        points = np.concatenate([goal[None], self.points])
+        return ReflexCorners(points, np.concatenate([np.zeros((2, 1, 2)), self.walls], axis=1), self.slack)
+
+    def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
+        """The corners that are elsewhere."""
+        other = (self.points != point).any(axis=1)
+        return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
+
+    def is_tangent(
+        self, rows: slice | Int[np.ndarray, "rows"], others: slice | Int[np.ndarray, "others"] = slice(None)
+    ) -> Bool[np.ndarray, "..."]:
+        """Whether the line from each of some corners to each of others has both walls of the former on one side.
+
+        Any other line cuts off a part of the obstacle there, so no shortest path turns there to go along it.
+        """
+        points, above = self.points[rows], []
+        for wall in self.walls:
+            normal = turned_left(wall[rows])
+            above.append(normal @ self.points[others].T - (normal * points).sum(axis=1)[:, None])
+        return (np.minimum(*above) >= -self.slack) | (np.maximum(*above) <= self.slack)
+
+
+def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
+    """Reflex corners of free space and, where squeezing is allowed, point contacts; and the sectors they see."""
+    boundary = workspace.boundary
+    contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
+    turns = boundary.is_reflex(1e-3 * workspace.tolerance) | np.isin(boundary.edges[:, 0], contacts)
+    vertex, owner = np.unique(boundary.edges[turns, 0], return_inverse=True)
+    ends = np.stack([boundary.edges[turns, 1], boundary.sector_end[turns]])
+    points = boundary.vertices[vertex]
+    walls = np.empty((2, len(points), 2))
+    walls[:, owner] = boundary.vertices[ends] - points[owner]
+    walls /= np.linalg.norm(walls, axis=2, keepdims=True)
+    walls[:, np.isin(vertex, contacts)] = 0.0
+    return ReflexCorners(points, walls, _SLACK * workspace.tolerance), Viewpoints(points, owner, *ends)
+
+
+@dataclass(frozen=True, eq=False)
+class CornerVisibility:
+    """What the corners of a workspace see.
+
+    Args:
+        corners: The corners.
+        table: Their visibility polygons.
         edges: Corners that see one another, each pair once, ``(edges, 2)``. Left out are those whose line cuts
             off a part of the obstacle at both: a shortest path bends around neither, so it goes on at neither.
     """
 
+    corners: ReflexCorners
     table: VisibilityTable
-    opens: Float[np.ndarray, "corners 2"]
-    closes: Float[np.ndarray, "corners 2"]
     edges: Int[np.ndarray, "edges 2"]
-
-    @property
-    def points(self) -> Float[np.ndarray, "corners 2"]:
-        """Positions of the corners."""
-        return self.table.points
 
     @property
     def num_bytes(self) -> int:
         """Bytes of the corners, their visibility polygons and edges, and of the walls they look at."""
-        walls = self.table.walls
-        arrays = (self.opens, self.closes, self.edges, walls.normal, walls.offset)
+        boundary = self.table.boundary
+        arrays = (self.corners.walls, self.edges, boundary.normal, boundary.offset)
         return self.table.num_bytes + sum(a.nbytes for a in arrays)
 
 
-def find_corners(workspace: Workspace) -> Corners:
-    """Reflex corners of free space and, where squeezing is allowed, point contacts; and which to join."""
-    boundary, walls = workspace.boundary, Walls.of(workspace.boundary, workspace.tolerance)
-    turns = boundary.is_reflex(1e-3 * workspace.tolerance)
-    contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
-    turns |= np.isin(boundary.edges[:, 0], contacts)
-    sector = np.flatnonzero(turns)
-    vertex, owner = np.unique(boundary.edges[sector, 0], return_inverse=True)
-    opens, closes = boundary.edges[sector, 1], boundary.sector_end[sector]
-    points = boundary.vertices[vertex]
-    table = visibility_table(walls, Viewpoints(points, owner, opens, closes))
-    along = [np.zeros_like(points), np.zeros_like(points)]
-    for direction, towards in zip(along, (opens, closes), strict=True):
-        offset = boundary.vertices[towards] - points[owner]
-        direction[owner] = offset / np.linalg.norm(offset, axis=1, keepdims=True)
-        direction[np.isin(vertex, contacts)] = 0.0
-    return Corners(table, along[0], along[1], _tangent_edges(table, along[0], along[1]))
+def corner_visibility(workspace: Workspace) -> CornerVisibility:
+    """The corners of a workspace, swept around once for all goals."""
+    corners, views = find_corners(workspace)
+    table = visibility_table(workspace.boundary, workspace.tolerance, views)
+    return CornerVisibility(corners, table, _tangent_edges(corners, table))
 
 
-def _tangent_edges(
-    table: VisibilityTable, opens: Float[np.ndarray, "corners 2"], closes: Float[np.ndarray, "corners 2"]
-) -> Int[np.ndarray, "edges 2"]:
+def _tangent_edges(corners: ReflexCorners, table: VisibilityTable) -> Int[np.ndarray, "edges 2"]:
     """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once."""
-    points, slack = table.points, 100 * table.walls.tolerance
+    everything, points = slice(None), corners.points
     step = max(1, _CHUNK // max(1, len(points)))
     edges = [np.empty((0, 2), int)]
     for begin in range(0, len(points), step):
         part = slice(begin, begin + step)
-        tangent = _is_tangent(points[part], opens[part], closes[part], points, slack)
-        tangent |= _is_tangent(points, opens, closes, points[part], slack).T
+        tangent = corners.is_tangent(part) | corners.is_tangent(everything, part).T
         v, w = np.nonzero(np.triu(tangent, 1 + begin))
         v += begin
-        for corner, other in ((0, 1), (1, 0)):
-            ends = (v, w)
-            seen = table.sees(ends[corner], points[ends[other]])
-            v, w = v[seen], w[seen]
-        edges.append(np.stack([v, w], axis=1))
+        seen = table.sees(v, points[w])
+        v, w = v[seen], w[seen]
+        seen = table.sees(w, points[v])
+        edges.append(np.stack([v[seen], w[seen]], axis=1))
     return np.concatenate(edges)
-
-
-def _is_tangent(
-    points: Float[np.ndarray, "corners 2"],
-    opens: Float[np.ndarray, "corners 2"],
-    closes: Float[np.ndarray, "corners 2"],
-    x: Float[np.ndarray, "n 2"],
-    slack: float,
-) -> Bool[np.ndarray, "corners n"]:
-    """Whether the line from each corner to each point has both of the corner's walls on one side."""
-    above = []
-    for wall in (opens, closes):
-        normal = turned_left(wall)
-        above.append(normal @ x.T - (normal * points).sum(axis=1)[:, None])
-    return ~((np.minimum(*above) < -slack) & (np.maximum(*above) > slack))

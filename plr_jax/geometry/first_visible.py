@@ -1,44 +1,66 @@
-"""The search that a query of a graph oracle makes: of many ways on, the shortest whose first leg is free."""
+"""The search of a shortest way on: of many ways, the shortest whose first leg is free, found with few tests."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+_CHUNK = 1 << 18  # pairs of a point and a way held at a time
+
+Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
+"""Visibility, for pairs of a point and a way, by index."""
+
 
 def first_visible(
-    lengths: Float[np.ndarray, "n ways"],
-    sees: Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]],
-) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The shortest visible way of each point.
+    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1
+) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+    """The shortest visible ways of each point.
 
-    Tests the two shortest ways of every point, then the 8, 32, ... next ones of those still without: it finds
-    what a test of all pairs would find, with few tests where the shortest are visible.
+    Tests the two shortest ways of every point (or ``count``, if that is more), then four times as many of the next
+    ones of those still short of some, and so on: it finds what a test of all pairs would find, with few tests where
+    the shortest are visible.
 
     Args:
         lengths: Length of each way from each point; NaN where there is none to test, ``inf`` where one leads
             nowhere.
-        sees: Visibility, for pairs of a point and a way.
+        sees: Visibility.
+        count: How many ways to find for each point.
 
     Returns:
-        The index of the way, -1 where none is visible, and its length, ``inf`` where none is.
+        The ways, shortest first, -1 where a point sees fewer; and their lengths, ``inf`` there.
     """
-    way, shortest = np.full(len(lengths), -1), np.full(len(lengths), np.inf)
-    pending, num_tests = np.arange(len(lengths)), 2
+    found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
+    pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(2, count)
     while pending.size and lengths.shape[1]:
         tests = _shortest(lengths, num_tests)
         length = lengths[np.arange(len(lengths))[:, None], tests]
         row, column = np.nonzero(~np.isnan(length))
         visible = np.zeros(tests.shape, dtype=bool)
         visible[row, column] = sees(pending[row], tests[row, column])
-        found, best = visible.any(axis=1), visible.argmax(axis=1)
-        way[pending[found]] = tests[found, best[found]]
-        shortest[pending[found]] = length[found, best[found]]
-        more = ~found & ~np.isnan(length[:, -1])
-        pending, lengths = pending[more], lengths[more]
+        rank = num_found[:, None] + np.cumsum(visible, axis=1)
+        row, column = np.nonzero(visible & (rank <= count))
+        place = pending[row], rank[row, column] - 1
+        found[place], shortest[place] = tests[row, column], length[row, column]
+        more = (rank[:, -1] < count) & ~np.isnan(length[:, -1])
+        pending, num_found, lengths = pending[more], rank[more, -1], lengths[more]
         lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
         num_tests *= 4
-    return way, shortest
+    return found, shortest
+
+
+def first_visible_in_parts(
+    lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
+) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+    """:func:`first_visible` of many points, whose lengths are computed for a run of points at a time."""
+    found, shortest = np.empty((n, count), int), np.empty((n, count))
+    step = max(1, _CHUNK // max(1, num_ways))
+    for begin in range(0, n, step):
+        rows = slice(begin, min(begin + step, n))
+        found[rows], shortest[rows] = first_visible(
+            lengths(rows), lambda point, way, begin=begin: sees(begin + point, way), count
+        )
+    return found, shortest
 
 
 def _shortest(lengths: Float[np.ndarray, "n ways"], count: int) -> Int[np.ndarray, "n tests"]:

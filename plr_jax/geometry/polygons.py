@@ -1,6 +1,6 @@
 """Polygons from outside, checked, and what Shapely leaves to do with them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,38 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_points
+from plr_jax._arrays import as_numbers, shortened
+
+LARGEST_COORDINATE = 1e100
+"""Areas, and products of two of them, are finite below."""
+
+
+def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
+    """Valid polygons, given in any of the usual ways.
+
+    Args:
+        name: What one of them is called in an error, before its number.
+        shapes: A Shapely polygon, multipolygon or collection of those; or an iterable of these and of rings
+            ``(n, 2)``, closed or not.
+
+    Returns:
+        The polygons in the order given; those of a collection one by one, a multipolygon as one.
+
+    Raises:
+        ValueError: If ``shapes`` is something else, or one is not a valid polygon, saying what is wrong with it.
+    """
+    shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
+    if not isinstance(shapes, Iterable):
+        raise ValueError(f"{name}s must be rings (n, 2) or Shapely polygons in a list, got {shortened(shapes)}.")
+    return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_one_by_one(shapes)))
+
+
+def _one_by_one(shapes: Iterable[Any]) -> Iterator[Any]:
+    for shape in shapes:
+        yield from _one_by_one(shape.geoms) if isinstance(shape, GeometryCollection) else (shape,)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
@@ -29,11 +58,17 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     """
     if isinstance(ring, Polygon | MultiPolygon):
         polygon, points = ring, shapely.get_coordinates(ring)
+    elif isinstance(ring, BaseGeometry):
+        raise ValueError(f"{name} must be a polygon, got a {ring.geom_type}.")
     else:
-        points = as_points(name, ring, 2)
-        polygon = None
+        points, polygon = as_numbers(name, ring, "numbers of shape (n, 2)"), None
+    if points.ndim != 2 or points.shape[1] != 2:
+        hint = " One ring alone goes into a list." if points.shape == (2,) else ""
+        raise ValueError(f"{name} must have shape (n, 2), got {points.shape}.{hint}")
     if not np.isfinite(points).all():
         raise ValueError(f"{name} has coordinates that are not finite; remove them.")
+    if np.abs(points).max(initial=0.0) > LARGEST_COORDINATE:
+        raise ValueError(f"{name} has coordinates beyond {LARGEST_COORDINATE:g}; choose a larger unit.")
     distinct = np.unique(points, axis=0)
     if len(distinct) < 3:
         raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
@@ -65,7 +100,7 @@ def as_components(
     for i, part in enumerate(components):
         if not (isinstance(part, Mapping) and "outer" in part and isinstance(part.get("holes", ()), Iterable)):
             raise ValueError(
-                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {part!r:.200}."
+                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {shortened(part)}."
             )
         outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
         rings = part.get("holes", ())

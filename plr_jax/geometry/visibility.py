@@ -15,33 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.geometry.boundary import Boundary, cross, left_normal, pseudo_angle
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.vectors import cross_product, pseudo_angle
 
 _CHUNK = 1 << 18
-
-
-@dataclass(frozen=True, eq=False)
-class Walls:
-    """The edges of free space as seen by the sweep: free space where ``normal @ x >= offset``.
-
-    Args:
-        boundary: The boundary of free space.
-        normal: Unit normal of each edge, into free space, ``(edges, 2)``.
-        offset: ``normal @ x`` on the edge, ``(edges,)``.
-        tolerance: How far behind an edge a point still counts as free.
-    """
-
-    boundary: Boundary
-    normal: Float[np.ndarray, "edges 2"]
-    offset: Float[np.ndarray, "edges"]
-    tolerance: float
-
-    @classmethod
-    def of(cls, boundary: Boundary, tolerance: float) -> "Walls":
-        """The walls of a boundary."""
-        start, end = boundary.segments.transpose(1, 0, 2)
-        normal = left_normal(end - start)
-        return cls(boundary, normal, (normal * (start + end)).sum(axis=1) / 2, tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +46,8 @@ class VisibilityTable:
     in [0, 4] from ``cut[v]``, a direction in which no vertex lies, so no polygon wraps around.
 
     Args:
-        walls: The edges that the rows name.
+        boundary: The boundary of free space, whose edges the rows name.
+        tolerance: How far behind an edge a point still counts as free.
         points: The viewpoints, ``(views, 2)``.
         cut: Unit vector from which the directions of each viewpoint are measured, ``(views, 2)``.
         first: First row of each viewpoint, and the number of rows, ``(views + 1,)``.
@@ -77,7 +55,8 @@ class VisibilityTable:
         edge: The nearest edge in the interval; -1 where the viewpoint does not look, ``(rows,)``.
     """
 
-    walls: Walls
+    boundary: Boundary
+    tolerance: float
     points: Float[np.ndarray, "views 2"]
     cut: Float[np.ndarray, "views 2"]
     first: Int[np.ndarray, "views+1"]
@@ -86,7 +65,7 @@ class VisibilityTable:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the table, without the walls."""
+        """Bytes of the table, without the boundary."""
         return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
@@ -97,7 +76,7 @@ class VisibilityTable:
             x: As many points, in free space.
 
         Returns:
-            True where the segment between them lies in closed free space, to the walls' tolerance. A segment
+            True where the segment between them lies in closed free space, to the tolerance. A segment
             that grazes several corners may be reported as not seen; it is seen from the last of them.
         """
         dx, dy = (x - self.points[v]).T
@@ -120,7 +99,7 @@ class VisibilityTable:
         distance: Float[np.ndarray, "n"],
     ) -> Bool[np.ndarray, "n"]:
         """Whether points are the viewpoint itself, or within rounding of a neighboring interval and seen there."""
-        tolerance = self.walls.tolerance
+        tolerance = self.tolerance
         seen = distance <= tolerance
         slack = tolerance / np.maximum(distance, tolerance)
         before = np.flatnonzero((key - self.key[row] <= slack) & (row > self.first[v]))
@@ -140,49 +119,50 @@ class VisibilityTable:
         distance: Float[np.ndarray, "n"],
     ) -> Bool[np.ndarray, "n"]:
         """Whether points beside an interval are in front of its edge, and not on the edge's line beyond its ends."""
-        ends = self.walls.boundary.segments[self.edge[row]]
+        ends = self.boundary.segments[self.edge[row]]
         farthest = np.linalg.norm(ends - self.points[v][:, None], axis=-1).max(axis=1)
-        return self._in_front(row, x) & (distance <= farthest + self.walls.tolerance)
+        return self._in_front(row, x) & (distance <= farthest + self.tolerance)
 
     def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        edge, walls = self.edge[row], self.walls
-        normal = walls.normal[edge]
-        height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - walls.offset[edge]
-        return (height >= -walls.tolerance) & (edge >= 0)
+        edge = self.edge[row]
+        normal = self.boundary.normal[edge]
+        height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
+        return (height >= -self.tolerance) & (edge >= 0)
 
 
-def visibility_table(walls: Walls, views: Viewpoints) -> VisibilityTable:
+def visibility_table(boundary: Boundary, tolerance: float, views: Viewpoints) -> VisibilityTable:
     """The visibility polygons of all viewpoints.
 
     Args:
-        walls: The edges of free space.
+        boundary: The boundary of free space.
+        tolerance: How far behind an edge a point still counts as free.
         views: Points in free space, on walls only exactly at vertices or with their sectors given.
 
     Returns:
         The table.
     """
-    cut = _cuts(walls, views)
-    size = max(1, _CHUNK // len(walls.boundary.vertices))
+    cut = _cuts(boundary, views)
+    size = max(1, _CHUNK // len(boundary.vertices))
     starts, edges, counts = [], [], []
     for begin in range(0, len(views.points), size):
         chunk = slice(begin, begin + size)
         inside = (views.owner >= begin) & (views.owner < begin + size)
         part = Viewpoints(views.points[chunk], views.owner[inside] - begin, views.start[inside], views.end[inside])
-        row, start, edge = _sweep(walls, part, cut[chunk])
+        row, start, edge = _sweep(boundary, tolerance, part, cut[chunk])
         starts.append(4.0 * (row + begin) + start)
         edges.append(edge)
         counts.append(np.bincount(row, minlength=len(part.points)))
     first = np.concatenate([[0], np.cumsum(np.concatenate([np.empty(0, int), *counts]))])
     key, edge = (np.concatenate([np.empty(0), *starts]), np.concatenate([np.empty(0, int), *edges]))
-    return VisibilityTable(walls, views.points, cut, first, key, edge.astype(np.int32))
+    return VisibilityTable(boundary, tolerance, views.points, cut, first, key, edge.astype(np.int32))
 
 
-def _cuts(walls: Walls, views: Viewpoints) -> Float[np.ndarray, "views 2"]:
+def _cuts(boundary: Boundary, views: Viewpoints) -> Float[np.ndarray, "views 2"]:
     """For each viewpoint a direction between those of the vertices it may see.
 
     A viewpoint of one sector gets the middle of the rest of the turn, any other the middle of the widest gap.
     """
-    vertices = walls.boundary.vertices
+    vertices = boundary.vertices
     opens = _angle(vertices[views.start] - views.points[views.owner])
     closes = _angle(vertices[views.end] - views.points[views.owner])
     angle = np.zeros(len(views.points))
@@ -210,13 +190,15 @@ class _Fan:
     index: Int[np.ndarray, "views vertices"]
 
 
-def _fan(walls: Walls, points: Float[np.ndarray, "views 2"], cut: Float[np.ndarray, "views 2"]) -> _Fan:
+def _fan(
+    boundary: Boundary, tolerance: float, points: Float[np.ndarray, "views 2"], cut: Float[np.ndarray, "views 2"]
+) -> _Fan:
     """The distinct directions of all vertices from each point, and the place of each vertex among them.
 
     Directions that rounding of the vertices could make equal are one: between them there might be nothing to
     see but a wall edge-on, behind which no tolerance could tell near from far.
     """
-    vertices = walls.boundary.vertices
+    vertices = boundary.vertices
     c, num_vertices = len(points), len(vertices)
     offset = vertices - points[:, None]
     # A viewpoint's own vertex has no direction; its neighbor in the list stands in.
@@ -226,7 +208,7 @@ def _fan(walls: Walls, points: Float[np.ndarray, "views 2"], cut: Float[np.ndarr
     angle = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
     order = np.argsort(angle, axis=1)
     ascending = np.take_along_axis(angle, order, axis=1)
-    blur = 0.01 * walls.tolerance / np.linalg.norm(towards, axis=2)
+    blur = 0.01 * tolerance / np.linalg.norm(towards, axis=2)
     blur = np.take_along_axis(blur, order, axis=1)
     new = np.ones(angle.shape, dtype=bool)
     new[:, 1:] = np.diff(ascending, axis=1) > np.maximum(blur[:, 1:], blur[:, :-1])
@@ -244,11 +226,11 @@ def _fan(walls: Walls, points: Float[np.ndarray, "views 2"], cut: Float[np.ndarr
 
 
 def _sweep(
-    walls: Walls, views: Viewpoints, cut: Float[np.ndarray, "views 2"]
+    boundary: Boundary, tolerance: float, views: Viewpoints, cut: Float[np.ndarray, "views 2"]
 ) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
     """Viewpoint, start and nearest edge of each interval, neighbors with the same edge joined."""
-    fan = _fan(walls, views.points, cut)
-    nearest = _nearest_edges(walls, fan)
+    fan = _fan(boundary, tolerance, views.points, cut)
+    nearest = _nearest_edges(boundary, fan)
     nearest[~_looked_into(views, fan)] = -1
     last = np.take_along_axis(nearest, fan.count[:, None] - 1, axis=1)
     edge = np.concatenate([last, nearest], axis=1)
@@ -269,11 +251,11 @@ def _looked_into(views: Viewpoints, fan: _Fan) -> Bool[np.ndarray, "views vertic
     return (np.cumsum(change, axis=1)[:, :-1] > 0) | everywhere[:, None]
 
 
-def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "views vertices"]:
+def _nearest_edges(boundary: Boundary, fan: _Fan) -> Int[np.ndarray, "views vertices"]:
     """The nearest edge in each interval, -1 where there is none."""
-    row, edge, height, begin, end = _ranges(walls, fan)
+    row, edge, height, begin, end = _ranges(boundary, fan)
     # The inverse distance to an edge along the unit vector u is nearness @ u.
-    nearness = np.append(-walls.normal[edge] / height[:, None], [[0.0, 0.0]], axis=0)
+    nearness = np.append(-boundary.normal[edge] / height[:, None], [[0.0, 0.0]], axis=0)
     width = fan.start.shape[1]
     unit = fan.unit.reshape(-1, 2)
     level = np.frexp(end - begin)[1] - 1
@@ -294,7 +276,7 @@ def _nearest_edges(walls: Walls, fan: _Fan) -> Int[np.ndarray, "views vertices"]
 
 
 def _ranges(
-    walls: Walls, fan: _Fan
+    boundary: Boundary, fan: _Fan
 ) -> tuple[
     Int[np.ndarray, "ranges"],
     Int[np.ndarray, "ranges"],
@@ -307,10 +289,10 @@ def _ranges(
     Heights come from the very offsets that give the directions, so an edge almost in line with the viewpoint
     is seen from its free side exactly if its range runs counterclockwise. Ranges are split at the cut.
     """
-    first, last = walls.boundary.edges.T
-    turn = cross(fan.offset[:, first], fan.offset[:, last])
+    first, last = boundary.edges.T
+    turn = cross_product(fan.offset[:, first], fan.offset[:, last])
     row, edge = np.nonzero(turn > 0)
-    segments = walls.boundary.segments[edge]
+    segments = boundary.segments[edge]
     height = turn[row, edge] / np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     begin, end = fan.index[row, first[edge]], fan.index[row, last[edge]]
     wraps = np.flatnonzero(begin > end)

@@ -1,6 +1,6 @@
 """A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,9 +12,17 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, arc, boundary_of, cross, left_normal
+from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+from plr_jax.geometry.polygons import (
+    LARGEST_COORDINATE,
+    as_components,
+    as_polygons,
+    merge_vertices,
+    polygons_of,
+    triangles_of,
+)
+from plr_jax.geometry.vectors import arc, cross_product
 
 _ARC_SEGMENTS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
@@ -31,7 +39,8 @@ class Workspace:
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
-        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) or Shapely polygons, holes allowed.
+        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) and Shapely polygons, holes allowed, in any
+            iterable; or one Shapely polygon, multipolygon or collection of those.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
             a single point. The point itself is free either way.
 
@@ -53,9 +62,9 @@ class Workspace:
     squeeze: bool
     free_space: Polygon | MultiPolygon
 
-    def __init__(self, bounds: Box | ArrayLike, obstacles: Iterable[Any] = (), *, squeeze: bool = False):
+    def __init__(self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False):
         bounds = _as_bounds(bounds)
-        polygons = tuple(as_polygon(f"Obstacle {i}", ring) for i, ring in enumerate(obstacles))
+        polygons = as_polygons("Obstacle", obstacles)
         region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
         _assign(self, bounds, polygons, squeeze, free)
@@ -237,7 +246,7 @@ class Workspace:
     def _collars(self, radius: float) -> list[Polygon]:
         """What a disc's center must avoid: a strip along each wall and a fan around each reflex corner."""
         boundary = self.boundary
-        offset = radius * left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
+        offset = radius * boundary.normal
         strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
         arriving = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
         fans = []
@@ -267,7 +276,7 @@ class Workspace:
         # From triangles and not by rejection, which would take forever where free space is a sliver.
         corner, first, second = self._triangles.transpose(1, 0, 2)
         first, second = first - corner, second - corner
-        area = np.abs(cross(first, second))
+        area = np.abs(cross_product(first, second))
         rng = np.random.default_rng(seed)
         pick = rng.choice(len(area), n, p=area / area.sum())
         u, v = rng.random((2, n, 1))
@@ -307,4 +316,8 @@ def _as_bounds(value: Box | ArrayLike) -> Box:
     bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
     return bounds

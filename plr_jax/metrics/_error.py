@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_points
+from plr_jax._arrays import as_distances, as_points, as_values
 from plr_jax._types import ArrayLike, DistanceFn, Distances, Points
 from plr_jax.geometry.workspace import Workspace
 
@@ -78,7 +78,8 @@ def error_map(
     x = as_points("x", x)
     if len(x) == 0:
         raise ValueError("An error needs points to be measured at, got none.")
-    return _report(x, _reference(distance_fn, x), _answers("approximation", approximation, x))
+    distance = as_distances("The distance function", distance_fn(x.copy()), x)
+    return _report(x, distance, as_values("The approximation", approximation(x.copy()), len(x)))
 
 
 def error_grid(
@@ -108,26 +109,12 @@ def error_grid(
     points = centers.reshape(-1, 2)
     free = workspace.is_free(points)
     distance = np.full(len(points), np.inf)
-    distance[free] = _reference(distance_fn, points[free])
+    distance[free] = as_distances("The distance function", distance_fn(points[free]), points[free])
     reachable = np.isfinite(distance)
     error = np.full(len(points), np.nan)
-    answer = _answers("approximation", approximation, points[reachable])
+    answer = as_values("The approximation", approximation(points[reachable]), int(reachable.sum()))
     error[reachable] = np.abs(np.where(np.isnan(answer), np.inf, answer) - distance[reachable])
     return error.reshape(centers.shape[:2])
-
-
-def _answers(name: str, function: Callable[[ArrayLike], ArrayLike], points: Points) -> Distances:
-    answers = np.asarray(function(points), dtype=np.float64)
-    if answers.shape != (len(points),):
-        raise ValueError(f"The {name} must give one number a point, shape ({len(points)},), got {answers.shape}.")
-    return answers
-
-
-def _reference(distance_fn: DistanceFn, points: Points) -> Distances:
-    distance = _answers("distance function", distance_fn, points)
-    if np.isnan(distance).any():
-        raise ValueError(f"The distance function gives NaN at {points[np.isnan(distance)][0]}.")
-    return distance
 
 
 def _report(points: Points, distance: Distances, answer: Distances) -> ErrorReport:

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_finite_point, as_points
-from plr_jax._partition import Partition
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.metrics._leaves import ValuesAndGradients, face_jumps, unit_vectors, walk_from_leaves
 
@@ -148,7 +147,7 @@ def gradient_report(
         raise ValueError(f"Of {len(x)} points none has both an exact direction and a gradient; give free points.")
     angle = _angles(-gradient[usable], exact[directed][usable])
     worst = int(np.argmax(angle))
-    leaves = approximation if isinstance(approximation, Partition) else None
+    leaves = approximation if isinstance(approximation, PiecewiseFunction) else None
     at_goal = np.zeros(len(points), bool) if leaves is None else _in_leaves_of(leaves, points, goal)
     return GradientReport(
         angles={q: float(np.quantile(angle, q)) for q in _QUANTILES},
@@ -215,7 +214,7 @@ def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[n
 
 
 def _in_leaves_of(
-    leaves: Partition, x: Float[np.ndarray, "n 2"], goal: Float[np.ndarray, "2"]
+    leaves: PiecewiseFunction, x: Float[np.ndarray, "n 2"], goal: Float[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "n"]:
     """Whether points are in a closed leaf that holds the goal."""
     inside = np.zeros(len(x), bool)
@@ -225,7 +224,9 @@ def _in_leaves_of(
     return inside
 
 
-def _jump_report(leaves: Partition, evaluate: ValuesAndGradients, workspace: Workspace, seed: int) -> JumpReport:
+def _jump_report(
+    leaves: PiecewiseFunction, evaluate: ValuesAndGradients, workspace: Workspace, seed: int
+) -> JumpReport:
     jumps, at = face_jumps(leaves, evaluate, workspace, seed)
     if len(jumps) == 0:
         return JumpReport(0.0, dict.fromkeys(_QUANTILES, 0.0), None, 0)
@@ -235,7 +236,7 @@ def _jump_report(leaves: Partition, evaluate: ValuesAndGradients, workspace: Wor
 
 
 def _walk_report(
-    leaves: Partition,
+    leaves: PiecewiseFunction,
     evaluate: ValuesAndGradients,
     workspace: Workspace,
     goal: Float[np.ndarray, "2"],

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._partition import Partition
+from plr_jax._types import PiecewiseFunction
 from plr_jax.geometry.workspace import Workspace
 
 ValuesAndGradients = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]]
@@ -17,7 +17,7 @@ _SIDES_WALKED = 4
 
 
 def face_jumps(
-    partition: Partition, evaluate: ValuesAndGradients, workspace: Workspace, seed: int
+    partition: PiecewiseFunction, evaluate: ValuesAndGradients, workspace: Workspace, seed: int
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
     """Differences of value across the faces of leaves, and where.
 
@@ -52,7 +52,7 @@ def face_jumps(
 
 
 def walk_from_leaves(
-    partition: Partition,
+    partition: PiecewiseFunction,
     evaluate: ValuesAndGradients,
     workspace: Workspace,
     goal: Float[np.ndarray, "2"],

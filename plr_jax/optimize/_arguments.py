@@ -1,16 +1,17 @@
 """What :func:`optimize_paths` is given, checked."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from plr_jax._arrays import as_numbers, require_integer
 from plr_jax._problem import Problem
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, DimensionedFn
 from plr_jax.robots.robot import RectangleRobot
 
 
@@ -20,7 +21,10 @@ def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tupl
     if fns and len(fns) != len(problem.robots):
         raise ValueError(f"distance_fns must be one a robot, {len(problem.robots)}, got {len(fns)}.")
     for i, fn in enumerate(fns):
-        points = jax.ShapeDtypeStruct((2, getattr(fn, "dim", problem.dof)), jnp.float32)
+        dim = fn.dim if isinstance(fn, DimensionedFn) else problem.dof
+        if not 1 <= dim <= problem.dof:
+            raise ValueError(f"distance_fns[{i}] takes {dim} coordinates, configurations have {problem.dof}.")
+        points = jax.ShapeDtypeStruct((2, dim), jnp.float32)
         try:
             shape = jax.eval_shape(fn, points).shape
         except (TypeError, AttributeError, ValueError, jax.errors.JAXTypeError) as error:
@@ -29,7 +33,25 @@ def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tupl
             raise ValueError(
                 f"distance_fns[{i}] must take points (n, dim) to distances (n,), got {shape} for 2 points."
             )
-    return tuple(jax.tree_util.Partial(fn) if jax.tree.leaves(fn) == [fn] else fn for fn in fns)
+    return tuple(_as_pytree(fn) for fn in fns)
+
+
+@dataclass(frozen=True)
+class _OfLeadingCoordinates:
+    """A function of the leading coordinates; equal for equal functions, so that JAX compiles once."""
+
+    fn: Callable[[Array], Array]
+    dim: int
+
+    def __call__(self, q: Array) -> Array:
+        return self.fn(q[:, : self.dim])
+
+
+def _as_pytree(fn: Any) -> Any:
+    if jax.tree.leaves(fn) != [fn]:
+        return fn
+    # A Partial does not pass on the attribute ``dim``.
+    return jax.tree_util.Partial(_OfLeadingCoordinates(fn, fn.dim) if isinstance(fn, DimensionedFn) else fn)
 
 
 def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses steps robots dof"]:

@@ -16,11 +16,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_finite_point, as_numbers, as_points
+from plr_jax._arrays import as_distances, as_finite_point, as_points
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.corners import ReflexCorners, find_corners
+from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.geometry.graph import Graph, dijkstra
-from plr_jax.geometry.places import Places
-from plr_jax.geometry.visibility_search import best_in_sight
+from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
+from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 
 _NUM_WAYS = 2
@@ -102,7 +104,7 @@ def descend(
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")
-    places = Places.of(workspace, goal)
+    places = find_corners(workspace)[0].without(goal).with_goal(goal)
     length, onward = _ways_to_goal(workspace, places, _field_at(distance_fn, places.points))
     free = workspace.is_free(starts)
     first = np.full(len(starts), -1)
@@ -117,24 +119,19 @@ def _field_at(
     distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
 ) -> Float[np.ndarray, "places"]:
     """The field at the goal, where it is zero by definition, and at the corners."""
-    values = distance_fn(points.copy())  # it may compute in place
-    field = as_numbers("The field", values, f"numbers of shape ({len(points)},)")
-    if field.shape != (len(points),):
-        raise ValueError(f"The field must give one number a point, shape ({len(points)},), got {field.shape}.")
-    if np.isnan(field).any():
-        raise ValueError(f"The field gives NaN at {points[np.isnan(field)][0].tolist()}; use inf for unreachable.")
+    field = as_distances("The field", distance_fn(points.copy()), points)  # which may compute in place
     return np.append(0.0, field[1:])
 
 
 def _ways_to_goal(
-    workspace: Workspace, places: Places, field: Float[np.ndarray, "places"]
+    workspace: Workspace, places: ReflexCorners, field: Float[np.ndarray, "places"]
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
     """Length of a free way from each place to the goal, ``inf`` where there is none, and the next place on it."""
-    edges = _edges(workspace, places, field, np.arange(1, len(places)), _NUM_WAYS)
+    edges = _edges(workspace, places, field, np.arange(1, len(places.points)), _NUM_WAYS)
     length, onward = _shortest(places, edges)
     lost = np.flatnonzero(~np.isfinite(length))
     if lost.size:
-        everything = _edges(workspace, places, np.zeros(len(places)), lost, len(places))
+        everything = _edges(workspace, places, np.zeros(len(places.points)), lost, len(places.points))
         edges = _distinct(np.concatenate([edges, everything]))
         length, onward = _shortest(places, edges)
     return _pulled_tight(workspace, places, edges, length, onward)
@@ -142,7 +139,7 @@ def _ways_to_goal(
 
 def _edges(
     workspace: Workspace,
-    places: Places,
+    places: ReflexCorners,
     field: Float[np.ndarray, "places"],
     corners: Int[np.ndarray, "corners"],
     count: int,
@@ -150,27 +147,29 @@ def _edges(
     """Pairs of one of some corners and a place it sees, for the ``count`` ways on that promise to be shortest."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
-        score = places.distances(places.points[corners[rows]]) + field
-        score[np.arange(len(score)), corners[rows]] = np.inf
-        return np.where(places.tangent(corners[rows]), score, np.inf)
+        here = corners[rows]
+        score = distances_between(places.points[here], places.points) + field
+        option = np.isfinite(score) & places.is_tangent(here) & places.is_tangent(slice(None), here).T
+        option[np.arange(len(here)), here] = False
+        return np.where(option, score, np.nan)
 
     def sees(row: Int[np.ndarray, "pairs"], place: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return workspace.is_visible(places.points[corners[row]], places.points[place])
 
-    ways = best_in_sight(lookahead, len(corners), len(places), count, sees)
+    ways, _ = first_visible_in_parts(lookahead, len(corners), len(places.points), sees, count)
     row, column = np.nonzero(ways >= 0)
     return _distinct(np.stack([corners[row], ways[row, column]], axis=1))
 
 
 def _pulled_tight(
     workspace: Workspace,
-    places: Places,
+    places: ReflexCorners,
     edges: Int[np.ndarray, "edges 2"],
     length: Float[np.ndarray, "places"],
     onward: Int[np.ndarray, "places"],
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
     """The ways after joining places to the place after the next where they see it, until no new edge comes up."""
-    tried = np.full(len(places), -1)
+    tried = np.full(len(places.points), -1)
     while True:
         after_next = onward[onward]
         place = np.flatnonzero((onward > 0) & (after_next != tried))
@@ -184,7 +183,7 @@ def _pulled_tight(
 
 
 def _shortest(
-    places: Places, edges: Int[np.ndarray, "edges 2"]
+    places: ReflexCorners, edges: Int[np.ndarray, "edges 2"]
 ) -> tuple[Float[np.ndarray, "places"], Int[np.ndarray, "places"]]:
     """Length of the shortest way to the goal along edges, and the next place on it; the goal follows itself."""
     length, onward = dijkstra(Graph(places.points, edges), 0)
@@ -194,25 +193,24 @@ def _shortest(
 def _first_places(
     workspace: Workspace,
     starts: Float[np.ndarray, "n 2"],
-    places: Places,
+    places: ReflexCorners,
     length: Float[np.ndarray, "places"],
     onward: Int[np.ndarray, "places"],
 ) -> Int[np.ndarray, "n"]:
     """The place that each start goes to first, -1 where none from which the goal can be reached is in sight."""
-    first, taut = np.full(len(starts), -1), places.taut(onward)
+    first = np.where(workspace.is_visible(starts, np.broadcast_to(places.points[0], starts.shape)), 0, -1)
+    reached = 1 + np.flatnonzero(np.isfinite(length[1:]))
+    any_side = np.zeros((2, len(reached), 2))
+    anywhere = TurnPoints(reached, places.points[reached], length[reached], any_side, places.slack)
     # Joints may be missing for the taut ways, so who finds none in sight tries all.
-    for is_option in (taut, None):
+    for options in (find_turn_points(places, length, onward), anywhere):
         pending = np.flatnonzero(first < 0)
         x = starts[pending]
 
-        def lookahead(rows: slice, x=x, is_option=is_option) -> Float[np.ndarray, "rows places"]:
-            score = places.distances(x[rows]) + length
-            return score if is_option is None else np.where(is_option(x[rows]), score, np.inf)
+        def sees(point: Int[np.ndarray, "k"], place: Int[np.ndarray, "k"], x=x) -> Bool[np.ndarray, "k"]:
+            return workspace.is_visible(x[point], places.points[place])
 
-        def sees(row: Int[np.ndarray, "k"], place: Int[np.ndarray, "k"], x=x) -> Bool[np.ndarray, "k"]:
-            return workspace.is_visible(x[row], places.points[place])
-
-        first[pending] = best_in_sight(lookahead, len(x), len(places), 1, sees)[:, 0]
+        first[pending] = options.first_visible(x, sees)[0]
     return first
 
 

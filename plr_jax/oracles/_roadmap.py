@@ -240,7 +240,7 @@ class Roadmap:
         way, distance = first_visible(
             through, lambda point, way: self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
         )
-        return distance, way >= 0
+        return distance[:, 0], way[:, 0] >= 0
 
     def _visible_vertices(self, x: Float[np.ndarray, "1 dim"]) -> dict[int, float]:
         """Every vertex to which a query at a free point is joined, with the length of that edge."""

@@ -8,14 +8,12 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._types import ArrayLike, Distances
-from plr_jax.geometry.corners import Corners, find_corners
-from plr_jax.geometry.first_visible import first_visible
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
-from plr_jax.geometry.turn_points import Turns, find_turns
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, Walls, visibility_table
+from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
-
-_CHUNK = 1 << 18  # pairs of a point and a corner held at a time
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -51,12 +49,12 @@ class VisibilityGraph:
     graph: Graph
     distances: Float[np.ndarray, "vertices"]
     _parents: Int[np.ndarray, "vertices"]
-    _corners: Corners
+    _corners: CornerVisibility
     _goal_table: VisibilityTable
-    _turns: Turns
+    _turns: TurnPoints
 
     def __init__(self, workspace: Workspace, goal: ArrayLike):
-        _assign(self, workspace, _free_goal(workspace, goal), find_corners(workspace))
+        _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace))
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
@@ -161,25 +159,21 @@ class VisibilityGraph:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free(x))
         direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
-        seen, hidden = free[direct], free[~direct]
+        seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        step = max(1, _CHUNK // max(1, len(self._turns.corner)))
-        for begin in range(0, len(hidden), step):
-            rows = hidden[begin : begin + step]
-            distance[rows], turn[rows] = self._best_turns(x[rows])
+        table = self._corners.table
+        first, distance[free[~direct]] = self._turns.first_visible(
+            hidden, lambda point, vertex: table.sees(vertex - 1, hidden[point])
+        )
+        turn[free[~direct]] = np.maximum(first, 0)
         return distance, turn
 
-    def _best_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """The least distance by way of a corner that sees the point, and that corner's vertex (0: none does)."""
-        corner, table = self._turns.corner, self._corners.table
-        lengths = self._turns.path_lengths(x)
-        way, distance = first_visible(lengths, lambda point, way: table.sees(corner[way], x[point]))
-        return distance, np.append(1 + corner, 0)[way]
 
-
-def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: Corners) -> None:
-    goal_table = visibility_table(corners.table.walls, _goal_view(corners.table.walls, goal))
-    graph = _join_goal(corners, goal_table, goal)
+def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: CornerVisibility) -> None:
+    view = _goal_view(workspace.boundary, workspace.tolerance, goal)
+    goal_table = visibility_table(workspace.boundary, workspace.tolerance, view)
+    vertices = corners.corners.with_goal(goal)
+    graph = Graph(vertices.points, np.concatenate([_goal_edges(corners, goal_table, goal), 1 + corners.edges]))
     distances, parents = dijkstra(graph, 0)
     for name, value in (
         ("workspace", workspace),
@@ -189,7 +183,7 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
         ("_parents", parents),
         ("_corners", corners),
         ("_goal_table", goal_table),
-        ("_turns", find_turns(corners, graph, distances, parents)),
+        ("_turns", find_turn_points(vertices, distances, parents)),
     ):
         object.__setattr__(oracle, name, value)
 
@@ -206,11 +200,10 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     return goal
 
 
-def _goal_view(walls: Walls, goal: Float[np.ndarray, "2"]) -> Viewpoints:
+def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"]) -> Viewpoints:
     """The goal as a viewpoint, moved exactly onto the vertex or edge it lies on to within tolerance."""
-    boundary = walls.boundary
     to_vertex = np.linalg.norm(boundary.vertices - goal, axis=1)
-    if to_vertex.min() <= walls.tolerance:
+    if to_vertex.min() <= tolerance:
         vertex = to_vertex.argmin()
         edge = np.flatnonzero(boundary.edges[:, 0] == vertex)
         ends = boundary.edges[edge, 1], boundary.sector_end[edge]
@@ -220,16 +213,17 @@ def _goal_view(walls: Walls, goal: Float[np.ndarray, "2"]) -> Viewpoints:
     foot = start + np.clip(share, 0, 1)[:, None] * (end - start)
     to_edge = np.linalg.norm(goal - foot, axis=1)
     near = to_edge.argmin()
-    if to_edge[near] <= walls.tolerance:
+    if to_edge[near] <= tolerance:
         return Viewpoints(foot[[near]], np.zeros(1, int), boundary.edges[[near], 1], boundary.edges[[near], 0])
     none = np.empty(0, int)
     return Viewpoints(goal[None], none, none, none)
 
 
-def _join_goal(corners: Corners, goal_table: VisibilityTable, goal: Float[np.ndarray, "2"]) -> Graph:
-    """The graph of the goal, vertex 0, and the corners: those that see one another are joined."""
-    indices = np.arange(len(corners.points))
+def _goal_edges(
+    corners: CornerVisibility, goal_table: VisibilityTable, goal: Float[np.ndarray, "2"]
+) -> Int[np.ndarray, "edges 2"]:
+    """Edges from the goal, vertex 0, to the corners: those that see one another are joined."""
+    indices, points = np.arange(len(corners.corners.points)), corners.corners.points
     seen = corners.table.sees(indices, np.tile(goal, (len(indices), 1)))
-    seen &= goal_table.sees(np.zeros_like(indices), corners.points)
-    to_goal = np.stack([np.zeros(seen.sum(), int), 1 + indices[seen]], axis=1)
-    return Graph(np.concatenate([goal[None], corners.points]), np.concatenate([to_goal, 1 + corners.edges]))
+    seen &= goal_table.sees(np.zeros_like(indices), points)
+    return np.stack([np.zeros(seen.sum(), int), 1 + indices[seen]], axis=1)

@@ -1,6 +1,6 @@
 """Heuristics: estimates of the cost-to-go of joint configurations, as sums over robots."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any, TypeAlias
@@ -8,16 +8,30 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import as_values, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._types import ArrayLike, DistanceFn, Distances, JointConfigurations, Points
+from plr_jax._types import (
+    ArrayLike,
+    DimensionedFn,
+    DistanceFn,
+    Distances,
+    HeuristicFn,
+    JointConfigurations,
+    Points,
+    StackableDistanceFn,
+)
 
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]
 """Terms of a heuristic: one a joint configuration and robot, never NaN."""
 
+# Batches in which distance functions are called one by one: few sizes, as one that is compiled is compiled for each,
+# and near to one another where points are many, as those of an oracle that are not asked for take time.
+_BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
+
 
 @dataclass(frozen=True, eq=False)
-class SeparableHeuristic:
-    """A heuristic that is a sum over robots (a :data:`plr_jax._types.HeuristicFn`).
+class SumOverRobots:
+    """A heuristic that is a sum over robots (a :class:`plr_jax._types.SeparableHeuristic`).
 
     Args:
         per_robot: Its terms, of joint configurations ``(n, robots, dof)``: one a configuration and robot.
@@ -42,16 +56,16 @@ class SeparableHeuristic:
         return reduce(np.add, terms.T, np.zeros(len(terms)))
 
 
-def zero() -> SeparableHeuristic:
+def zero() -> SumOverRobots:
     """The heuristic that knows nothing: 0 everywhere, for any team.
 
     Returns:
         The heuristic.
     """
-    return SeparableHeuristic(lambda q: np.zeros(_joint_configurations(q).shape[:2]))
+    return SumOverRobots(lambda q: np.zeros(_joint_configurations(q).shape[:2]))
 
 
-def straight_line(problem: Problem) -> SeparableHeuristic:
+def straight_line(problem: Problem) -> SumOverRobots:
     """Cost of the robots' straight motions to their goals, turns included, as if there were no obstacles.
 
     Args:
@@ -69,19 +83,17 @@ def straight_line(problem: Problem) -> SeparableHeuristic:
         cost[np.isnan(cost)] = np.inf
         return cost
 
-    return SeparableHeuristic(per_robot)
+    return SumOverRobots(per_robot)
 
 
-def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> SeparableHeuristic:
+def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> SumOverRobots:
     """Sum of the robots' distances, each found as if the robot were alone (Section V-B of the paper).
 
     A distance function of fewer dimensions than a configuration sees its leading coordinates. How many, an
-    attribute ``dim`` says; oracles and PLRs have it. A function without one sees all coordinates of the
-    configurations of round robots, ``(x, y)``. Of ``(x, y, theta)`` it is given all three and the first two, and
-    must answer one of them alone, or both alike.
+    attribute ``dim`` says; oracles and PLRs have it. A function without one sees all coordinates.
 
-    Functions of one type that offers ``stack`` are called all at once: ``type(fn).stack(distance_fns)`` must give a
-    function of joint configurations ``(n, robots, dof)`` that returns their distances ``(n, robots)``. ``PLR`` does.
+    Functions of one type that offers ``stack``, as PLRs do, are called all at once. Any others are called in batches
+    of few sizes, filled up with copies of a point, so that one that is compiled is compiled for few.
 
     Args:
         distance_fns: One distance function a robot, in the order of the robots; they may answer in NumPy or JAX.
@@ -92,13 +104,13 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 
     Raises:
         ValueError: If there is no function or something that is not one. When called, if the team is of another
-            size, or a function wants more coordinates than there are, returns another shape than ``(n,)`` or NaN,
-            or has no ``dim`` where it would matter.
+            size, or a function wants more coordinates than there are or returns another shape than ``(n,)`` or NaN.
+            What a function itself raises comes through.
     """
     distance_fns = _distance_fns(distance_fns)
-    kind = type(distance_fns[0])
-    if hasattr(kind, "stack") and all(type(fn) is kind for fn in distance_fns):
-        evaluate = kind.stack(distance_fns)
+    first = distance_fns[0]
+    if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
+        evaluate = first.stack(distance_fns)
     else:
         evaluate = _one_by_one(distance_fns)
 
@@ -106,14 +118,59 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
         q = _joint_configurations(q, len(distance_fns))
         return _without_nan(q, evaluate(q))
 
-    return SeparableHeuristic(per_robot)
+    return SumOverRobots(per_robot)
+
+
+def require_heuristic(heuristic: object) -> None:
+    """Raise ``ValueError`` if a heuristic is none, or a function of this module that makes one."""
+    if not callable(heuristic):
+        raise ValueError(f"heuristic must be a function of joint configurations, got {shortened(heuristic)}.")
+    for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
+        if heuristic is factory:
+            call = f"{factory.__name__}({arguments})"
+            raise ValueError(f"heuristic must be what {call} returns, got {factory.__name__} itself: call it.")
+
+
+def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarray, "n"]:
+    """What a heuristic says of joint configurations, which it is shown in batches of few sizes.
+
+    Args:
+        heuristic: The heuristic.
+        q: Joint configurations, ``(n, robots, dof)``.
+
+    Returns:
+        Its estimates, ``(n,)``; 0 for negative ones.
+
+    Raises:
+        ValueError: If it returns NaN or another shape.
+    """
+    if not len(q):
+        return np.zeros(0)
+    batch = padded(q, padded_size(len(q)), q[-1])
+    return require_estimates(heuristic(batch), batch.shape[:1])[: len(q)]
+
+
+def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    """What a heuristic returned, 0 for negative numbers, or ``ValueError`` if it is NaN or not of a shape."""
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"A heuristic must return numbers, got {shortened(values)}.") from None
+    if numbers.shape != shape:
+        raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
+    if np.isnan(numbers).any():
+        raise ValueError("A heuristic must never return NaN; where it knows nothing, inf or 0 will do.")
+    return np.maximum(numbers, 0.0)  # planes that fit a distance near the goal may dip below 0
 
 
 def _one_by_one(distance_fns: Sequence[DistanceFn]) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
     def evaluate(q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
         distances = np.empty(q.shape[:2])
-        for i, fn in enumerate(distance_fns):
-            distances[:, i] = _distances_of_robot(i, fn, q[:, i])
+        for begin in range(0, len(q), _BATCH_SIZES[-1]):
+            part = q[begin : begin + _BATCH_SIZES[-1]]
+            batch = padded(part, padded_size(len(part), _BATCH_SIZES), part[-1])
+            for i, fn in enumerate(distance_fns):
+                distances[begin : begin + len(part), i] = _distances_of_robot(i, fn, batch[:, i])[: len(part)]
         return distances
 
     return evaluate
@@ -121,41 +178,20 @@ def _one_by_one(distance_fns: Sequence[DistanceFn]) -> Callable[[JointConfigurat
 
 def _distances_of_robot(i: int, fn: DistanceFn, q: Float[np.ndarray, "n dof"]) -> Distances:
     """What a robot's distance function says, shown the leading coordinates that it wants."""
-    dof, dim = q.shape[1], getattr(fn, "dim", None)
-    if dim is None and dof == 3:
-        return _both_ways(i, fn, q)
-    if dim is not None and dim > dof:
-        raise ValueError(f"The distance function of robot {i} takes {dim} coordinates, configurations have {dof}.")
-    return _checked(i, fn(q[:, :dim]), len(q))
-
-
-def _both_ways(i: int, fn: DistanceFn, q: Float[np.ndarray, "n 3"]) -> Distances:
-    """What a function says that does not tell whether it is one of ``(x, y, theta)`` or of ``(x, y)``."""
-    answers, refusals = [], []
-    for dim in (3, 2):
-        try:
-            answers.append(_checked(i, fn(q[:, :dim]), len(q)))
-        except (ValueError, TypeError, IndexError) as refusal:
-            refusals.append(refusal)
-    if not answers:
-        raise ValueError(f"The distance function of robot {i} fails for (n, 3) and (n, 2) points.") from refusals[0]
-    if not np.array_equal(answers[0], answers[-1], equal_nan=True):
-        raise ValueError(
-            f"The distance function of robot {i} answers (x, y, theta) and (x, y) differently. "
-            "Give it an attribute `dim` of 3 or 2, as in `fn.dim = 2`."
-        )
-    return answers[0]
-
-
-def _checked(i: int, distances: ArrayLike, n: int) -> Distances:
-    """A function's result on the host."""
+    name, dof = f"The distance function of robot {i}", q.shape[1]
+    if isinstance(fn, DimensionedFn):
+        if fn.dim > dof:
+            raise ValueError(f"{name} takes {fn.dim} coordinates, configurations have {dof}.")
+        return as_values(name, fn(q[:, : fn.dim]), len(q))
     try:
-        result = np.asarray(distances, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"The distance function of robot {i} must return numbers, got {distances!r:.200}.") from None
-    if result.shape != (n,):
-        raise ValueError(f"The distance function of robot {i} must return shape ({n},), got {result.shape}.")
-    return result
+        return as_values(name, fn(q), len(q))
+    except Exception as error:
+        if dof == 3:
+            error.add_note(
+                f"{name} was given (x, y, theta). If it is one of (x, y), give it an attribute `dim` of 2, as in "
+                "`fn.dim = 2`."
+            )
+        raise
 
 
 def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"]) -> Float[np.ndarray, "n robots"]:
@@ -174,17 +210,16 @@ def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"
 
 
 def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
-    if callable(distance_fns) or not hasattr(distance_fns, "__iter__"):
-        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {distance_fns!r:.200}.")
+    if callable(distance_fns) or not isinstance(distance_fns, Iterable):
+        raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
     distance_fns = tuple(distance_fns)
     if not distance_fns:
         raise ValueError("distance_fns must hold one function a robot, got none.")
     for i, fn in enumerate(distance_fns):
         if not callable(fn):
             raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
-        dim = getattr(fn, "dim", None)
-        if dim is not None and not (isinstance(dim, int | np.integer) and dim > 0):
-            raise ValueError(f"The `dim` of the distance function of robot {i} must be 2 or 3, got {dim!r}.")
+        if isinstance(fn, DimensionedFn) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
+            raise ValueError(f"The `dim` of the distance function of robot {i} must be 2 or 3, got {fn.dim!r}.")
     return distance_fns
 
 
@@ -194,7 +229,7 @@ def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int 
     try:
         q = np.asarray(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"Joint configurations must be numbers of {expected}, got {q!r:.200}.") from None
+        raise ValueError(f"Joint configurations must be numbers of {expected}, got {shortened(q)}.") from None
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
         hint = " Use q[None] for a single one." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")

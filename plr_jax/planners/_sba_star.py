@@ -9,17 +9,17 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from plr_jax._arrays import require_integer
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.collision.walls import motion_test
+from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.planners._heuristics import estimates, require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.robots.robot import RectangleRobot
 
@@ -45,7 +45,8 @@ def sba_star_plan(
 
     Args:
         problem: What to solve.
-        heuristic: Estimated cost-to-go. Where it is ``inf``, the estimate of the tree's parent vertex is taken.
+        heuristic: Estimated cost-to-go. Where it is ``inf``, the estimate of the tree's parent vertex is taken; a
+            negative one counts as 0.
         seed: Seed of the samples.
         time_limit: Seconds after which to give up, positive.
         max_nodes: Number of vertices at which to give up, positive.
@@ -62,13 +63,12 @@ def sba_star_plan(
         Persson and Sharf, Sampling-based A* algorithm for robot path-planning, IJRR 33(13), 2014: without its
         anytime and annealing schedules, with a smooth count of near samples as its density. Section V of the paper.
     """
-    for name, limit in (("time_limit", time_limit), ("max_nodes", max_nodes)):
-        if not isinstance(limit, int | float | np.number) or not limit > 0:
-            raise ValueError(f"{name} must be positive, got {limit!r}.")
-    for name, number in (("seed", seed), ("max_nodes", max_nodes)):
-        if not isinstance(number, int | np.integer) or number < 0:
-            raise ValueError(f"{name} must be an integer of at least 0, got {number!r}.")
-    search = _Search(problem, heuristic, seed, max_nodes)
+    require_heuristic(heuristic)
+    require_integer("seed", seed, 0)
+    require_integer("max_nodes", max_nodes, 1)
+    if not isinstance(time_limit, int | float | np.number) or not time_limit > 0:
+        raise ValueError(f"time_limit must be positive, got {time_limit!r}.")
+    search = _SBAStarSearch(problem, heuristic, seed, max_nodes)
     path, status = None, Status.INTERRUPTED
     with suppress(KeyboardInterrupt):
         path, status = search.run(time_limit)
@@ -94,13 +94,13 @@ class Neighbors(NamedTuple):
         return pairs.take(rank < count)
 
 
-class _Search:
+class _SBAStarSearch:
     """The tree, one row a vertex, of which the first ``size`` are in use, and what its keys are made of."""
 
     def __init__(self, problem: Problem, heuristic: HeuristicFn, seed: int, max_nodes: int):
         self.problem, self.heuristic, self.max_nodes = problem, heuristic, max_nodes
         self.random = np.random.default_rng(seed)
-        self.is_free = _JointMotionTest(problem)
+        self.is_free = JointMotionTest(problem.workspace, problem.robots)
         self.unit = _lengths_of_units(problem)
         self.radius = _RADIUS * float(problem.workspace.bounds.width.max()) * np.sqrt(len(problem.robots))
         capacity = max_nodes + _NUM_EXPANDED * _NUM_SAMPLES
@@ -176,18 +176,9 @@ class _Search:
         with self.timed("join"):
             self.join(rows, owner, neighbors.take(neighbors.row < rows[0]).nearest(_NUM_PARENTS))
         with self.timed("heuristic"):
-            to_go = self.estimate(q)
+            to_go = estimates(self.heuristic, q)
         self.to_go[rows] = np.where(np.isfinite(to_go), to_go, inherited)
         self.size += len(q)
-
-    def estimate(self, q: JointConfigurations) -> Float[np.ndarray, "n"]:
-        """What the heuristic says."""
-        to_go = np.asarray(self.heuristic(q), dtype=np.float64)
-        if to_go.shape != (len(q),) or np.isnan(to_go).any():
-            raise ValueError(
-                f"The heuristic must return {len(q)} numbers for as many configurations, got {to_go!r:.200}."
-            )
-        return to_go
 
     def count_neighbors(self, rows: Int[np.ndarray, "n"], neighbors: Neighbors) -> None:
         """Count each neighbor by a Gaussian of its distance, for the new vertices and for the old ones near them."""
@@ -253,26 +244,6 @@ def _lengths_of_units(problem: Problem) -> Float[np.ndarray, "robots dof"]:
     for i, robot in enumerate(problem.robots):
         unit[i, 2:] = robot.circumscribed_radius if isinstance(robot, RectangleRobot) else 0.0
     return unit
-
-
-class _JointMotionTest:
-    """Whether straight joint motions are free: of obstacles, and of collisions between robots."""
-
-    def __init__(self, problem: Problem):
-        self.problem = problem
-        self.tests = [motion_test(problem.workspace, robot) for robot in problem.robots]
-
-    def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
-        robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
-        left = np.arange(len(q0))
-        for i, test in enumerate(self.tests):
-            left = left[test(q0[left, i], q1[left, i])]
-        for i, j in combinations(range(len(robots)), 2):
-            a0, a1, b0, b1 = q0[left, i], q1[left, i], q0[left, j], q1[left, j]
-            left = left[motions_apart(robots[i], a0, a1, robots[j], b0, b1, tolerance)]
-        free = np.zeros(len(q0), bool)
-        free[left] = True
-        return free
 
 
 class _Neighborhoods:

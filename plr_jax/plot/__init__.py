@@ -6,14 +6,22 @@ global state changes. They have an opaque white page with dark ink, which stays 
 a dark page, and use colors that color-blind readers can tell apart.
 """
 
-from plr_jax.plot._animation import Animation as Animation
-from plr_jax.plot._animation import animate as animate
-from plr_jax.plot._page import save as save
-from plr_jax.plot._paths import plot_path as plot_path
-from plr_jax.plot._paths import plot_problem as plot_problem
-from plr_jax.plot._paths import plot_samples as plot_samples
-from plr_jax.plot._plane import plot_cells as plot_cells
-from plr_jax.plot._plane import plot_contours as plot_contours
-from plr_jax.plot._plane import plot_error as plot_error
-from plr_jax.plot._plane import plot_workspace as plot_workspace
-from plr_jax.plot._surface import plot_surface as plot_surface
+from plr_jax.plot._animation import Animation, animate
+from plr_jax.plot._page import save
+from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
+from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_workspace
+from plr_jax.plot._surface import plot_surface
+
+__all__ = [
+    "Animation",
+    "animate",
+    "plot_cells",
+    "plot_contours",
+    "plot_error",
+    "plot_path",
+    "plot_problem",
+    "plot_samples",
+    "plot_surface",
+    "plot_workspace",
+    "save",
+]

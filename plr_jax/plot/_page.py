@@ -1,7 +1,7 @@
 """The page of a picture: figures, axes, color bars, and what of a PLR is drawn."""
 
 import os
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._partition import Partition
-from plr_jax._types import ArrayLike
+from plr_jax._types import PiecewiseFunction
 from plr_jax.geometry.box import Box
 
 INK = "#262626"
@@ -24,22 +23,19 @@ _DPI = 200
 
 
 @runtime_checkable
-class PlanesOfLeaves(Partition, Protocol):
-    """What a picture of the planes needs."""
+class FunctionsOfLeaves(PiecewiseFunction, Protocol):
+    """What a picture of the leaves' functions needs: the value at points of given leaves' own."""
 
-    @property
-    def slope(self) -> ArrayLike: ...
-    @property
-    def intercept(self) -> ArrayLike: ...
+    def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
 
 
-def require_2d(plr: Partition) -> None:
+def require_2d(plr: PiecewiseFunction) -> None:
     """Refuse a PLR that is not over the plane."""
     if plr.domain.dim != 2:
         raise ValueError(f"Only a 2-D PLR can be drawn, got one of {plr.domain.dim} dimensions.")
 
 
-def cell_corners(plr: Partition) -> Float[np.ndarray, "leaves 4 2"]:
+def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
     """Corners of every cell, counterclockwise."""
     lo, hi = plr.leaf_boxes
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)

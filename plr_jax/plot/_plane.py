@@ -9,8 +9,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
-from plr_jax._partition import Partition
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
@@ -52,7 +51,7 @@ def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
 
 
 def plot_contours(
-    plr: Partition,
+    plr: PiecewiseFunction,
     ax: Axes | None = None,
     *,
     workspace: Workspace | None = None,
@@ -106,7 +105,7 @@ def plot_contours(
 
 
 def plot_cells(
-    plr: Partition, ax: Axes | None = None, *, workspace: Workspace | None = None, color: str = _QUIET
+    plr: PiecewiseFunction, ax: Axes | None = None, *, workspace: Workspace | None = None, color: str = _QUIET
 ) -> Axes:
     """Draw the cells of a 2-D partition, one rectangle a leaf.
 

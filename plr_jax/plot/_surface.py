@@ -14,7 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
     DISTANCE_LABEL,
-    PlanesOfLeaves,
+    FunctionsOfLeaves,
     cell_corners,
     new_axes_3d,
     require_2d,
@@ -24,8 +24,8 @@ from plr_jax.plot._page import (
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 
 
-def plot_surface(plr: PlanesOfLeaves, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
-    """Draw a 2-D distance function as a surface of plane pieces, as in Fig. 1 of the paper.
+def plot_surface(plr: FunctionsOfLeaves, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
+    """Draw a 2-D distance function as a surface of pieces, one a leaf, as in Fig. 1 of the paper.
 
     Args:
         plr: The PLR.
@@ -39,7 +39,7 @@ def plot_surface(plr: PlanesOfLeaves, ax: Axes3D | None = None, *, workspace: Wo
         ValueError: If the PLR is not 2-D, or no leaf has an answer.
     """
     require_2d(plr)
-    pieces = _plane_pieces(plr, workspace)
+    pieces = _pieces(plr, workspace)
     if not pieces:
         raise ValueError("There is nothing to draw: no leaf has an answer in free space.")
     heights = np.array([piece[:, 2].mean() for piece in pieces])
@@ -61,15 +61,17 @@ def plot_surface(plr: PlanesOfLeaves, ax: Axes3D | None = None, *, workspace: Wo
     return ax
 
 
-def _plane_pieces(plr: PlanesOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Every leaf's plane over the leaf (or over the free part of it), as polygons in space."""
-    slope, intercept = np.asarray(plr.slope, dtype=np.float64), np.asarray(plr.intercept, dtype=np.float64)
-    pieces = []
-    for cell, a, b in zip(cell_corners(plr), slope, intercept, strict=True):
-        if np.isfinite(b):
-            for corners in [cell] if workspace is None else _free_parts(cell, workspace):
-                pieces.append(np.column_stack([corners, corners @ a + b]))
-    return pieces
+def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
+    """Every leaf's function at the leaf's corners (or those of the free part of it), as polygons in space."""
+    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
+    pieces = [corners for of_leaf in parts for corners in of_leaf]
+    if not pieces:
+        return []
+    points = np.concatenate(pieces)
+    leaf = np.repeat(np.arange(len(parts)), [sum(map(len, of_leaf)) for of_leaf in parts])
+    heights = np.split(plr.values_in_leaves(leaf, points), np.cumsum([len(corners) for corners in pieces])[:-1])
+    placed = [np.column_stack(piece) for piece in zip(pieces, heights, strict=True)]
+    return [piece for piece in placed if np.isfinite(piece).all()]
 
 
 def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:

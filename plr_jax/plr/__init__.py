@@ -1,29 +1,45 @@
 """Room 2, store: piecewise linear regressions over a binary space partition."""
 
-from plr_jax.plr._construct import construct as construct
-from plr_jax.plr._io import from_bytes as from_bytes
-from plr_jax.plr._io import load as load
-from plr_jax.plr._io import save as save
-from plr_jax.plr._plr import PLR as PLR
-from plr_jax.plr._plr import evaluate as evaluate
-from plr_jax.plr.growth.rounds import ConstructionInterrupted as ConstructionInterrupted
-from plr_jax.plr.growth.rules import best_axis as best_axis
-from plr_jax.plr.growth.rules import center_error as center_error
-from plr_jax.plr.growth.rules import cyclic_axis as cyclic_axis
-from plr_jax.plr.growth.rules import largest_error as largest_error
-from plr_jax.plr.growth.rules import maximum_depth as maximum_depth
-from plr_jax.plr.leaves.continuous.model import Continuous as Continuous
-from plr_jax.plr.leaves.plane.model import Plane as Plane
-from plr_jax.plr.refine.driver import RefinementInterrupted as RefinementInterrupted
-from plr_jax.plr.refine.driver import refine as refine
-from plr_jax.plr.refine.face_samples import Faces as Faces
-from plr_jax.plr.refine.face_samples import sample_faces as sample_faces
-from plr_jax.plr.refine.losses import Planes as Planes
-from plr_jax.plr.refine.losses import eikonal as eikonal
-from plr_jax.plr.refine.losses import jumps as jumps
-from plr_jax.plr.refine.losses import quantile as quantile
-from plr_jax.plr.refine.losses import squared as squared
-from plr_jax.plr.refine.report import Refinement as Refinement
-from plr_jax.plr.sampling.cell_fit import CellFit as CellFit
-from plr_jax.plr.sampling.plane_fits import least_squares as least_squares
-from plr_jax.plr.sampling.plane_fits import midrange as midrange
+from plr_jax.plr._construct import construct
+from plr_jax.plr._io import from_bytes, load, save
+from plr_jax.plr._plr import PLR, evaluate
+from plr_jax.plr.growth.rounds import ConstructionInterrupted
+from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
+from plr_jax.plr.leaves.continuous.model import Continuous
+from plr_jax.plr.leaves.plane.model import Plane
+from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
+from plr_jax.plr.refinement.face_samples import Faces, sample_faces
+from plr_jax.plr.refinement.losses import Planes, eikonal, jumps, quantile, squared
+from plr_jax.plr.refinement.report import Refinement
+from plr_jax.plr.sampling.cell_fit import CellFit
+from plr_jax.plr.sampling.plane_fits import least_squares, midrange
+
+__all__ = [
+    "PLR",
+    "CellFit",
+    "ConstructionInterrupted",
+    "Continuous",
+    "Faces",
+    "Plane",
+    "Planes",
+    "Refinement",
+    "RefinementInterrupted",
+    "best_axis",
+    "center_error",
+    "construct",
+    "cyclic_axis",
+    "eikonal",
+    "evaluate",
+    "from_bytes",
+    "jumps",
+    "largest_error",
+    "least_squares",
+    "load",
+    "maximum_depth",
+    "midrange",
+    "quantile",
+    "refine",
+    "sample_faces",
+    "save",
+    "squared",
+]

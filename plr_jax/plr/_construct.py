@@ -16,6 +16,8 @@ from plr_jax.plr.sampling.oracle import WeightFn
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
+_DENSER = 8  # times as many samples where the first ones hardly meet what is free
+
 
 def construct(
     distance_fn: DistanceFn,
@@ -91,8 +93,10 @@ def construct(
     if not (isinstance(margin, int | float | np.number) and 0 <= margin <= 1):
         raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
     require_integer("seed", seed, 0)
-    pattern = sample_pattern(domain.dim, int(num_samples), float(margin), int(seed))
-    sampler = Sampler(distance_fn, domain, weight_fn, pattern, limits.max_axis_depth, compute_coefficients)
+    pattern, dense = (
+        sample_pattern(domain.dim, n * int(num_samples), float(margin), int(seed)) for n in (1, _DENSER)
+    )
+    sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
     levels, cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
     return plr_of_leaves(Contents(domain, as_loaded, cells, stored), levels)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
@@ -68,10 +69,26 @@ class PLR:
         """
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
-                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {plr!r:.200}.")
+                raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
         is_near = [plr._far_corner is None for plr in plrs]
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
         return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
+
+    def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
+
+        Args:
+            leaf: Index of each point's leaf.
+            x: The points.
+
+        Returns:
+            The values in double precision, ``inf`` for leaves that answer ``inf``.
+        """
+        lo, hi = self.leaf_boxes
+        basis = self.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+        coefficients = self._coefficients[leaf]
+        is_inf = np.isinf(coefficients[:, 0])
+        return np.where(is_inf, np.inf, np.sum(np.where(is_inf[:, None], 0.0, coefficients) * basis, axis=1))
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes."""
@@ -158,9 +175,14 @@ class PLR:
         return decode(self.to_bytes())
 
     @cached_property
+    def _coefficients(self) -> Float[np.ndarray, "leaves terms"]:
+        return _filled_coefficients(self._contents)
+
+    @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        coefficients, is_inf = filled_coefficients(self._contents)
-        center, half = values_at_centers(self.leaf, coefficients, self.dim)
+        is_inf = np.isinf(self._coefficients[:, 0])
+        finite = np.where(is_inf[:, None], 0.0, self._coefficients)
+        center, half = values_at_centers(self.leaf, finite, self.dim)
         lo, hi = self.leaf_boxes
         slope = half * 2 / (hi - lo)
         return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
@@ -198,37 +220,35 @@ def plr_of_leaves(contents: Contents, levels: list[Level]) -> PLR:
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
     """Every PLR comes into being here."""
-    coefficients, is_inf = filled_coefficients(contents)
-    if not (np.abs(coefficients) < LARGEST).all():  # NaN is not
-        raise ValueError("its distances are too large for 32-bit floats; scale them down")
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
-    numbers = leaf.numbers(domain, cells, coefficients, is_inf)
-    if not (np.abs(numbers[~is_inf]) < LARGEST).all():
+    numbers = leaf.numbers(domain, cells, _filled_coefficients(contents))
+    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), as_padded_array(data))
+    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
+    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), file)
 
 
-def filled_coefficients(contents: Contents) -> tuple[Float[np.ndarray, "leaves terms"], Bool[np.ndarray, "leaves"]]:
-    """Coefficients of all leaves, and which answer ``inf``.
+def _filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:
+    """Coefficients of all leaves.
 
     An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
-    corner, so that a free point beside or in a wall has an answer. One that touches none answers ``inf``.
+    corner, so that a free point beside or in a wall has an answer. Of one that touches none the first is ``inf``, the
+    others are 0.
     """
     leaf, cells, unreachable = contents.leaf, contents.cells, contents.leaf.unreachable(contents.stored)
     coefficients = leaf.coefficients(cells, contents.stored)
-    if not unreachable.any():
-        return coefficients, unreachable
-    donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
-    borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
-    center, half = values_at_centers(leaf, coefficients[donor], cells.dim)
-    widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
-    place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
-    along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
-    coefficients[unreachable] = 0.0
-    coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
-    is_inf = unreachable.copy()
-    is_inf[borrower] = False
-    return coefficients, is_inf
+    if not (np.abs(coefficients) < LARGEST).all():
+        raise ValueError("its distances are too large for 32-bit floats; scale them down")
+    if unreachable.any():
+        donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
+        borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
+        center, half = values_at_centers(leaf, coefficients[donor], cells.dim)
+        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
+        place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
+        along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
+        coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
+        coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
+    return coefficients
 
 
 def with_stored(plr: PLR, stored: Any) -> PLR:
@@ -286,13 +306,6 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     _require_real(x)  # which JAX cannot even be shown
     return x
-
-
-def as_padded_array(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """A file's bytes padded with zeros to a power of two, so that functions of like size share compiled code."""
-    padded = np.zeros(1 << (len(data) - 1).bit_length(), np.uint8)
-    padded[: len(data)] = np.frombuffer(data, np.uint8)
-    return padded
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

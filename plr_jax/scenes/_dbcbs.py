@@ -3,6 +3,7 @@
 Both are benchmarks of kinodynamic planning; here their robots are holonomic, with the shapes they have there.
 """
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import shortened
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot, team_dof
+from plr_jax.scenes._documents import errors_named, yaml_of
 
 # A db-CBS unicycle_first_order_0 is this rectangle, though a dynobench model of that name is a disc.
 _SHAPES: dict[str, Robot] = {
@@ -25,6 +28,8 @@ _SHAPES: dict[str, Robot] = {
     "double_integrator_0": DiscRobot(0.1),
     "integrator2_2d_v0": DiscRobot(0.1),
 }
+_MOST_CONFIGURATIONS = 10**7  # trajectories are filled up to the longest, so a small file could mean a huge path
+_EXPECTED = "expected trajectories, each with a list of states [x, y, heading, ...] of finite numbers under 'states'"
 
 
 def read_dbcbs(path: str | os.PathLike[str]) -> Problem:
@@ -49,8 +54,8 @@ def read_dbcbs(path: str | os.PathLike[str]) -> Problem:
         Conflict-Based Search for Multi-Robot Kinodynamic Motion Planning", ICRA 2024.
     """
     path = Path(path)
-    data = _read_yaml(path)
-    try:
+    with errors_named(path):
+        data = yaml_of(path)
         if not isinstance(data, dict) or not {"environment", "robots"} <= set(data):
             raise ValueError('expected the keys "environment" and "robots".')
         robots = [_robot(i, entry) for i, entry in enumerate(_list("robots", data["robots"]))]
@@ -60,8 +65,6 @@ def read_dbcbs(path: str | os.PathLike[str]) -> Problem:
             for key in ("start", "goal")
         )
         return Problem(_workspace(data["environment"]), robots, starts, goals)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> Float[np.ndarray, "steps robots 3"]:
@@ -79,66 +82,68 @@ def read_trajectories(path: str | os.PathLike[str]) -> Float[np.ndarray, "steps 
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    data = _read_yaml(path)
-    try:
-        results = data.get("result", [data])
-        tracks = [
-            np.array([state[:3] for state in result["states"]], dtype=np.float64).reshape(-1, 3) for result in results
-        ]
-        steps = max(map(len, tracks))
-        if min(map(len, tracks)) == 0:
-            raise ValueError
+    with errors_named(path):
+        data = yaml_of(path)
+        tracks = [_track(entry) for entry in _list("result", _trajectories(data))]
+        steps = max(map(len, tracks), default=0)
+        if not 0 < steps * len(tracks) <= _MOST_CONFIGURATIONS:
+            raise ValueError(f"{_EXPECTED}, at most {_MOST_CONFIGURATIONS:,} together, got {len(tracks)} x {steps}.")
         return np.stack([track[np.minimum(np.arange(steps), len(track) - 1)] for track in tracks], axis=1)
-    except (AttributeError, TypeError, KeyError, IndexError, ValueError):
-        raise ValueError(
-            f"{path}: expected trajectories, each with a list of states [x, y, heading, ...] under 'states'."
-        ) from None
 
 
-def _read_yaml(path: Path) -> Any:
-    import yaml
+def _trajectories(data: Any) -> Any:
+    return data.get("result", [data]) if isinstance(data, dict) else [data]
 
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: expected YAML ({error}).") from None
+
+def _track(entry: Any) -> Float[np.ndarray, "steps 3"]:
+    states = entry.get("states") if isinstance(entry, dict) else None
+    if not (isinstance(states, list) and states and all(_are_numbers(state, 3) for state in states)):
+        raise ValueError(f"{_EXPECTED}, got {shortened(states)}.")
+    return np.array([state[:3] for state in states], dtype=np.float64)
 
 
 def _list(name: str, value: Any) -> list[Any]:
     if not isinstance(value, list):
-        raise ValueError(f'expected "{name}" to be a list, got {value!r:.80}.')
+        raise ValueError(f'expected "{name}" to be a list, got {shortened(value)}.')
     return value
 
 
 def _robot(i: int, entry: Any) -> Robot:
     if not isinstance(entry, dict) or not {"type", "start", "goal"} <= set(entry):
-        raise ValueError(f'expected robot {i} to have the keys "type", "start" and "goal", got {entry!r:.80}.')
-    if entry["type"] not in _SHAPES:
-        raise ValueError(f"robot {i} has type {entry['type']!r}; known are {', '.join(_SHAPES)}.")
+        raise ValueError(f'expected robot {i} to have the keys "type", "start" and "goal", got {shortened(entry)}.')
+    if not isinstance(entry["type"], str) or entry["type"] not in _SHAPES:
+        raise ValueError(f"robot {i} has type {shortened(entry['type'])}; known are {', '.join(_SHAPES)}.")
     return _SHAPES[entry["type"]]
 
 
 def _state(i: int, key: str, state: Any, robot: Robot, dof: int) -> list[float]:
     """Position and, where the team has one, heading."""
     needed = 3 if isinstance(robot, RectangleRobot) else 2
-    numbers = isinstance(state, list) and all(isinstance(x, int | float) for x in state)
-    if not numbers or len(state) < needed:
-        raise ValueError(f"expected robot {i} to have a {key} of at least {needed} numbers, got {state!r:.80}.")
+    if not _are_numbers(state, needed):
+        raise ValueError(f"expected robot {i} to have a {key} of at least {needed} numbers, got {shortened(state)}.")
     return [*map(float, state[:needed]), 0.0][:dof]
 
 
 def _workspace(environment: Any) -> Workspace:
     if not isinstance(environment, dict) or not {"min", "max"} <= set(environment):
-        raise ValueError(f'expected "environment" to have the keys "min" and "max", got {environment!r:.80}.')
+        raise ValueError(f'expected "environment" to have the keys "min" and "max", got {shortened(environment)}.')
     obstacles = [_box(i, entry) for i, entry in enumerate(_list("obstacles", environment.get("obstacles") or []))]
     return Workspace((environment["min"], environment["max"]), obstacles)
 
 
 def _box(i: int, entry: Any) -> Float[np.ndarray, "4 2"]:
-    try:
-        if entry["type"] != "box":
-            raise ValueError
-        center, size = np.array([entry["center"], entry["size"]], dtype=np.float64).reshape(2, 2)
-    except (TypeError, KeyError, ValueError):
-        raise ValueError(f"expected obstacle {i} to be a box with a center and a size, got {entry!r:.80}.") from None
+    sides: list[Any] = [entry.get(key) for key in ("center", "size")] if isinstance(entry, dict) else []
+    is_box = bool(sides) and entry.get("type") == "box"
+    if not (is_box and all(_are_numbers(side, 2) and len(side) == 2 for side in sides)):
+        raise ValueError(f"expected obstacle {i} to be a box with a center and a size, got {shortened(entry)}.")
+    center, size = np.array(sides, dtype=np.float64)
     return center + 0.5 * size * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+
+
+def _are_numbers(value: Any, least: int) -> bool:
+    """Whether a value is a list that begins with so many finite numbers."""
+    return (
+        isinstance(value, list)
+        and len(value) >= least
+        and all(isinstance(x, int | float) and math.isfinite(x) for x in value[:least])
+    )

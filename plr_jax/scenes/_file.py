@@ -25,11 +25,12 @@ from typing import Any
 
 import shapely
 
+from plr_jax._arrays import as_points, shortened
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot, Robot
-from plr_jax.scenes._polygons import read_json
+from plr_jax.scenes._documents import errors_named, json_of
 
 _FORMAT = "plr_jax scene"
 _VERSION = 2
@@ -82,14 +83,12 @@ def load(path: str | os.PathLike[str]) -> Problem:
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    try:
-        scene = read_json(path)
+    with errors_named(path):
+        scene = json_of(path)
         _check_header(scene)
         robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = _rotation_weight(scene)
         return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def is_scene(path: str | os.PathLike[str]) -> bool:
@@ -105,7 +104,7 @@ def is_scene(path: str | os.PathLike[str]) -> bool:
         OSError: If the file cannot be read.
     """
     try:
-        scene = read_json(Path(path))
+        scene = json_of(Path(path))
     except ValueError:
         return False
     return isinstance(scene, dict) and scene.get("format") == _FORMAT
@@ -116,20 +115,21 @@ def _check_header(scene: Any) -> None:
         raise ValueError(f'expected a scene file, with "format": "{_FORMAT}".')
     version = scene.get("version")
     if not isinstance(version, int) or version < 1:
-        raise ValueError(f"expected a version number of at least 1, got {version!r}.")
+        raise ValueError(f"expected a version number of at least 1, got {shortened(version)}.")
     if version > _VERSION:
         raise ValueError(f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax.")
     missing = [key for key in _KEYS if key not in scene]
     if missing:
         raise ValueError(f"expected the keys {', '.join(_KEYS)}; missing {', '.join(missing)}.")
-    if not isinstance(scene["robots"], list):
-        raise ValueError(f'expected "robots" to be a list, got {scene["robots"]!r}.')
+    robots = scene["robots"]
+    if not isinstance(robots, list):
+        raise ValueError(f'expected "robots" to be a list, got {shortened(robots)}.')
 
 
 def _rotation_weight(scene: dict[str, Any]) -> float | None:
     weight = scene.get("rotation_weight") if scene["version"] > 1 else None
     if weight is not None and (isinstance(weight, bool) or not isinstance(weight, int | float)):
-        raise ValueError(f'expected "rotation_weight" to be a number, got {weight!r}.')
+        raise ValueError(f'expected "rotation_weight" to be a number, got {shortened(weight)}.')
     return None if weight is None else float(weight)
 
 
@@ -146,7 +146,7 @@ def _robot(i: int, entry: Any, version: int) -> Robot:
     kind, sizes, _ = known.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
     if kind is None or set(entry) != {"shape", *sizes}:
         forms = " or ".join(str({"shape": name, **dict.fromkeys(row[1], 1.0)}) for name, row in known.items())
-        raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {entry!r}.")
+        raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
     try:
         return kind(*(entry[size] for size in sizes))
     except ValueError as error:
@@ -171,13 +171,13 @@ def _ring(ring: shapely.LinearRing) -> list[list[float]]:
 def _workspace(entry: Any) -> Workspace:
     keys = ("bounds", "obstacles", "squeeze")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
-        raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {entry!r:.80}.')
-    if not isinstance(entry["squeeze"], bool):
-        raise ValueError(f'expected "squeeze" to be true or false, got {entry["squeeze"]!r}.')
-    if not isinstance(entry["obstacles"], list):
-        raise ValueError(f'expected "obstacles" to be a list, got {entry["obstacles"]!r:.80}.')
-    obstacles = [_obstacle(i, obstacle) for i, obstacle in enumerate(entry["obstacles"])]
-    return Workspace(entry["bounds"], obstacles, squeeze=entry["squeeze"])
+        raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
+    bounds, obstacles, squeeze = (entry[key] for key in keys)
+    if not isinstance(squeeze, bool):
+        raise ValueError(f'expected "squeeze" to be true or false, got {shortened(squeeze)}.')
+    if not isinstance(obstacles, list):
+        raise ValueError(f'expected "obstacles" to be a list, got {shortened(obstacles)}.')
+    return Workspace(bounds, [_obstacle(i, obstacle) for i, obstacle in enumerate(obstacles)], squeeze=squeeze)
 
 
 def _obstacle(i: int, entry: Any) -> Any:
@@ -187,6 +187,7 @@ def _obstacle(i: int, entry: Any) -> Any:
     if not entry.get("holes"):
         return entry["outer"]
     try:
-        return shapely.Polygon(entry["outer"], entry["holes"])
-    except (TypeError, ValueError, shapely.errors.ShapelyError) as error:
+        outer, *holes = (as_points("it", ring, 2) for ring in [entry["outer"], *entry["holes"]])
+        return shapely.Polygon(outer, holes)
+    except ValueError as error:
         raise ValueError(f"a ring of obstacle {i} is no list of at least three points ({error}).") from None

@@ -8,7 +8,9 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
+from plr_jax._arrays import shortened
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.scenes._documents import errors_named, text_of
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4
@@ -39,31 +41,31 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
         N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
         https://movingai.com/benchmarks/formats.html.
     """
-    free = _passable_cells(Path(path))
-    polygons = shapely.get_parts(_union_of_cells(free))
-    components = [
-        {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
-        for polygon in polygons
-    ]
-    return Workspace.from_polygons(components, squeeze=squeeze)
+    path = Path(path)
+    with errors_named(path):
+        polygons = shapely.get_parts(_union_of_cells(_passable_cells(text_of(path).splitlines())))
+        components = [
+            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
+            for polygon in polygons
+        ]
+        return Workspace.from_polygons(components, squeeze=squeeze)
 
 
-def _passable_cells(path: Path) -> Bool[np.ndarray, "rows columns"]:
-    lines = _text(path).splitlines()
-    rows, columns = _header(path, lines)
+def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
+    rows, columns = _header(lines)
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
-        raise ValueError(f"{path} is cut short: its header promises {rows} rows, it has {len(grid)}.")
+        raise ValueError(f"the map is cut short: its header promises {rows} rows, it has {len(grid)}.")
     for number, line in enumerate(grid, start=_HEADER_LINES + 1):
         if len(line) != columns:
-            raise ValueError(f"{path}, line {number}: expected {columns} cells, got {len(line)}.")
+            raise ValueError(f"line {number}: expected {columns} cells, got {len(line)}.")
     free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
     if not free.any():
-        raise ValueError(f"{path} has no passable cell (one of {', '.join(_PASSABLE)}).")
+        raise ValueError(f"the map has no passable cell (one of {', '.join(_PASSABLE)}).")
     return free
 
 
-def _header(path: Path, lines: list[str]) -> tuple[int, int]:
+def _header(lines: list[str]) -> tuple[int, int]:
     """Rows and columns promised by ``type ... / height N / width N / map``."""
     words = [line.split() for line in lines[:_HEADER_LINES]]
     match words:
@@ -72,8 +74,7 @@ def _header(path: Path, lines: list[str]) -> tuple[int, int]:
         ):
             return int(height), int(width)
     raise ValueError(
-        f"{path} is not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' "
-        "at its beginning."
+        "not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' at its beginning."
     )
 
 
@@ -126,17 +127,18 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
         https://movingai.com/benchmarks/formats.html.
     """
     path = Path(path)
-    lines = _text(path).splitlines()
-    if not lines or lines[0].split()[:1] != ["version"]:
-        raise ValueError(f"{path} is not a Moving AI scenario: expected its first line to be 'version 1'.")
-    rows = [_query(path, number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
-    if not rows:
-        raise ValueError(f"{path} has no queries.")
+    with errors_named(path):
+        lines = text_of(path).splitlines()
+        if not lines or lines[0].split()[:1] != ["version"]:
+            raise ValueError("not a Moving AI scenario: expected its first line to be 'version 1'.")
+        rows = [_query(number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
+        if not rows:
+            raise ValueError("the scenario has no queries.")
     numbers = np.array([row[1] for row in rows])
     return Scenario(rows[0][0], numbers[:, 0:2], numbers[:, 2:4], numbers[:, 4])
 
 
-def _query(path: Path, number: int, line: str) -> tuple[str, list[float]]:
+def _query(number: int, line: str) -> tuple[str, list[float]]:
     """Map name and ``start x, start y, goal x, goal y, length`` of one line."""
     fields = line.split("\t") if "\t" in line else line.split()
     try:
@@ -147,14 +149,7 @@ def _query(path: Path, number: int, line: str) -> tuple[str, list[float]]:
             raise ValueError
     except ValueError:
         raise ValueError(
-            f"{path}, line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
-            f"and octile length, got {line!r}."
+            f"line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
+            f"and octile length, got {shortened(line)}."
         ) from None
     return fields[1], numbers
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a text file.") from None

@@ -1,11 +1,11 @@
 """Reader of polygon files: free space as outer rings with holes, in JSON."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.scenes._documents import errors_named, json_of
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
@@ -31,20 +31,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    try:
-        return Workspace.from_polygons(_components(read_json(path)), squeeze=squeeze)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def read_json(path: Path) -> Any:
-    """The parsed JSON file, with an error that names what is wrong with it instead of a traceback."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise ValueError("expected JSON text, got a binary file.") from None
-    except json.JSONDecodeError as error:
-        raise ValueError(f"expected JSON, got something else or a damaged file ({error}).") from None
+    with errors_named(path):
+        return Workspace.from_polygons(_components(json_of(path)), squeeze=squeeze)
 
 
 def _components(data: Any) -> list[dict[str, Any]]:

@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import subprocess
 import sys
@@ -8,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 import plr_jax
-from plr_jax import ContinuousPLR, VisibilityGraph, construct_continuous, scenes
-from plr_jax.cli import app
-from plr_jax.plr import PLR, load
+from plr_jax import VisibilityGraph, construct, scenes
+from plr_jax.cli import load_app
+from plr_jax.plr import load
 
-runner = CliRunner()
+runner, app = CliRunner(), load_app()
 
 
 def run(*arguments, **kwargs):
@@ -29,13 +30,28 @@ def mistake(*arguments, **kwargs):
     return result.stderr
 
 
-@pytest.fixture(scope="module", params=["none", "value", "gradient"])
-def maze(request, tmp_path_factory):
-    """A file of each kind."""
-    path = tmp_path_factory.mktemp("plr") / f"{request.param}.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 600, "--continuity", request.param)
+def built(leaf, folder):
+    path = folder / f"{leaf}.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", leaf)
     assert result.exit_code == 0, result.output
     return path
+
+
+@pytest.fixture(scope="module", params=["plane", "continuous", "smooth"])
+def maze(request, tmp_path_factory):
+    """A file of each kind."""
+    return built(request.param, tmp_path_factory.mktemp("maze"))
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory):
+    """A file, where its kind makes no difference."""
+    return built("plane", tmp_path_factory.mktemp("plane"))
+
+
+def test_build_makes_every_kind(maze):
+    assert load(maze).leaf.name == maze.stem
+    assert maze.stat().st_size <= 300
 
 
 def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
@@ -75,23 +91,13 @@ def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):
     assert load(tmp_path / "maze.plr").depth <= 3
 
 
-@pytest.mark.parametrize("continuity, order", [("value", 0), ("gradient", 1)])
-def test_build_makes_continuous_functions(continuity, order, tmp_path):
-    path = tmp_path / "out.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 700, "--max-leaves", 30, "--continuity", continuity)
-    assert result.exit_code == 0, result.output
-    plr, workspace = load(path), scenes.maze().workspace
-    assert isinstance(plr, ContinuousPLR) and plr.order == order
-    assert path.stat().st_size <= 700 and plr.num_leaves <= 30
-    expected = construct_continuous(
-        VisibilityGraph(workspace, scenes.maze().goals[0]),
-        workspace.bounds,
-        order=order,
-        max_bytes=700,
-        max_leaves=30,
-    )
-    assert path.read_bytes() == expected.to_bytes()
-    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves} leaves, depth {plr.depth}" in result.stdout
+def test_build_is_construct(tmp_path):
+    limits = {"max_bytes": 700, "max_leaves": 9, "max_depth": 4, "tolerance": 0.01, "seed": 3}
+    options = [word for name, value in limits.items() for word in (f"--{name.replace('_', '-')}", value)]
+    assert run("build", "maze", "-o", tmp_path / "out.plr", *options).exit_code == 0
+    workspace = scenes.maze().workspace
+    expected = construct(VisibilityGraph(workspace, scenes.maze().goals[0]), workspace.bounds, **limits)
+    assert (tmp_path / "out.plr").read_bytes() == expected.to_bytes()
 
 
 def test_build_knows_the_floor_plan(tmp_path):
@@ -111,11 +117,8 @@ def test_build_explains_mistakes(tmp_path):
     assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
     assert "goal [0.5, 0.45] lies in an obstacle" in mistake("build", "maze", "--goal", "0.5,0.45", *out)
     assert "goal [1.5, 0.5] lies outside the bounds" in mistake("build", "maze", "--goal", "1.5,0.5", *out)
-    for continuity in ("none", "value", "gradient"):
-        assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", "--continuity", continuity, *out)
-    assert "--max-depth is for --continuity none, not for value: give --max-bytes" in mistake(
-        "build", "maze", "--continuity", "value", "--max-depth", "5", *out
-    )
+    for leaf in ("plane", "continuous", "smooth"):
+        assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", "--leaf", leaf, *out)
     assert not (tmp_path / "out.plr").exists()
 
 
@@ -139,64 +142,84 @@ def test_query_reads_standard_input_and_prints_gradients(maze):
     assert outside[0] == np.inf
 
 
-def test_query_explains_mistakes(maze, tmp_path):
+def test_query_explains_mistakes(plane, tmp_path):
     assert "stdin, line 2: expected 2 comma-separated finite numbers, got 'a,b'" in mistake(
-        "query", maze, input="0.1,0.2\na,b\n"
+        "query", plane, input="0.1,0.2\na,b\n"
     )
-    assert "stdin has no points" in mistake("query", maze, input="")
-    assert "No such file" in mistake("query", maze, tmp_path / "none.csv")
+    assert "stdin has no points" in mistake("query", plane, input="")
+    assert "No such file" in mistake("query", plane, tmp_path / "none.csv")
     assert "No such file" in mistake("query", tmp_path / "none.plr", input="0,0\n")
     (tmp_path / "foreign.plr").write_text("not a PLR at all, but long enough to hold a header")
     assert "foreign.plr" in mistake("query", tmp_path / "foreign.plr", input="0,0\n")
     (tmp_path / "points.csv").write_bytes(b"\xff\xfe\x00")
-    assert "points.csv is not a text file" in mistake("query", maze, tmp_path / "points.csv")
-    assert "is a directory" in mistake("query", maze, tmp_path).lower()
+    assert "points.csv is not a text file" in mistake("query", plane, tmp_path / "points.csv")
+    assert "is a directory" in mistake("query", plane, tmp_path).lower()
 
 
 def test_info_says_what_is_in_the_file(maze):
     result = run("info", maze)
     plr = load(maze)
     assert result.exit_code == 0
-    kind = {
-        "none": "a plane a leaf",
-        "value": "continuous, wherever one can walk",
-        "gradient": "continuous, and so is its gradient, wherever one can walk",
-    }[maze.stem]
-    assert f"kind       {kind}\n" in result.stdout
+    assert f"leaf       {maze.stem}\n" in result.stdout
     assert "[0.0, 0.0] to [1.0, 1.0] (2-D)" in result.stdout
     assert f"{plr.num_leaves:,}, of which 0 unreachable" in result.stdout
     assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
 
 
 @pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])
-def test_plot_writes_pictures(kind, maze, tmp_path):
+def test_plot_writes_pictures(kind, plane, tmp_path):
     path = tmp_path / "picture.png"
-    if kind == "surface" and not isinstance(load(maze), PLR):
-        assert "draw --kind distance or cells" in mistake("plot", maze, "--kind", kind, "-o", path)
-        return
-    result = run("plot", maze, "--map", "maze", "--kind", kind, "-o", path)
+    result = run("plot", plane, "--map", "maze", "--kind", kind, "-o", path)
     assert result.exit_code == 0, result.output
     assert path.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {path}" in result.stdout
 
 
-def test_plot_needs_no_map(maze, tmp_path):
-    assert run("plot", maze, "-o", tmp_path / "picture.svg").exit_code == 0
+def test_plot_needs_no_map(plane, tmp_path):
+    assert run("plot", plane, "-o", tmp_path / "picture.svg").exit_code == 0
     assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
 
 
-def test_plot_explains_mistakes(maze, tmp_path):
-    assert "give --map" in mistake("plot", maze, "--kind", "error", "-o", tmp_path / "a.png")
-    assert "docx" in mistake("plot", maze, "-o", tmp_path / "a.docx")
-    assert "No such file" in mistake("plot", maze, "-o", tmp_path / "none" / "a.png")
-    assert "--goal needs --map" in mistake("plot", maze, "--goal", "0,0", "-o", tmp_path / "a.png")
+def test_plot_says_which_file_it_wrote(plane, tmp_path):
+    result = run("plot", plane, "-o", tmp_path / "pic")
+    assert result.stdout == f"wrote {tmp_path / 'pic.png'}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["pic.png"]
+
+
+def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypatch):
+    def work(*_):
+        pytest.fail("this is work")
+
+    for name in ("scenes.maze", "plr.load"):
+        monkeypatch.setattr(f"plr_jax.{name}", work)
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    (tmp_path / "file").touch()
+    cases = [(tmp_path / "none" / "a.png", "No such folder"), (tmp_path, "Is a directory"), (loop, "Too many levels")]
+    cases += [(tmp_path / ("x" * 300), "File name too long"), (tmp_path / "file" / "a.png", "Not a directory")]
+    for path, message in cases:
+        assert message in mistake("build", "maze", "-o", path)
+    (tmp_path / "folder.png").mkdir()
+    assert "No such folder" in mistake("plot", "a.plr", "-o", tmp_path / "none" / "a.png")
+    assert "folder.png: Is a directory" in mistake("plot", "a.plr", "-o", tmp_path / "folder.png")
+
+
+def test_plot_explains_mistakes(plane, tmp_path):
+    assert "give --map" in mistake("plot", plane, "--kind", "error", "-o", tmp_path / "a.png")
+    assert "a.docx must end in .png or .pdf or .svg" in mistake("plot", plane, "-o", tmp_path / "a.docx")
+    assert "none: No such folder" in mistake("plot", plane, "-o", tmp_path / "none" / "a.png")
+    assert "--goal needs --map" in mistake("plot", plane, "--goal", "0,0", "-o", tmp_path / "a.png")
 
 
 def test_demo_writes_what_it_says(tmp_path, monkeypatch):
     from plr_jax.cli import _demo
 
+    pair = scenes.four_rooms(2)
+    monkeypatch.setattr("plr_jax.scenes.four_rooms", lambda num_robots: pair)
     monkeypatch.setattr(_demo, "_PLR_POINTS", 1000)
     monkeypatch.setattr(_demo, "_ORACLE_POINTS", 100)
+    monkeypatch.setattr(_demo, "DEFAULT_BYTES", 500)
+    monkeypatch.setattr(_demo, "_GIF_SECONDS", 1)
     result = run("demo", "--output", tmp_path / "new" / "folder")
     assert result.exit_code == 0, result.output
     pictures = ("maze_distance.png", "maze_error.png", "maze_surface.png", "four_rooms.html", "four_rooms.gif")
@@ -209,9 +232,8 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         assert word in result.stdout
 
 
-@pytest.mark.parametrize("continuity, last_call", [("none", 3), ("value", 6)])
-def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(continuity, last_call, tmp_path, monkeypatch):
-    calls = []
+def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, monkeypatch):
+    calls, last_call = [], 4
 
     def interrupt_later(self, x):
         calls.append(len(x))
@@ -220,7 +242,7 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(continuity, 
         return np.hypot(*x.T)
 
     monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
-    result = run("build", "maze", "-o", tmp_path / "out.plr", "--continuity", continuity)
+    result = run("build", "maze", "-o", tmp_path / "out.plr")
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
     assert len(calls) == last_call
@@ -238,6 +260,32 @@ def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatc
     assert not (tmp_path / "out.plr").exists()
 
 
+def script(code, *arguments, **environment):
+    """A process of its own, in which the code runs."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, check=False, capture_output=True, text=True, env={**os.environ, **environment})
+
+
+def test_an_interrupt_while_the_command_loads_is_no_traceback(tmp_path):
+    (tmp_path / "typer.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    done = script("from plr_jax.cli import main; main()", PYTHONPATH=path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_a_command_that_is_terminated_leaves_no_half_written_file(tmp_path):
+    code = """
+import os, pathlib, signal, sys
+from plr_jax import _atomic, cli
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGTERM)
+cli.load_app = lambda: lambda: _atomic.write_atomically(pathlib.Path(sys.argv[1]), b"data")
+cli.main()
+"""
+    done = script(code, tmp_path / "file")
+    assert (done.returncode, done.stderr) == (143, "")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["plan"], ["demo"]])
 def test_help_has_an_example(command):
     result = run(*command, "--help")
@@ -247,10 +295,10 @@ def test_help_has_an_example(command):
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from plr_jax.cli import app\n"
-        "try: app(['--help'])\n"
+        "import sys; from plr_jax.cli import load_app\n"
+        "try: load_app()(['--help'])\n"
         "except SystemExit: pass\n"
         "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    done = script(code)
     assert done.returncode == 0, done.stderr

@@ -6,14 +6,14 @@ import pytest
 from typer.testing import CliRunner
 
 from plr_jax import Problem, Workspace, scenes, validate
-from plr_jax.cli import _planning, app
+from plr_jax.cli import _planning, load_app
 from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
 from plr_jax.oracles import robot_distance_fns
 from plr_jax.planners import BLOptions, Status, bl_plan, straight_line
 from plr_jax.plr import construct
 from plr_jax.robots.robot import DiscRobot, PointRobot, RectangleRobot
 
-runner = CliRunner()
+runner, app = CliRunner(), load_app()
 SQUARE = Workspace(((0, 0), (10, 10)))
 YAML = """
 environment:
@@ -62,13 +62,25 @@ def planned(monkeypatch, door):
 
 def test_four_rooms_from_start_to_end(tmp_path):
     files = [tmp_path / name for name in ("path.json", "path.html", "path.png")]
-    result = run("four_rooms", "--plr-bytes", 512, "-o", files[0], "--animation", files[1], "--picture", files[2])
+    result = run(
+        "four_rooms",
+        "--robots",
+        2,
+        "--plr-bytes",
+        512,
+        "-o",
+        files[0],
+        "--animation",
+        files[1],
+        "--picture",
+        files[2],
+    )
     assert result.exit_code == 0, result.output
-    data, problem = json.loads(files[0].read_text()), scenes.four_rooms(4)
+    data, problem = json.loads(files[0].read_text()), scenes.four_rooms(2)
     report = validate(problem, data["path"])
     assert report.valid, report.message
     assert (report.cost, report.clearance, "SOLVED") == (data["cost"], data["clearance"], data["status"])
-    assert np.shape(data["path"])[1:] == (4, 2)
+    assert np.shape(data["path"])[1:] == (2, 2)
     assert files[1].read_text().startswith("<!doctype html>")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     lines = result.stdout.splitlines()
@@ -78,8 +90,8 @@ def test_four_rooms_from_start_to_end(tmp_path):
     before = ["robots", "heuristic", "status", "search", "cost", "makespan", "check"]
     assert words == [*before, "wrote", "wrote", "wrote", "seconds", "planning:"]
     text = result.stdout
-    assert "robots     4 discs of radius 0.4\n" in text
-    assert "plr: 4 PLRs, " in text and " bytes, built in " in text
+    assert "robots     2 discs of radius 0.4\n" in text
+    assert "plr: 2 PLRs, " in text and " bytes, built in " in text
     ratio = data["cost"] / data["lower_bound"]
     assert f"{data['cost']:.4g}, {ratio:.3f} times the lower bound of {data['lower_bound']:.4g}\n" in text
     assert f"makespan   {data['makespan']:.4g}\n" in text
@@ -137,7 +149,7 @@ def test_heuristics_are_what_their_names_say():
     q = problem.starts[None] + np.array([[[0.0, 0.0]], [[0.5, 3.0]]])
     values = {}
     for name in Heuristic:
-        function, plrs = _planning.build(name, problem, exact, 1024, 0)
+        function, plrs = _planning.heuristic_of(name, problem, exact, 1024, 0)
         values[name] = function(q)
         assert len(plrs) == (name in (Heuristic.plr, Heuristic.point_plr))
     assert not values[Heuristic.none].any()
@@ -152,7 +164,7 @@ def test_robots_of_one_size_and_goal_share_a_plr():
     robots = [PointRobot(), PointRobot(), DiscRobot(0.5), PointRobot()]
     goals = [(1, 1), (1, 1), (3, 1), (8, 8)]
     problem = Problem(SQUARE, robots, [(1, 9), (2, 9), (4, 9), (6, 9)], goals)
-    function, plrs = _planning.build(Heuristic.plr, problem, robot_distance_fns(problem), 300, 0)
+    function, plrs = _planning.heuristic_of(Heuristic.plr, problem, robot_distance_fns(problem), 300, 0)
     assert len(plrs) == 3
     assert function.per_robot(np.array([[[1.0, 5.0]] * 4]))[0, [0, 3]] == pytest.approx([4, np.hypot(7, 3)], abs=0.2)
 
@@ -217,6 +229,13 @@ def test_mistakes_are_explained_before_any_work(tmp_path):
     assert f"{tmp_path / 'none'}: No such folder" in mistake("maze", "-o", tmp_path / "none" / "a.json")
     (tmp_path / "folder.json").mkdir()
     assert "folder.json: Is a directory" in mistake("maze", "-o", tmp_path / "folder.json")
+
+
+def test_the_help_shows_the_defaults_of_the_planner():
+    text = " ".join(run("--help").stdout.replace("│", " ").split())
+    for field in ("batch", "branching", "width", "cost_factor", "time_limit", "max_expansions", "max_memory"):
+        option = text.split(f"--{field.replace('_', '-')} ")[1].split(" --")[0]
+        assert f"[default: {getattr(BLOptions, field):g}]" in option
 
 
 def test_a_file_that_must_not_be_written_is_refused(tmp_path, monkeypatch):

@@ -124,7 +124,7 @@ def test_shares_count_for_the_innermost_part_under_way(monkeypatch):
 
     source = "def fit(oracle):\n    for _ in range(100):\n        abs(-1)\n    oracle()\n"
     in_fit = {}
-    exec(compile(source, "/some/where/plr_jax/plr/_fit.py", "exec"), in_fit)
+    exec(compile(source, "/some/where/plr_jax/plr/sampling/fit.py", "exec"), in_fit)
 
     def build():
         in_fit["fit"](oracle)
@@ -206,7 +206,7 @@ def test_planner_section_races_and_every_path_is_valid(measured):
     results = measured("planner")
     for trial in results["trials"]:
         assert trial["ours"]["valid"] and all(each["valid"] is not False for each in trial["ompl"].values())
-        assert trial["ours"]["cost"] >= trial["lower_bound"]
+        assert trial["ours"]["cost"] >= trial["lower_bound"] - 1e-6  # of which six decimals are kept
 
 
 def test_cost_at_a_mark_is_that_of_the_best_path_so_far():

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.first_visible import first_visible
+from plr_jax.geometry.first_visible import first_visible, first_visible_in_parts
 
 LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
 
@@ -15,18 +15,20 @@ def searches(draw):
     return draw(arrays(float, shape, elements=LENGTHS)), draw(arrays(bool, shape))
 
 
-@given(searches())
-def test_it_finds_what_testing_every_pair_finds(search):
+@given(searches(), st.integers(1, 5))
+def test_it_finds_what_testing_every_pair_finds(search, count):
     lengths, visible = search
     before = lengths.copy()
-    way, shortest = first_visible(lengths, lambda point, way: visible[point, way])
-    for row, seen, found, length in zip(lengths, visible, way, shortest, strict=True):
+    ways, shortest = first_visible(lengths, lambda point, way: visible[point, way], count)
+    assert ways.shape == shortest.shape == (len(lengths), count)
+    for row, seen, found, length in zip(lengths, visible, ways, shortest, strict=True):
         seen &= ~np.isnan(row)
-        if not seen.any():
-            assert (found, length) == (-1, np.inf)
-            continue
-        assert seen[found]
-        assert length == row[found] == row[seen].min()
+        expected = np.sort(row[seen])[:count]
+        number = len(expected)
+        assert seen[found[:number]].all() and len(set(found[:number])) == number
+        np.testing.assert_array_equal(length[:number], expected)
+        np.testing.assert_array_equal(row[found[:number]], expected)
+        assert (found[number:] == -1).all() and (length[number:] == np.inf).all()
     np.testing.assert_array_equal(lengths, before)
 
 
@@ -38,7 +40,7 @@ def test_the_shortest_are_tested_first_and_none_twice():
         return way == 12
 
     way, shortest = first_visible(np.arange(100.0)[None], sees)
-    assert (way[0], shortest[0]) == (12, 12.0)
+    assert (way[0, 0], shortest[0, 0]) == (12, 12.0)
     assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
 
 
@@ -48,5 +50,13 @@ def test_what_is_no_way_is_not_tested():
         return np.array([True, False])
 
     way, shortest = first_visible(np.array([[np.nan, np.inf], [3.0, np.nan], [np.nan, np.nan]]), sees)
-    np.testing.assert_array_equal(way, [1, -1, -1])
-    np.testing.assert_array_equal(shortest, [np.inf, np.inf, np.inf])
+    np.testing.assert_array_equal(way[:, 0], [1, -1, -1])
+    np.testing.assert_array_equal(shortest[:, 0], [np.inf, np.inf, np.inf])
+
+
+def test_many_points_are_searched_in_parts(monkeypatch):
+    rng = np.random.default_rng(0)
+    lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3
+    monkeypatch.setattr("plr_jax.geometry.first_visible._CHUNK", 21)
+    parts = first_visible_in_parts(lambda rows: lengths[rows].copy(), 50, 7, lambda p, w: visible[p, w], 2)
+    np.testing.assert_array_equal(parts, first_visible(lengths, lambda p, w: visible[p, w], 2))

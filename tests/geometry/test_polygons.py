@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax.geometry.polygons import as_components, as_polygon, merge_vertices, polygons_of, triangles_of
+from plr_jax.geometry.polygons import (
+    as_components,
+    as_polygon,
+    as_polygons,
+    merge_vertices,
+    polygons_of,
+    triangles_of,
+)
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 
@@ -22,11 +29,14 @@ def test_rings_and_polygons_become_polygons():
             "P is not a simple polygon.*Self-intersection",
         ),
         (np.array([[1.0, 1], [2, 2]]), "P has 2 distinct vertices"),
+        (1e155 * np.array(SQUARE), "P has coordinates beyond 1e\\+100"),
         (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
         (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P has coordinates that are not finite"),
         (np.array([[1.0, 1], [np.inf, 2], [2, 1]]), "P has coordinates that are not finite"),
         (np.ones((3, 3)), r"P must have shape \(n, 2\)"),
+        ((1, 2), r"P must have shape \(n, 2\), got \(2,\). One ring alone goes into a list"),
+        (shapely.LineString([[1, 1], [2, 2]]), "P must be a polygon, got a LineString"),
         ("ring", r"P must be numbers"),
         (shapely.Polygon(), "P has 0 distinct vertices"),
         (shapely.Polygon([[1, 1], [2, 2], [2, 1], [1, 2]]), "P is not a simple polygon"),
@@ -35,6 +45,44 @@ def test_rings_and_polygons_become_polygons():
 def test_invalid_rings_are_refused_by_name_and_reason(ring, message):
     with pytest.raises(ValueError, match=message):
         as_polygon("P", ring)
+
+
+FAR, FARTHER = shapely.box(5, 0, 6, 1), shapely.box(8, 0, 9, 1)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "expected"),
+    [
+        (FAR, [FAR]),
+        (shapely.MultiPolygon([FAR, FARTHER]), [shapely.MultiPolygon([FAR, FARTHER])]),
+        (shapely.GeometryCollection([FAR, shapely.GeometryCollection([FARTHER])]), [FAR, FARTHER]),
+        (shapely.GeometryCollection(), []),
+        ((shape for shape in (SQUARE, FAR)), [shapely.Polygon(SQUARE), FAR]),
+        (
+            [shapely.GeometryCollection([FAR, shapely.MultiPolygon([FARTHER])]), np.array(SQUARE)],
+            [FAR, shapely.MultiPolygon([FARTHER]), shapely.Polygon(SQUARE)],
+        ),
+    ],
+)
+def test_polygons_may_be_given_in_any_of_the_usual_ways(shapes, expected):
+    polygons = as_polygons("P", shapes)
+    assert len(polygons) == len(expected)
+    assert all(a.equals(b) for a, b in zip(polygons, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "message"),
+    [
+        (5, r"Ps must be rings \(n, 2\) or Shapely polygons in a list, got 5"),
+        (shapely.Point(1, 1), "P 0 must be a polygon, got a Point"),
+        (shapely.GeometryCollection([FAR, shapely.Point(1, 1)]), "P 1 must be a polygon, got a Point"),
+        (SQUARE, r"P 0 must have shape \(n, 2\), got \(2,\). One ring alone goes into a list"),
+        (shapely.MultiPolygon(), "P 0 has 0 distinct vertices"),
+    ],
+)
+def test_what_is_no_collection_of_polygons_is_refused(shapes, message):
+    with pytest.raises(ValueError, match=message):
+        as_polygons("P", shapes)
 
 
 def test_components_keep_their_holes():

@@ -4,7 +4,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plr_jax.geometry.visibility import Viewpoints, Walls, visibility_table
+from plr_jax.geometry.visibility import Viewpoints, visibility_table
 from plr_jax.geometry.workspace import Workspace
 
 TEN = ((0, 0), (10, 10))
@@ -17,17 +17,17 @@ def box(x0, y0, x1, y1):
 
 def views_of(workspace, points):
     """A table of points in the interior of free space, which look all around."""
-    walls = Walls.of(workspace.boundary, workspace.tolerance)
-    return visibility_table(walls, Viewpoints(np.array(points, dtype=float), NONE, NONE, NONE))
+    views = Viewpoints(np.array(points, dtype=float), NONE, NONE, NONE)
+    return visibility_table(workspace.boundary, workspace.tolerance, views)
 
 
 def corner_views(workspace):
     """A table of all sectors of the boundary, each looking into free space from its vertex."""
     boundary = workspace.boundary
-    walls = Walls.of(boundary, workspace.tolerance)
     sector = np.arange(len(boundary.edges))
     points = boundary.vertices[boundary.edges[:, 0]]
-    return visibility_table(walls, Viewpoints(points, sector, boundary.edges[:, 1], boundary.sector_end))
+    views = Viewpoints(points, sector, boundary.edges[:, 1], boundary.sector_end)
+    return visibility_table(boundary, workspace.tolerance, views)
 
 
 def random_workspace(seed):

@@ -195,13 +195,27 @@ def test_a_sliver_of_free_space_is_sampled_at_once():
     assert np.ptp(x[:, 0]) > 9.9
 
 
+def test_obstacles_may_be_one_geometry_or_many():
+    blocks = [shapely.box(1, 1, 2, 2), shapely.box(4, 4, 5, 5)]
+    expected = Workspace(TEN, blocks).free_space
+    for obstacles in (shapely.MultiPolygon(blocks), shapely.GeometryCollection(blocks), [blocks[0], box(4, 4, 5, 5)]):
+        assert Workspace(TEN, obstacles).free_space.equals(expected)
+    assert len(Workspace(TEN, blocks[0]).obstacles) == 1
+
+
 def test_an_invalid_obstacle_is_refused_by_its_index():
     for ring, message in [
         ([[1, 1], [2, 2], [2, 1], [1, 2]], "Obstacle 1 is not a simple polygon.*Self-intersection"),
         ("ring", "Obstacle 1 must be numbers"),
+        (1e155 * np.array(box(0, 0, 1, 1)), "Obstacle 1 has coordinates beyond"),
     ]:
         with pytest.raises(ValueError, match=message):
             Workspace(TEN, [box(8, 8, 9, 9), ring])
+
+
+def test_bounds_whose_area_is_no_number_are_refused():
+    with pytest.raises(ValueError, match="coordinates go to 1e"):
+        Workspace(((0, 0), (1, 1e155)))
 
 
 @pytest.mark.parametrize(

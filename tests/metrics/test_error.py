@@ -76,6 +76,29 @@ def test_both_functions_are_asked_the_points_given_once():
     assert (report.max, report.max_distance, report.num_points) == (0.0, 5.0, 2)
 
 
+def test_masked_distances_are_unreachable():
+    def masked(x):
+        return np.ma.masked_array(from_origin(x), x[:, 0] > 0.5, fill_value=0.0)
+
+    x = [[0.25, 0], [0.75, 0], [1, 0]]
+    report = metrics.error_map(from_origin, masked, x)
+    assert (report.max, report.num_unreachable, report.num_invented) == (0.0, 2, 2)
+    report = metrics.error_map(masked, from_origin, x)
+    assert (report.max, report.num_unanswered) == (0.0, 2)
+    grid = metrics.error_grid(from_origin, masked, WALLED, resolution=8)
+    assert (grid[:, :2] == 0).all() and np.isnan(grid[:, 2:]).all()
+
+
+def test_functions_that_compute_in_place_do_no_harm():
+    def in_place(x):
+        x -= 1
+        return x[:, 0]
+
+    x = np.array([[1.0, 1], [2, 2]])
+    assert metrics.error_map(lambda x: x[:, 0] - 1, in_place, x).max == 0
+    np.testing.assert_array_equal(x, [[1, 1], [2, 2]])
+
+
 def test_a_report_is_json():
     report = metrics.error_map(lambda x: x[:, 0], from_origin, GRID)
     assert json.loads(json.dumps(dataclasses.asdict(report)))["num_points"] == 32
@@ -90,6 +113,8 @@ def test_a_report_is_json():
         (lambda x: np.zeros((len(x), 1)), from_origin, GRID, "approximation must give one number a point"),
         (from_origin, lambda x: np.zeros(3), GRID, "distance function must give one number a point"),
         (from_origin, lambda x: np.full(len(x), np.nan), GRID, "distance function gives NaN at"),
+        (from_origin, lambda x: np.full(len(x), -np.inf), GRID, "distance function gives -inf at"),
+        (from_origin, lambda x: from_origin(x) * 1j, GRID, "distance function's answer must be real numbers"),
         (from_origin, lambda x: np.full(len(x), np.inf), GRID, "No error is defined"),
         (lambda x: np.full(len(x), np.inf), from_origin, GRID, "No error is defined"),
     ],

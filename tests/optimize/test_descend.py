@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
-from plr_jax.geometry.places import Places
-from plr_jax.geometry.visibility_search import best_in_sight
+from plr_jax.geometry.corners import find_corners
 from plr_jax.optimize._descend import DescentStatus, descend
 
 TEN = ((0, 0), (10, 10))
@@ -147,6 +146,13 @@ def test_a_field_without_answers_does_no_harm():
     np.testing.assert_allclose(blind.lengths, VisibilityGraph(DOOR, goal)(starts), rtol=1e-12)
 
 
+def test_a_masked_field_has_no_answer_there():
+    starts = DOOR.sample_free(50, 0)
+    exact = VisibilityGraph(DOOR, (8, 2))
+    masked = descended(lambda x: np.ma.masked_invalid(np.full(len(x), np.nan)), DOOR, starts, (8, 2))
+    np.testing.assert_allclose(masked.lengths, exact(starts), rtol=1e-12)
+
+
 def test_a_field_that_computes_in_place_moves_no_corner():
     def in_place(x):
         x -= (8, 2)
@@ -170,6 +176,7 @@ def test_no_starts_and_no_corners():
         (nothing_known, [(1, 1)], (8, 2, 0), "The goal must be one point"),
         (nothing_known, [(1, 1)], (5, 2), "The goal .* not in free space"),
         (lambda x: x, [(1, 1)], (8, 2), "one number a point"),
+        (lambda x: np.full(len(x), -np.inf), [(1, 1)], (8, 2), "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), [(1, 1)], (8, 2), "NaN at .*use inf"),
     ],
 )
@@ -268,7 +275,7 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(obsta
     if not workspace.is_free(goal[None])[0]:
         return
     starts = workspace.sample_free(3, seed)
-    points = np.concatenate([Places.of(workspace, goal).points, starts])
+    points = np.concatenate([find_corners(workspace)[0].without(goal).with_goal(goal).points, starts])
     pairs = np.array(list(itertools.combinations(range(len(points)), 2)))
     pairs = pairs[workspace.is_visible(points[pairs[:, 0]], points[pairs[:, 1]])]
     graph = nx.Graph()
@@ -280,40 +287,8 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(obsta
     assert (descent.lengths >= shortest - 1e-9).all()
 
 
-def test_taut_turns_by_hand():
-    """Around the block (4..6, 0..8) to the right: taut at (4, 8) only from below its line and not from above."""
-    workspace = Workspace(TEN, [box(4, 0, 6, 8)])
-    places = Places.of(workspace, np.array([8.0, 4.0]))
-    assert places.points.tolist() == [[8, 4], [4, 8], [6, 8]]
-    taut = places.taut(np.array([0, 2, 0]))
-    x = np.array([[2.0, 4.0], [4, 4], [2, 8], [2, 9], [5, 9], [4, 8]])
-    assert taut(x)[:, 1].tolist() == [True, True, True, False, False, True]
-    # By way of (6, 8): from the left of it, below the way on carried backward.
-    assert taut(np.array([[5.0, 9.0], [5, 11], [2, 8], [7, 9], [2, 7.9]]))[:, 2].tolist() == [
-        True,
-        False,
-        True,
-        False,
-        False,
-    ]
-    assert taut(x)[:, 0].all()
-
-
-@given(st.integers(1, 12), st.integers(1, 40), st.integers(1, 5), st.integers(0, 2**16))
-def test_best_in_sight_as_by_trying_all(n, num_places, count, seed):
-    rng = np.random.default_rng(seed)
-    scores = rng.choice([np.inf, np.nan, *rng.permutation(500)], (n, num_places))
-    scores = np.where(np.isfinite(scores), rng.permutation(n * num_places).reshape(n, num_places), scores)
-    seen = rng.random((n, num_places)) < rng.random()
-    found = best_in_sight(lambda rows: scores[rows], n, num_places, count, lambda row, place: seen[row, place])
-    for row in range(n):
-        options = [place for place in np.argsort(scores[row]) if seen[row, place] and np.isfinite(scores[row, place])]
-        expected = options[:count] + [-1] * (count - len(options))
-        assert found[row].tolist() == expected
-
-
 def test_many_points_are_searched_in_parts(monkeypatch):
-    monkeypatch.setattr("plr_jax.geometry.visibility_search._CHUNK", 64)
+    monkeypatch.setattr("plr_jax.geometry.first_visible._CHUNK", 64)
     goal, starts = (8, 2), DOOR.sample_free(300, 0)
     exact = VisibilityGraph(DOOR, goal)
     np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), rtol=1e-12)
@@ -325,12 +300,3 @@ def test_of_a_disc_by_the_inflated_workspace():
     exact = VisibilityGraph(inflated, goal)
     starts = inflated.sample_free(200, 0)
     np.testing.assert_allclose(descended(exact, inflated, starts, goal).lengths, exact(starts), rtol=1e-9)
-
-
-def test_tangent_lines_by_hand():
-    workspace = Workspace(TEN, [box(4, 0, 6, 8)])
-    places = Places.of(workspace, np.array([8.0, 4.0]))
-    assert places.points.tolist() == [[8, 4], [4, 8], [6, 8]]
-    # From (4, 8): the goal is behind the block, (6, 8) along its top. From (6, 8): both are tangent.
-    tangent = places.tangent(np.array([1, 2]))
-    assert tangent[0, 0] == False and tangent[0, 2] and tangent[1, 0] and tangent[1, 1]  # noqa: E712

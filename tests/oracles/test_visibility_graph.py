@@ -129,7 +129,8 @@ def test_an_obstacle_that_touches_the_bounds_in_a_point_blocks_unless_squeezed()
 def test_obstacles_that_share_a_wall_leave_no_slit():
     workspace = Workspace(TEN, [box(3, 2, 5, 10), box(5, 2, 7, 10)])
     oracle = VisibilityGraph(workspace, (5, 1))
-    np.testing.assert_array_equal(oracle(np.array([[5.0, 5.0], [5, 2], [3, 10]])), [np.inf, 1, 8 + math.sqrt(5)])
+    distances = oracle(np.array([[5.0, 5.0], [5, 2], [3, 10]]))
+    np.testing.assert_allclose(distances, [np.inf, 1, 8 + math.sqrt(5)], rtol=1e-12)
 
 
 # --- twins by brute force --------------------------------------------------------------------------------

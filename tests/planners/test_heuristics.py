@@ -1,3 +1,4 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ from plr_jax import (
     Problem,
     RectangleRobot,
     Workspace,
+    bl_plan,
     construct,
     path_cost,
     robot_distance_fns,
+    sba_star_plan,
     scenes,
 )
+from plr_jax._types import DimensionedFn, SeparableHeuristic, StackableDistanceFn
 from plr_jax.oracles import Euclidean
 from plr_jax.planners._heuristics import _distance_fns, straight_line, sum_of_distances, zero
 
@@ -109,31 +113,33 @@ def test_a_function_of_the_plane_sees_the_position_of_a_rectangle():
     assert np.array_equal(sum_of_distances([euclidean_to(0, 0), euclidean_to(0, 0, 0)]).per_robot(q), [[5, 13]])
 
 
-@pytest.mark.parametrize(
-    ("fn", "expected"),
-    [
-        (lambda x: np.linalg.norm(x - np.array([0.0, 0.0]), axis=1), 5),
-        (lambda x: np.linalg.norm(x - np.array([0.0, 0.0, 0.0]), axis=1), 13),
-        (lambda x: np.hypot(x[:, 0], x[:, 1]), 5),
-    ],
-)
-def test_a_function_without_dim_tells_by_what_it_answers(fn, expected):
-    assert sum_of_distances([fn])([[(3, 4, 12)]])[0] == expected
+def test_a_function_without_dim_is_asked_once_and_sees_all_coordinates():
+    asked = []
 
-
-def test_a_function_that_answers_both_ways_differently_is_refused_until_it_says():
     def distance(x):
+        asked.append(x.shape)
         return np.abs(x).sum(axis=1)
 
-    with pytest.raises(ValueError, match=r"robot 1 answers .*fn\.dim = 2"):
-        sum_of_distances([euclidean_to(0, 0), distance])([[(1, 2, 3), (1, 2, 3)]])
+    assert sum_of_distances([distance])([[(1, 2, 3)]])[0] == 6
+    assert asked == [(1, 3)]
     for distance.dim, expected in ((2, 3), (3, 6)):
         assert sum_of_distances([distance])([[(1, 2, 3)]])[0] == expected
 
 
-def test_a_function_that_fails_both_ways():
-    with pytest.raises(ValueError, match=r"robot 0 fails for \(n, 3\) and \(n, 2\)"):
-        sum_of_distances([lambda x: x[:, 5]])([[(1, 2, 3)]])
+def test_what_a_function_raises_comes_through_with_a_hint():
+    class NoFuelError(IndexError):
+        pass
+
+    def distance(x):
+        raise NoFuelError("no fuel")
+
+    with pytest.raises(NoFuelError, match="no fuel") as caught:
+        sum_of_distances([euclidean_to(0, 0), distance])([[(1, 2, 3), (1, 2, 3)]])
+    (note,) = caught.value.__notes__
+    assert "robot 1 was given (x, y, theta)" in note and "fn.dim = 2" in note
+    with pytest.raises(NoFuelError) as caught:
+        sum_of_distances([distance])([[(1, 2)]])
+    assert not hasattr(caught.value, "__notes__")
 
 
 def test_a_function_of_more_coordinates_than_there_are():
@@ -202,7 +208,47 @@ def test_plrs_beside_other_functions():
     assert np.array_equal(heuristic.per_robot(q)[:, 0], np.asarray(plr(q[:, 0]), np.float64))
 
 
+def test_distance_functions_see_few_batch_sizes():
+    sizes = []
+
+    @jax.jit
+    def compiled(x):
+        sizes.append(len(x))  # once a compilation
+        return jnp.hypot(x[:, 0], x[:, 1])
+
+    heuristic = sum_of_distances([compiled, taxicab])
+    q = np.random.default_rng(0).uniform(0, 9, (9_000, 2, 2))
+    for n in (*range(1, 33), 500, 1_000, 1_020, 9_000):
+        expected = np.stack([np.hypot(*q[:n, 0].T), taxicab(q[:n, 1])], axis=1)
+        assert np.allclose(heuristic.per_robot(q[:n]), expected, rtol=1e-6)
+    assert sizes == [1, 2, 4, 8, 16, 32, 512, 1024, 4096]
+
+
+def test_what_functions_may_offer_is_told_by_protocols():
+    plr = plrs_of_a_team()[0]
+    assert isinstance(plr, StackableDistanceFn) and isinstance(plr, DimensionedFn)
+    assert isinstance(euclidean_to(1, 2), DimensionedFn) and not isinstance(euclidean_to(1, 2), StackableDistanceFn)
+    assert not isinstance(taxicab, DimensionedFn)
+    for heuristic in (zero(), straight_line(DISCS), sum_of_distances([taxicab])):
+        assert isinstance(heuristic, SeparableHeuristic)
+    assert not isinstance(taxicab, SeparableHeuristic)
+
+
 # Refusals
+
+
+@pytest.mark.parametrize(
+    ("factory", "call"),
+    [
+        (zero, r"zero\(\)"),
+        (straight_line, r"straight_line\(problem\)"),
+        (sum_of_distances, r"sum_of_distances\(dist"),
+    ],
+)
+@pytest.mark.parametrize("plan", [bl_plan, sba_star_plan])
+def test_a_factory_that_was_not_called_is_refused(plan, factory, call):
+    with pytest.raises(ValueError, match=rf"what {call}.* returns, got {factory.__name__} itself: call it"):
+        plan(DISCS, factory)
 
 
 @pytest.mark.parametrize("shape", [(4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4)])
@@ -247,8 +293,13 @@ def test_a_dim_that_is_none(dim):
 
 @pytest.mark.parametrize("result", [np.zeros((3, 1)), np.zeros(2), 1.0, None, ["a"] * 3])
 def test_results_of_another_shape_name_the_robot(result):
-    with pytest.raises(ValueError, match="The distance function of robot 1 must return"):
+    with pytest.raises(ValueError, match=r"The distance function of robot 1('s answer must be| must give)"):
         sum_of_distances([taxicab, lambda x: result])(np.zeros((3, 2, 2)))
+
+
+def test_masked_distances_are_infinite():
+    heuristic = sum_of_distances([lambda x: np.ma.masked_greater(x[:, 0], 5)])
+    np.testing.assert_array_equal(heuristic([[(1, 0)], [(9, 0)]]), [1, np.inf])
 
 
 def test_nan_from_a_function_names_the_robot_and_the_place():

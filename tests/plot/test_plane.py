@@ -12,7 +12,7 @@ from matplotlib.patches import PathPatch
 from plr_jax import plot
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.plot._surface import _plane_pieces
+from plr_jax.plot._surface import _pieces
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WORKSPACE = Workspace(
@@ -30,8 +30,9 @@ class ThreeCells:
         np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]]),
         np.array([[1.0, 1.0], [2.0, 0.5], [2.0, 1.0]]),
     )
-    slope: np.ndarray = field(default_factory=lambda: np.array([[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
-    intercept: np.ndarray = field(default_factory=lambda: np.array([0.0, 3.0, np.inf]))
+
+    def values_in_leaves(self, leaf, x):
+        return np.choose(leaf, [x[:, 0] + 2 * x[:, 1], np.full(len(x), 3.0), np.full(len(x), np.inf)])
 
     def __call__(self, x):
         left = x[..., 0] + 2 * x[..., 1]
@@ -117,14 +118,14 @@ def test_a_picture_of_no_error_at_all_is_refused():
 
 
 def test_surface_pieces_lie_in_the_planes_of_their_leaves():
-    pieces = _plane_pieces(ThreeCells(), None)
+    pieces = _pieces(ThreeCells(), None)
     assert len(pieces) == 2
     np.testing.assert_allclose(pieces[0], [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
     np.testing.assert_allclose(pieces[1][:, 2], 3.0)
 
 
 def test_surface_is_cut_to_free_space():
-    pieces = _plane_pieces(ThreeCells(), WORKSPACE)
+    pieces = _pieces(ThreeCells(), WORKSPACE)
     area = 0.0
     for x, y, _ in (piece.T for piece in pieces):
         area += abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
@@ -134,7 +135,7 @@ def test_surface_is_cut_to_free_space():
 
 def test_leaves_inside_an_obstacle_have_no_surface():
     left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
-    (piece,) = _plane_pieces(ThreeCells(), left_blocked)
+    (piece,) = _pieces(ThreeCells(), left_blocked)
     np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
 
 
@@ -142,13 +143,16 @@ def test_surface_draws_every_piece_once():
     for workspace in (None, WORKSPACE):
         ax = plot.plot_surface(ThreeCells(), workspace=workspace)
         (surface,) = ax.collections
-        assert len(surface.get_facecolor()) == len(_plane_pieces(ThreeCells(), workspace))
+        assert len(surface.get_facecolor()) == len(_pieces(ThreeCells(), workspace))
 
 
 def test_a_surface_without_answers_is_refused():
-    empty = ThreeCells(intercept=np.full(3, np.inf))
+    class Empty(ThreeCells):
+        def values_in_leaves(self, leaf, x):
+            return np.full(len(x), np.inf)
+
     with pytest.raises(ValueError, match="no leaf has an answer"):
-        plot.plot_surface(empty)
+        plot.plot_surface(Empty())
 
 
 @pytest.mark.parametrize("draw", [plot.plot_cells, plot.plot_contours, plot.plot_surface])

@@ -57,6 +57,10 @@ def test_in_a_mixed_team_rectangles_keep_theirs(tmp_path):
         (PROBLEM.replace("type: box", "type: sphere"), "obstacle 0 to be a box"),
         (PROBLEM.replace("size: [1, 2]", "size: [1]"), "obstacle 0 to be a box"),
         (PROBLEM.replace("size: [1, 2]", "size: big"), "obstacle 0 to be a box"),
+        (PROBLEM.replace("size: [1, 2]", "size: [1, 2, 3]"), "obstacle 0 to be a box"),
+        (PROBLEM.replace("size: [1, 2]", "size: [1, .nan]"), "obstacle 0 to be a box"),
+        (PROBLEM.replace("- {type: box", "- 3 #"), "obstacle 0 to be a box"),
+        (PROBLEM.replace("type: unicycle_first_order_0_sphere", "type: [1]"), r"robot 0 has type \[1\]; known are"),
         (PROBLEM.replace("unicycle_first_order_0_sphere", "car1_v0"), "robot 0 has type 'car1_v0'; known are"),
         (PROBLEM.replace("start: [1, 1, 0.5]", "start: [1]"), "robot 0 to have a start of at least 2 numbers"),
         (PROBLEM.replace("start: [1, 1, 0.5]", "start: here"), "robot 0 to have a start of at least 2 numbers"),
@@ -78,11 +82,22 @@ def test_trajectories_of_different_length_wait_at_their_end(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "3", "result: 3", "states: [[1, 2]]\nresult: [{}]", "states: []", "states: [[a, b, c]]"]
+    "text",
+    [
+        *("", "3", "result: 3", "result: []", "states: [[1, 2]]\nresult: [{}]", "states: []", "states: {}"),
+        *("states: [[a, b, c]]", "states: ['123']", "states: [['1', '2', '3']]", "states: [[0, 1], [2, 3, 4]]"),
+        *(f"states: [[0, 0, 0], [1, {number}, 0]]" for number in (".nan", ".inf", "-.inf", "1.0e+999")),
+    ],
 )
 def test_what_holds_no_trajectories_is_refused(text, tmp_path):
-    with pytest.raises(ValueError, match=r"problem\.yaml: expected trajectories"):
+    with pytest.raises(ValueError, match=r'problem\.yaml: expected (trajectories|"result" to be a list)'):
         scenes.read_trajectories(write(tmp_path, text))
+
+
+def test_a_small_file_cannot_mean_a_huge_path(tmp_path):
+    long = "- states: [" + "[0, 0, 0], " * 4000 + "]\n"
+    with pytest.raises(ValueError, match=r"problem\.yaml: expected .* at most 10,000,000 .*, got 4001 x 4000"):
+        scenes.read_trajectories(write(tmp_path, "result:\n" + long + "- states: [[0, 0, 0]]\n" * 4000))
 
 
 @needs_data

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from plr_jax.geometry.boundary import left_normal
+from plr_jax.geometry.vectors import left_normal
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import DiscRobot, RectangleRobot, Robot
 

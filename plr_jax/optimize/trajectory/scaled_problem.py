@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from plr_jax._types import DimensionedFn
 from plr_jax.optimize.trajectory.clearance import Bodies, Walls, box_clearances, round_clearances
 
 _STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
@@ -174,7 +175,7 @@ def _lag(scene: Scene, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):
         q = _pulled_where_it_can_be(path[:, i].at[:, :2].set(path[:, i, :2] * scene.scale + scene.origin))
-        cost = fn(q[:, : getattr(fn, "dim", q.shape[1])]) / scene.scale
+        cost = fn(q[:, : fn.dim] if isinstance(fn, DimensionedFn) else q) / scene.scale
         known = jnp.isfinite(cost) & jnp.isfinite(cost[0])
         off = jnp.where(known, cost - share * cost[0], 0.0)
         lag = lag + jnp.sqrt(off * off + _SMOOTHING).sum()

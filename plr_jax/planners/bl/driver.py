@@ -8,14 +8,15 @@ from tqdm import tqdm
 
 from plr_jax._problem import Problem, path_cost
 from plr_jax._types import HeuristicFn
-from plr_jax.collision.walls import motion_test
+from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.planners._heuristics import require_heuristic, straight_line
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.planners.bl.heuristic_table import estimate_of
+from plr_jax.planners.bl.heuristic_table import tabulate
+from plr_jax.planners.bl.joint_lattice import JointLattice
 from plr_jax.planners.bl.lattice import Lattice, build_lattices, num_bytes, num_configurations
 from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.bl.search import Effort, Search
-from plr_jax.planners.bl.successors import Team
-from plr_jax.planners.smoothing.corridor import bend
+from plr_jax.planners.bl.search import BestFirstSearch, SearchBudget
+from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
@@ -27,9 +28,12 @@ _FIRST_TURN, _LONGER = 256, 1.5  # expansions of a new search, and their growth
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
+_DEFAULT_OPTIONS = BLOptions()
 
 
-def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None = None) -> Solution:
+def bl_plan(
+    problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
+) -> Solution:
     """Plan for all robots at once by best-first search over cells of the joint space, then shorten the path.
 
     Every robot moves on a lattice of its own, whose start and goal are exact. A node of the search is a joint
@@ -37,7 +41,7 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
     another along the whole motion. Each cell of the joint space is claimed once, by the first node in it. The best
     node by cost-to-come and weighted heuristic is expanded next, as in A*. Searches on finer lattices, each greedier
     than the last, take turns with those that have not found a path. The first path found is shortened by straight
-    shortcuts of one robot, and by bending the motions of one robot or of two that touch.
+    shortcuts of one robot, and within narrow corridors about the motions of one robot, or of two that touch.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -46,7 +50,7 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
             :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
             estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
-            them, which is much faster than a plain function.
+            them, which is much faster than a plain function. None: :func:`straight_line`.
         options: How to search, and when to stop.
 
     Returns:
@@ -55,17 +59,17 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
         bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
 
     Raises:
-        ValueError: If the heuristic is no function, or returns NaN or another shape than ``(n,)``.
+        ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
+            ``(n,)``; or if the options are no :class:`BLOptions`.
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
         of the paper.
     """
-    if not callable(heuristic):
-        raise ValueError(f"heuristic must be a function of joint configurations, got {heuristic!r}.")
-    if not isinstance(options, BLOptions | None):
-        raise ValueError(f"options must be BLOptions(...) or None, got {options!r}.")
-    options = options or BLOptions()
+    heuristic = straight_line(problem) if heuristic is None else heuristic
+    require_heuristic(heuristic)
+    if not isinstance(options, BLOptions):
+        raise ValueError(f"options must be BLOptions(...), got {options!r}.")
     began = time.perf_counter()
     with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
         run = _Run(problem, heuristic, options, began, progress)
@@ -73,15 +77,9 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions | None 
             status = run.until_done()
         except KeyboardInterrupt:
             status = Status.INTERRUPTED
-    effort = run.effort
-    stats = Stats(
-        effort.num_nodes,
-        effort.num_expansions,
-        effort.num_children_scored,
-        effort.num_children_valid,
-        run.seconds,
-        tuple(run.history),
-    )
+    budget = run.budget
+    counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
+    stats = Stats(*counts, run.seconds, tuple(run.history))
     return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples)
 
 
@@ -90,7 +88,8 @@ class _Run:
 
     def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float, progress: tqdm):
         self.problem, self.heuristic, self.options, self.began = problem, heuristic, options, began
-        self.effort = Effort(began + options.time_limit, options.max_expansions, options.max_memory)
+        self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
+        self.test = JointMotionTest(problem.workspace, problem.robots)
         straight = straight_line_bound(problem)
         self.lower_bound = straight if options.lower_bound is None else max(options.lower_bound, straight)
         self.path: Float[np.ndarray, "steps robots dof"] | None = None
@@ -109,7 +108,7 @@ class _Run:
             status, step = self._take_turns(step, weight)
             if status is not Status.SOLVED or self._is_good_enough():
                 return status
-            limit = self.effort.exceeded()
+            limit = self.budget.exceeded()
             if limit:
                 return limit
             if weight > _LEAST_WEIGHT:
@@ -129,72 +128,73 @@ class _Run:
             Why they ended, and the step of the one that did.
         """
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
-        searches: dict[float, Search] = {}
-        budget: dict[float, int] = {}
+        searches: dict[float, BestFirstSearch] = {}
+        turn: dict[float, int] = {}
         while True:
-            limit = self.effort.exceeded()
+            limit = self.budget.exceeded()
             if limit:
                 return limit, step
             needed = num_bytes(self.problem, step, self.options.primitives)
-            fits = self.effort.memory + needed < self.options.max_memory
+            fits = self.budget.memory + needed < self.options.max_memory
             if not searches and not (step >= finest and fits):
                 return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
             if step >= finest and fits and (search := self._search(step, weight)):
                 search.hold(int(needed))
-                searches[step], budget[step] = search, _FIRST_TURN
+                searches[step], turn[step] = search, _FIRST_TURN
                 weight *= _GREEDIER
             for size, search in reversed(list(searches.items())):
-                status = self._run(search, size, budget[size])
+                status = self._run(search, size, turn[size])
                 if status is Status.SOLVED:
-                    self.effort.memory = 0
-                    self._offer(search.team.configurations(search.branch), size)
+                    self.budget.memory = 0
+                    self._offer(search.joint.configurations(search.branch), size)
                 elif status is Status.EXHAUSTED:
-                    self.effort.memory -= searches.pop(size).memory
+                    self.budget.memory -= searches.pop(size).memory
                 if status not in (None, Status.EXHAUSTED):
                     return status, size
-                budget[size] = int(_LONGER * budget[size])
+                turn[size] = int(_LONGER * turn[size])
             step /= _REFINEMENT
 
-    def _run(self, search: Search, step: float, num_expansions: int) -> Status | None:
+    def _run(self, search: BestFirstSearch, step: float, num_expansions: int) -> Status | None:
         """Let a search run until it has made so many expansions in all."""
-        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.effort.num_nodes, cost=f"{self.cost:.4g}")
+        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}")
         try:
             return search.run(num_expansions, self.progress)
         finally:
-            self.samples = search.team.configurations(search.state)
+            self.samples = search.joint.configurations(search.state)
             self._end_phase("search")
 
-    def _search(self, step: float, weight: float) -> Search | None:
+    def _search(self, step: float, weight: float) -> BestFirstSearch | None:
         """A search about to begin; None if a robot's own goal is out of its reach on this lattice, or time is up."""
         options = self.options
         try:
-            lattices = build_lattices(self.problem, step, options.primitives, self.effort.deadline)
+            lattices = build_lattices(self.problem, step, options.primitives, self.budget.deadline)
         except TimeoutError:
             return None
         finally:
             self._end_phase("lattice")
         if not all(lattice.reaches_goal() for lattice in lattices):
             return None
-        team = Team(self.problem, tuple(lattices))
-        estimate = estimate_of(team, self.heuristic, weight)
+        joint = JointLattice(self.problem, tuple(lattices), self.test)
+        estimate = tabulate(joint, self.heuristic, weight)
         self._end_phase("heuristic")
         cells = [
             claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
             for lattice, robot in zip(lattices, self.problem.robots, strict=True)
         ]
-        return Search(team, estimate, cells, options.batch, options.branching, options.width, self.effort)
+        return BestFirstSearch(joint, estimate, cells, options.batch, options.branching, options.width, self.budget)
 
     def _offer(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
         """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
-        tests = [motion_test(self.problem.workspace, robot) for robot in self.problem.robots]
-        deadline = self.effort.deadline
-        if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
-            path = np.concatenate([self.problem.starts[None], path])
+        problem, test, deadline = self.problem, self.test, self.budget.deadline
+        if not np.array_equal(path[0], problem.starts):  # a goal that is the start but for a whole turn
+            path = np.concatenate([problem.starts[None], path])
         self._record(path)
         for improved in (
-            lambda path: shorten(self.problem, path, tests, deadline),
-            lambda path: bend(self.problem, path, tests, step / 2, deadline) if self._bending_pays() else path,
-            lambda path: shorten(self.problem, halved(path), tests, deadline),
+            lambda path: shorten(problem, path, test, deadline),
+            lambda path: (
+                shorten_in_corridors(problem, path, test, step / 2, deadline) if self._corridors_pay() else path
+            ),
+            lambda path: shorten(problem, halved(path), test, deadline),
         ):
             if np.isfinite(self.options.cost_factor) and self._is_good_enough():
                 return
@@ -202,7 +202,7 @@ class _Run:
             self._end_phase("shorten")
             self._record(path)
 
-    def _bending_pays(self) -> bool:
+    def _corridors_pay(self) -> bool:
         # Shortcuts leave a lone robot little to gain.
         return len(self.problem.robots) > 1 or self.options.cost_factor < float("inf")
 

@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from tqdm import tqdm
 
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.heuristic_table import Estimate
-from plr_jax.planners.bl.successors import State, Team, best_children
+from plr_jax.planners.bl.heuristic_table import HeuristicTable
+from plr_jax.planners.bl.joint_lattice import JointLattice, State
+from plr_jax.planners.bl.successors import best_successors
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
 _KEPT = 16  # one of so many joint children that are found is kept
@@ -20,12 +21,12 @@ _WIDEST = 1 << 16
 
 
 @dataclass
-class Effort:
+class SearchBudget:
     """What a planner may still do, and what it has done.
 
     Args:
         deadline: When to stop, on the clock of ``time.perf_counter``.
-        max_expansions: Most expansions.
+        max_expansions: Most expansions, never exceeded.
         max_memory: Most bytes of lattices, nodes and children.
     """
 
@@ -42,13 +43,13 @@ class Effort:
         """The limit that is reached, if one is."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
-        if self.num_expansions >= self.max_expansions:
+        if self.num_expansions + 1 > self.max_expansions:
             return Status.EXPANSION_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 @dataclass
-class Tree:
+class SearchTree:
     """The nodes of a search: where they are, what they cost, whose children they are."""
 
     state: Int[np.ndarray, "capacity robots"]
@@ -57,7 +58,7 @@ class Tree:
     size: int
 
     @classmethod
-    def of(cls, root: Int[np.ndarray, "robots"]) -> "Tree":
+    def of(cls, root: Int[np.ndarray, "robots"]) -> "SearchTree":
         """A tree of its root alone."""
         return cls(root[None].astype(np.int32), np.zeros(1), np.full(1, -1), 1)
 
@@ -82,8 +83,8 @@ class Tree:
 
 
 @dataclass
-class Kept:
-    """The best children of an expanded node, best first, and how far they have been looked at.
+class SuccessorList:
+    """The best successors of an expanded node, best first, and how far they have been looked at.
 
     Args:
         score: Cost-to-come and weighted heuristic.
@@ -109,46 +110,46 @@ class Kept:
         return sum(column.nbytes for column in (self.score, self.cost, self.state, self.cell))
 
 
-class Search:
+class BestFirstSearch:
     """Barraquand and Latombe's search: the best node of the frontier adds its best children in unclaimed cells.
 
     A node adds only a few children at a time, and returns to the frontier with the score of its next one
     (partial expansion). Several nodes are expanded at once while the search makes no progress.
 
     Args:
-        team: The robots.
+        joint: The robots' lattices.
         estimate: The weighted heuristic.
         cells: Of each robot, the claimed cell that each configuration belongs to.
         batch: Most nodes expanded at once.
         branching: Children that a node adds at a time.
         width: Joint children kept while a product is assembled.
-        effort: Limits, and what has been done.
+        budget: Limits, and what has been done.
     """
 
     def __init__(
         self,
-        team: Team,
-        estimate: Estimate,
+        joint: JointLattice,
+        estimate: HeuristicTable,
         cells: Sequence[Int[np.ndarray, "_"]],
         batch: int,
         branching: int,
         width: int,
-        effort: Effort,
+        budget: SearchBudget,
     ):
-        self.team, self.estimate, self.cells, self.effort = team, estimate, cells, effort
+        self.joint, self.estimate, self.cells, self.budget = joint, estimate, cells, budget
         self.batch, self.branching, self.width = batch, branching, width
-        self.goal = np.array([lattice.goal for lattice in team.lattices])
-        start = np.array([lattice.start for lattice in team.lattices])
-        self.tree = Tree.of(start)
-        self.nearest = self.estimate(team, start[None])[0]
+        self.goal = np.array([lattice.goal for lattice in joint.lattices])
+        start = np.array([lattice.start for lattice in joint.lattices])
+        self.tree = SearchTree.of(start)
+        self.nearest = self.estimate(joint, start[None])[0]
         self.claimed = {self._cells_of(start[None])[0].tobytes()}
         self.frontier = [(float(self.nearest), 0, 0)]
-        self.kept: dict[int, Kept] = {}
+        self.successors: dict[int, SuccessorList] = {}
         self.wider: dict[int, int] = {}
         self.pushed, self.size, self.num_expansions = 0, 1, 0
         self.found = 0 if np.array_equal(start, self.goal) else None
         self.memory = 0
-        effort.num_nodes += 1
+        budget.num_nodes += 1
 
     def run(self, num_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
@@ -161,10 +162,11 @@ class Search:
             SOLVED, EXHAUSTED or the limit; None for a pause.
         """
         while self.found is None and self.frontier and self.num_expansions < num_expansions:
-            limit = self.effort.exceeded()
+            limit = self.budget.exceeded()
             if limit:
                 return limit
-            batch = [heapq.heappop(self.frontier)[2] for _ in range(min(self.size, len(self.frontier)))]
+            left = self.budget.max_expansions - self.budget.num_expansions
+            batch = [heapq.heappop(self.frontier)[2] for _ in range(int(min(self.size, len(self.frontier), left)))]
             nearest, before = self.nearest, self.num_expansions
             self._expand(batch)
             for node in batch:
@@ -191,20 +193,20 @@ class Search:
         """Find the best children of nodes that have none kept."""
         by_width: dict[int, list[int]] = {}
         for node in nodes:
-            if node not in self.kept:
+            if node not in self.successors:
                 by_width.setdefault(self.wider.get(node, self.width), []).append(node)
         for width, alike in by_width.items():
             state = self.tree.state[alike]
-            children = best_children(self.team, self.estimate.terms, state, width)
-            score, primitive = self.estimate.rescored(self.team, state, children)
+            children = best_successors(self.joint, self.estimate.terms, state, width)
+            score, primitive = self.estimate.rescored(self.joint, state, children)
             num_valid = np.isfinite(score).sum(axis=1)
             num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.branching)))
             whole = children.whole & (num_kept == num_valid)
             self._keep(alike, score, primitive, num_kept, whole, width)
             self.num_expansions += len(alike)
-            self.effort.num_expansions += len(alike)
-            self.effort.num_children_scored += children.num_scored
-            self.effort.num_children_valid += children.num_valid
+            self.budget.num_expansions += len(alike)
+            self.budget.num_children_scored += children.num_scored
+            self.budget.num_children_valid += children.num_valid
 
     def _keep(
         self,
@@ -220,14 +222,14 @@ class Search:
         last = np.cumsum(num_kept)
         column = np.arange(len(row)) - (last - num_kept)[row]
         parent, primitive = np.array(nodes)[row], primitive[row, column]
-        cost = self.tree.cost[parent] + self.team.move_costs(self.tree.state[parent], primitive)
+        cost = self.tree.cost[parent] + self.joint.move_costs(self.tree.state[parent], primitive)
         score = self.tree.cost[parent] + score[row, column]
-        state = self.team.move(self.tree.state[parent], primitive)
+        state = self.joint.move(self.tree.state[parent], primitive)
         cell = self._cells_of(state)
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
-            self.kept[node] = Kept(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
-            self.hold(self.kept[node].num_bytes)
+            self.successors[node] = SuccessorList(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
+            self.hold(self.successors[node].num_bytes)
 
     def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
         """Joint cells, each as bytes."""
@@ -237,37 +239,37 @@ class Search:
 
     def _add_children(self, node: int) -> None:
         """Claim the cells of a node's next children, and return it to the frontier by the score of the one after."""
-        kept, missing = self.kept[node], self.branching
-        while (child := self._next_unclaimed(kept)) is not None and missing:
-            self.claimed.add(kept.cell[child].tobytes())
-            self._push(kept, child, node)
-            kept.at, missing = child + 1, missing - 1
+        successors, missing = self.successors[node], self.branching
+        while (child := self._next_unclaimed(successors)) is not None and missing:
+            self.claimed.add(successors.cell[child].tobytes())
+            self._push(successors, child, node)
+            successors.at, missing = child + 1, missing - 1
         if child is not None:
-            self._return(kept.score[child], node)
+            self._return(successors.score[child], node)
             return
-        del self.kept[node]
-        self.hold(-kept.num_bytes)
-        if not kept.whole and kept.width < _WIDEST:
-            self.wider[node] = kept.width * _WIDER
+        del self.successors[node]
+        self.hold(-successors.num_bytes)
+        if not successors.whole and successors.width < _WIDEST:
+            self.wider[node] = successors.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
-            self._return(kept.score[-1] if len(kept.score) else self.tree.cost[node], node)
+            self._return(successors.score[-1] if len(successors.score) else self.tree.cost[node], node)
 
-    def _next_unclaimed(self, kept: Kept) -> int | None:
+    def _next_unclaimed(self, successors: SuccessorList) -> int | None:
         """The best child whose cell is free to claim."""
-        for child in range(kept.at, len(kept.score)):
-            if kept.cell[child].tobytes() not in self.claimed:
+        for child in range(successors.at, len(successors.score)):
+            if successors.cell[child].tobytes() not in self.claimed:
                 return child
         return None
 
-    def _push(self, kept: Kept, child: int, parent: int) -> None:
+    def _push(self, successors: SuccessorList, child: int, parent: int) -> None:
         """Make a child a node of the frontier."""
-        state, cost, score = kept.state[child], kept.cost[child], kept.score[child]
+        state, cost, score = successors.state[child], successors.cost[child], successors.score[child]
         node = self.tree.add(state, cost, parent)
         self._return(score, node)
         if np.array_equal(state, self.goal):
             self.found = node
         self.nearest = min(self.nearest, score - cost)
-        self.effort.num_nodes += 1
+        self.budget.num_nodes += 1
         self.hold(_NODE_BYTES + 8 * len(state))
 
     def _return(self, score: float | np.floating, node: int) -> None:
@@ -278,4 +280,4 @@ class Search:
     def hold(self, num_bytes: int) -> None:
         """Count memory that is taken, or given back."""
         self.memory += num_bytes
-        self.effort.memory += num_bytes
+        self.budget.memory += num_bytes

@@ -3,16 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 
-from plr_jax._problem import Problem
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.planners.bl.lattice import Lattice
-
-State = Int[np.ndarray, "n robots"]  # joint configurations, as indices into the robots' lattices
+from plr_jax.planners.bl.joint_lattice import JointLattice, State
 
 
-class Children(NamedTuple):
+class Successors(NamedTuple):
     """The best children of some joint configurations, by score, best first.
 
     Args:
@@ -30,58 +26,16 @@ class Children(NamedTuple):
     whole: Bool[np.ndarray, "n"]
 
 
-class Team(NamedTuple):
-    """The robots of a problem, each on its lattice."""
-
-    problem: Problem
-    lattices: tuple[Lattice, ...]
-
-    def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Joint configurations; round robots in a team with rectangles keep the heading of their start."""
-        q = np.repeat(self.problem.starts[None], len(state), axis=0)
-        for i, lattice in enumerate(self.lattices):
-            q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
-        return q
-
-    def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> State:
-        """Where joint primitives lead."""
-        columns = [lattice.child[s, p] for lattice, s, p in zip(self.lattices, state.T, primitive.T, strict=True)]
-        return np.stack(columns, axis=1)
-
-    def move_costs(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> Float[np.ndarray, "n"]:
-        """What joint primitives cost."""
-        columns = [lattice.cost[s, p] for lattice, s, p in zip(self.lattices, state.T, primitive.T, strict=True)]
-        return np.sum(columns, axis=0)
-
-    def collisions(
-        self, i: int, j: int, state: State
-    ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Which primitives of two robots collide with one another.
-
-        Returns:
-            The rows of ``state`` in which the robots are near enough to meet, and for each of these whether
-            each primitive of the one collides with each of the other.
-        """
-        a, b = self.lattices[i], self.lattices[j]
-        robot_a, robot_b = self.problem.robots[i], self.problem.robots[j]
-        qa, qb = a.q[state[:, i]], b.q[state[:, j]]
-        reach = robot_a.circumscribed_radius + robot_b.circumscribed_radius + a.stride + b.stride
-        x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
-        near = np.flatnonzero(x * x + y * y < reach * reach)
-        motions_a = qa[near, None, None], a.end[state[near, i], :, None]
-        motions_b = qb[near, None, None], b.end[state[near, j], None, :]
-        tolerance = self.problem.workspace.tolerance
-        return near, ~motions_apart(robot_a, *motions_a, robot_b, *motions_b, tolerance)
-
-
-def best_children(team: Team, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int) -> Children:
+def best_successors(
+    joint: JointLattice, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int
+) -> Successors:
     """The best children of joint configurations, one robot added after the other.
 
     The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next
     robot joins. A product that fits is not cut, so that its children are complete.
 
     Args:
-        team: The robots.
+        joint: The robots' lattices.
         terms: For each robot the term of each configuration's primitives, ``inf`` where blocked.
         state: Joint configurations.
         width: How many partial children are kept for each.
@@ -96,7 +50,7 @@ def best_children(team: Team, terms: tuple[Float[np.ndarray, "_ _"], ...], state
     for i, term in enumerate(terms):
         extended = score[:, :, None] + term[state[:, i], None]
         for j in range(i):
-            near, collide = team.collisions(j, i, state)
+            near, collide = joint.collisions(j, i, state)
             if collide.any():
                 penalty = np.where(collide, np.float32(np.inf), np.float32(0.0))
                 extended[near] += penalty[np.arange(len(near))[:, None], primitive[near, :, j]]
@@ -112,4 +66,4 @@ def best_children(team: Team, terms: tuple[Float[np.ndarray, "_ _"], ...], state
         parent, own = np.divmod(kept, term.shape[1])
         primitive = np.concatenate([primitive[rows, parent], own[..., None].astype(np.uint8)], axis=2)
     order = np.argsort(score, axis=1, kind="stable")
-    return Children(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
+    return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)

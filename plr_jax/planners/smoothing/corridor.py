@@ -1,8 +1,8 @@
-"""Bend a path, one robot or two at a time: the cheapest motions within narrow tubes about theirs.
+"""Shorten a path within corridors: the cheapest motions of one robot, or of two at a time, close about theirs.
 
 At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
 sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
-motions. Two robots that touch have to move together: neither gains by making way alone. Where the tubes stop
+motions. Two robots that touch have to move together: neither gains by making way alone. Where the corridors stop
 gaining, they are made narrower.
 """
 
@@ -10,30 +10,29 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.collision.walls import MotionTest
+from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.robots.robot import RectangleRobot
 
 Path = Float[np.ndarray, "steps robots dof"]
-Tube = Float[np.ndarray, "steps size dof"]
+Corridor = Float[np.ndarray, "steps size dof"]
 
-_GAIN = 3e-3  # share of the cost below which the tubes are narrowed
+_GAIN = 3e-3  # share of the cost below which the corridors are narrowed
 _NARROWINGS = 3
-_REACH = 4  # widths of a tube within which two robots count as touching
+_REACH = 4  # widths of a corridor within which two robots count as touching
 _MARGIN = 3  # rows before and after those in which they do
 _FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
-def bend(problem: Problem, path: Path, tests: list[MotionTest], width: float, deadline: float) -> Path:
-    """The path with the robots' motions bent, alone and in pairs, in narrower and narrower tubes.
+def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float, deadline: float) -> Path:
+    """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
 
     Args:
         problem: The problem.
         path: A path that solves it.
-        tests: Each robot's motion test.
+        test: The team's motion test.
         width: Distance of the pattern's configurations at first, in workspace units.
         deadline: When to stop, on the clock of ``time.perf_counter``.
 
@@ -46,7 +45,7 @@ def bend(problem: Problem, path: Path, tests: list[MotionTest], width: float, de
         for robots, rows in _groups(problem, path, width):
             if time.perf_counter() > deadline:
                 return path
-            path[rows] = _bent(problem, path[rows], robots, tests, _pattern(width, diagonal), width)
+            path[rows] = _shortened(problem, path[rows], robots, test, _pattern(width, diagonal), width)
         diagonal = not diagonal
         before, cost = cost, path_cost(problem, path)
         if before - cost <= _GAIN * before:
@@ -55,7 +54,7 @@ def bend(problem: Problem, path: Path, tests: list[MotionTest], width: float, de
 
 
 def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
-    """What is bent together: every robot alone, and each two in the rows in which they touch."""
+    """What is shortened together: every robot alone, and each two in the rows in which they touch."""
     for i, robot in enumerate(problem.robots):
         yield (i,), slice(0, len(path))
         for j in range(i):
@@ -72,32 +71,32 @@ def _pattern(width: float, diagonal: bool) -> Float[np.ndarray, "5 2"]:
     return width * _FIVE @ turn
 
 
-def _bent(
+def _shortened(
     problem: Problem,
     path: Path,
     robots: tuple[int, ...],
-    tests: list[MotionTest],
+    test: JointMotionTest,
     pattern: Float[np.ndarray, "5 2"],
     width: float,
 ) -> Path:
-    """The robots' cheapest motions within their tubes, both ends as they are."""
-    tubes = [_tube(problem, path[:, i], i, pattern, width) for i in robots]
-    costs = [_costs(problem, path, robots, i, tube, tests[i]) for i, tube in zip(robots, tubes, strict=True)]
+    """The robots' cheapest motions within their corridors, both ends as they are."""
+    corridors = [_corridor(problem, path[:, i], i, pattern, width) for i in robots]
+    costs = [_costs(problem, path, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
     cost = costs[0]
     if len(robots) == 2:
         cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        cost[~_apart(problem, robots, tubes)] = np.inf
+        cost[~_apart(test, robots, corridors)] = np.inf
         cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
-    places = np.unravel_index(_cheapest(cost), [tube.shape[1] for tube in tubes])
-    bent, rows = path.copy(), np.arange(len(path))
-    for i, tube, place in zip(robots, tubes, places, strict=True):
-        bent[:, i] = tube[rows, place]
-    return bent
+    places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
+    shortened, rows = path.copy(), np.arange(len(path))
+    for i, corridor, place in zip(robots, corridors, places, strict=True):
+        shortened[:, i] = corridor[rows, place]
+    return shortened
 
 
-def _tube(
+def _corridor(
     problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, pattern: Float[np.ndarray, "5 2"], width: float
-) -> Tube:
+) -> Corridor:
     """Configurations about each row, the row itself first; at both ends nothing else."""
     offsets = np.zeros((len(pattern), q.shape[1]))
     offsets[:, :2] = pattern
@@ -105,34 +104,33 @@ def _tube(
         turns = np.zeros((2, 3))
         turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
         offsets = np.concatenate([offsets, turns])
-    tube = q[:, None] + offsets
-    tube[[0, -1]] = q[[0, -1], None]
-    return tube
+    corridor = q[:, None] + offsets
+    corridor[[0, -1]] = q[[0, -1], None]
+    return corridor
 
 
 def _costs(
-    problem: Problem, path: Path, robots: tuple[int, ...], i: int, tube: Tube, test: MotionTest
+    problem: Problem, path: Path, robots: tuple[int, ...], i: int, corridor: Corridor, test: JointMotionTest
 ) -> Float[np.ndarray, "motions size size"]:
-    """Cost of every motion within a robot's tube; ``inf`` if it hits a wall or a robot that is not bent too."""
-    begin, end = tube[:-1, :, None], tube[1:, None, :]
+    """Cost of every motion within a robot's corridor; ``inf`` if it hits a wall or a robot that keeps its motions."""
+    begin, end = corridor[:-1, :, None], corridor[1:, None, :]
     cost = straight_costs(begin, end, problem.rotation_weights[i])
-    free = np.ones(cost.shape, dtype=bool)
-    for j in set(range(len(problem.robots))) - set(robots):
-        theirs = path[:-1, j, None, None], path[1:, j, None, None]
-        tolerance = problem.workspace.tolerance
-        free &= motions_apart(problem.robots[i], begin, end, problem.robots[j], *theirs, tolerance)
+    motion = np.arange(len(begin))[:, None, None]
+    free = test.apart_from_others(i, begin, end, path, motion, but=robots)
     row, first, last = np.nonzero(free)
-    free[row, first, last] = test(tube[row, first], tube[row + 1, last])
+    free[row, first, last] = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
     cost[~free] = np.inf
     return cost
 
 
-def _apart(problem: Problem, robots: tuple[int, ...], tubes: list[Float[np.ndarray, "steps _ dof"]]) -> np.ndarray:
+def _apart(
+    test: JointMotionTest, robots: tuple[int, ...], corridors: list[Float[np.ndarray, "steps _ dof"]]
+) -> Bool[np.ndarray, "motions size_a size_b size_a size_b"]:
     """Whether two robots keep clear of one another: from each two of their places to each two."""
-    (i, j), (a, b) = robots, tubes
+    (i, j), (a, b) = robots, corridors
     mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
     theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
-    return motions_apart(problem.robots[i], *mine, problem.robots[j], *theirs, problem.workspace.tolerance)
+    return test.apart(i, *mine, j, *theirs)
 
 
 def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.collision.walls import MotionTest
+from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.robots.robot import between
 
 _LONGEST = 32  # steps that one shortcut spans at most
@@ -17,14 +16,14 @@ _GAIN = 1e-3  # share of the cost below which another round is not worth its tim
 
 
 def shorten(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], tests: list[MotionTest], deadline: float
+    problem: Problem, path: Float[np.ndarray, "steps robots dof"], test: JointMotionTest, deadline: float
 ) -> Float[np.ndarray, "steps robots dof"]:
     """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
 
     Args:
         problem: The problem.
         path: A path that solves it.
-        tests: Each robot's motion test.
+        test: The team's motion test.
         deadline: When to stop, on the clock of ``time.perf_counter``.
 
     Returns:
@@ -32,7 +31,7 @@ def shorten(
     """
     path, cost = path.copy(), path_cost(problem, path)
     while True:
-        for i, test in enumerate(tests):
+        for i in range(len(problem.robots)):
             if time.perf_counter() > deadline:
                 return path
             path[:, i] = _shortened(problem, path, i, test)
@@ -49,7 +48,7 @@ def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "fi
 
 
 def _shortened(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: MotionTest
+    problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: JointMotionTest
 ) -> Float[np.ndarray, "steps dof"]:
     """One robot's motions along the shortest way from its first row to its last in the graph of shortcuts."""
     q, steps, weight = path[:, i], len(path), problem.rotation_weights[i]
@@ -60,9 +59,9 @@ def _shortened(
     cost = straight_costs(q[begin], q[end], weight)
     shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
     begin, end, cost = begin[shorter], end[shorter], cost[shorter]
-    free = test(q[begin], q[end])
+    free = test.of_walls[i](q[begin], q[end])
     begin, end, cost = begin[free], end[free], cost[free]
-    free = _apart(problem, path, i, begin, end)
+    free = _apart(test, path, i, begin, end)
     begin, end, cost = begin[free], end[free], cost[free]
     begin = np.concatenate([begin, np.arange(steps - 1)])
     end = np.concatenate([end, np.arange(1, steps)])
@@ -99,27 +98,19 @@ def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarr
 
 
 def _apart(
-    problem: Problem,
+    test: JointMotionTest,
     path: Float[np.ndarray, "steps robots dof"],
     i: int,
     begin: Int[np.ndarray, "m"],
     end: Int[np.ndarray, "m"],
 ) -> Bool[np.ndarray, "m"]:
-    """Whether shortcuts of one robot keep clear of the motions of the others."""
+    """Whether shortcuts of one robot keep clear of the motions of the others, each cut into the rows' pieces."""
+    count = end - begin
+    owner = np.repeat(np.arange(len(begin)), count)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    motion, share = begin[owner] + step, count[owner, None]
+    q0, q1 = path[begin, i][owner], path[end, i][owner]
+    piece = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)
     apart = np.ones(len(begin), dtype=bool)
-    for j in range(len(problem.robots)):
-        if j == i:
-            continue
-        rows = np.flatnonzero(apart)
-        count = end[rows] - begin[rows]
-        owner = np.repeat(np.arange(len(rows)), count)
-        step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-        at = begin[rows][owner] + step
-        q0, q1 = path[begin[rows], i][owner], path[end[rows], i][owner]
-        share = count[owner, None]
-        a0, a1 = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)
-        clear = motions_apart(
-            problem.robots[i], a0, a1, problem.robots[j], path[at, j], path[at + 1, j], problem.workspace.tolerance
-        )
-        apart[rows[owner[~clear]]] = False
+    apart[owner[~test.apart_from_others(i, *piece, path, motion)]] = False
     return apart

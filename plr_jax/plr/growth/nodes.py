@@ -48,6 +48,10 @@ class Nodes:
         columns = [column.name for column in fields(Nodes) if column.name != "cells"]
         return Nodes(cells, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
+    def __getitem__(self, index) -> "Nodes":
+        columns = {column.name: getattr(self, column.name)[index] for column in fields(Nodes)}
+        return Nodes(**columns)
+
     def leaves_after(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
         """Leaves of the tree whose inner nodes are the given ones."""
         is_leaf = np.zeros(len(self.key), bool)

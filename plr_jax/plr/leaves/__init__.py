@@ -1,5 +1,6 @@
 """Leaf models: what function each leaf holds. Their names and the codes of their files stand here, once."""
 
+from plr_jax._arrays import shortened
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
@@ -12,11 +13,11 @@ def leaf_model(leaf: LeafModel | str) -> LeafModel:
     if not isinstance(leaf, str):
         if isinstance(leaf, tuple(map(type, _MODELS))):
             return leaf
-        raise ValueError(f"leaf must be a leaf model or its name, one of {_names()}, got {leaf!r:.200}.")
+        raise ValueError(f"leaf must be a leaf model or its name, one of {_names()}, got {shortened(leaf)}.")
     for model in _MODELS:
         if model.name == leaf:
             return model
-    raise ValueError(f"leaf must be one of {_names()}, got {leaf!r:.200}.")
+    raise ValueError(f"leaf must be one of {_names()}, got {shortened(leaf)}.")
 
 
 def code_of_leaf(leaf: LeafModel) -> int:

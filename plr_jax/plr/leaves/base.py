@@ -120,13 +120,9 @@ class LeafModel(Protocol):
         ...
 
     def numbers(
-        self,
-        domain: Box,
-        cells: Cells,
-        coefficients: Float[np.ndarray, "leaves terms"],
-        is_inf: Bool[np.ndarray, "leaves"],
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf; those of ``is_inf`` answer ``inf`` with gradient 0."""
+        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
         ...
 
     def evaluate(

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from plr_jax._arrays import padded_size
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.tables import Tables
 
@@ -60,7 +61,7 @@ class TableStack:
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
         """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
-        size = next(size for size in _SIZES if size >= len(q))
+        size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
         for i, corner in enumerate(self.far_corners):

@@ -14,8 +14,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer, UInt16, UInt32
+from jaxtyping import Array, Float, Int, UInt16, UInt32
 
+from plr_jax._arrays import padded
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.sizes import (
@@ -154,7 +155,7 @@ def build_tables(
         frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
-        leaf_of_slot=jnp.asarray(_padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
+        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
         numbers=jnp.asarray(_lay_out(numbers, rows)),
         leaf=leaf,
     )
@@ -182,8 +183,8 @@ def _lay_out(
     numbers: Float[np.ndarray, "leaves count"], rows: int
 ) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
     """What a query reads of every leaf as ``Tables.numbers`` describes, padded with zeros."""
-    padded = _padded(numbers.astype(np.float32), rows)
-    return padded.ravel() if padded.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(padded.T)
+    table = padded(numbers.astype(np.float32), rows)
+    return table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)
 
 
 def _pack_blocks(
@@ -293,9 +294,3 @@ def _row_major(
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
     return index
-
-
-def _padded(rows: Integer[np.ndarray, "..."] | Float[np.ndarray, "..."], size: int) -> np.ndarray:
-    padded = np.zeros((size, *rows.shape[1:]), rows.dtype)
-    padded[: len(rows)] = rows
-    return padded

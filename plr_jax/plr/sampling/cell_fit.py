@@ -59,6 +59,14 @@ class CellFit:
         return masked_cells(self.weight)
 
     @property
+    def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
+        """Cells whose free part the samples hardly met, or missed.
+
+        A plane passes through a few samples, or there is none, and no error shows.
+        """
+        return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
+
+    @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
         """Which cells may still be halved along some axis."""
         return (self.cells.depth < self.max_axis_depth).any(axis=1)
@@ -72,14 +80,28 @@ class CellFit:
 _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
 
 
+_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
+
+
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """How cells are sampled and fitted: what stays the same throughout a construction."""
+    """How cells are sampled and fitted: what stays the same throughout a construction.
+
+    Attributes:
+        distance_fn: What is sampled.
+        domain: The box that the cells divide.
+        weight_fn: Weight of the error at points; None: 1.
+        pattern: Where cells are sampled.
+        dense_pattern: Where those are sampled again of which too little was seen.
+        max_axis_depth: How often a cell may be halved along one axis.
+        compute_coefficients: Fits the planes.
+    """
 
     distance_fn: DistanceFn
     domain: Box
     weight_fn: WeightFn | None
     pattern: Pattern
+    dense_pattern: Pattern
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
 
@@ -100,6 +122,10 @@ class Sampler:
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
         return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
+
+    def densely(self, cells: Cells) -> CellFit:
+        """Sample cells again with many more points: those that :attr:`CellFit.is_hardly_seen`."""
+        return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self) -> CellFit:
         """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""

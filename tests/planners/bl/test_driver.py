@@ -3,7 +3,7 @@ from functools import cache
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, planned, team_of
+from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, joint_lattice_of, planned
 
 from plr_jax import (
     BLOptions,
@@ -180,6 +180,19 @@ def test_limits(options, status):
     assert solution.status is status and not solution.solved and solution.cost == np.inf
 
 
+@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
+def test_expansions_are_never_more_than_asked_for(max_expansions):
+    # Of a hallway no path leads out, so that the search widens to whole batches.
+    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
+    assert solution.status is Status.EXPANSION_LIMIT
+    assert solution.stats.num_expansions == int(max_expansions)
+
+
+def test_without_a_heuristic_straight_lines_guide():
+    problem = scenes.single_door()
+    assert same(bl_plan(problem), planned(problem, straight_line(problem)))
+
+
 def test_lattices_count_as_memory():
     problem = scenes.single_door()
     for max_memory, begun in ((4000, False), (1_500_000, True)):
@@ -328,7 +341,7 @@ def test_larger_cells_of_a_team():
 
 def test_claimed_cells():
     problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = team_of(problem, 1.0).lattices
+    (lattice,) = joint_lattice_of(problem, 1.0).lattices
     np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
     cells = claimed_cells(lattice, 0.65, 2.0)
     key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)

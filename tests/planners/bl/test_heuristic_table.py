@@ -2,12 +2,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from planner_helpers import ROOM, exact, team_of
+from planner_helpers import ROOM, exact, joint_lattice_of
 
 from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, bl_plan, scenes, validate
 from plr_jax.planners import straight_line, zero
-from plr_jax.planners.bl.heuristic_table import estimate_of
-from plr_jax.planners.bl.successors import best_children
+from plr_jax.planners.bl.heuristic_table import tabulate
+from plr_jax.planners.bl.successors import best_successors
 
 DOOR = scenes.single_door()
 MIXED = Problem(
@@ -27,9 +27,9 @@ class Separable(NamedTuple):
         return self.per_robot(q).sum(axis=1)
 
 
-def random_states(team, num, seed=0):
+def random_states(joint, num, seed=0):
     rng = np.random.default_rng(seed)
-    return np.stack([rng.integers(len(lattice.q), size=num) for lattice in team.lattices], axis=1)
+    return np.stack([rng.integers(len(lattice.q), size=num) for lattice in joint.lattices], axis=1)
 
 
 # Separable heuristics
@@ -38,21 +38,21 @@ def random_states(team, num, seed=0):
 @pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(3)], ids=["mixed", "rooms"])
 @pytest.mark.parametrize("weight", [0.0, 1.0, 3.5])
 def test_tables_hold_what_the_heuristic_says(problem, weight):
-    team, heuristic = team_of(problem, 1.0), straight_line(problem)
-    estimate = estimate_of(team, heuristic, weight)
-    assert estimate.joint is None
-    state = random_states(team, 50)
-    q = team.configurations(state)
-    np.testing.assert_allclose(estimate(team, state), weight * heuristic(q), rtol=1e-12)
+    joint, heuristic = joint_lattice_of(problem, 1.0), straight_line(problem)
+    estimate = tabulate(joint, heuristic, weight)
+    assert estimate.plain is None
+    state = random_states(joint, 50)
+    q = joint.configurations(state)
+    np.testing.assert_allclose(estimate(joint, state), weight * heuristic(q), rtol=1e-12)
     for i, table in enumerate(estimate.tables):
-        assert len(table) == len(team.lattices[i].q)
+        assert len(table) == len(joint.lattices[i].q)
         np.testing.assert_array_equal(table[state[:, i]], heuristic.per_robot(q)[:, i])
 
 
 def test_terms_are_cost_and_weighted_estimate_of_the_child():
-    team = team_of(MIXED, 1.0)
-    estimate = estimate_of(team, straight_line(MIXED), 3.0)
-    for lattice, table, term in zip(team.lattices, estimate.tables, estimate.terms, strict=True):
+    joint = joint_lattice_of(MIXED, 1.0)
+    estimate = tabulate(joint, straight_line(MIXED), 3.0)
+    for lattice, table, term in zip(joint.lattices, estimate.tables, estimate.terms, strict=True):
         assert term.dtype == np.float32 and term.shape == lattice.child.shape
         np.testing.assert_array_equal(np.isinf(term), np.isinf(lattice.cost))
         node = len(table) // 2
@@ -69,17 +69,17 @@ def test_terms_are_evaluated_once_for_lattices_of_any_size():
         asked.append(q.shape)
         return np.zeros(q.shape[:2])
 
-    team = team_of(MIXED, 1.0)
-    estimate_of(team, Separable(per_robot), 1.0)
-    assert asked == [(max(len(lattice.q) for lattice in team.lattices), 3, 3)]
+    joint = joint_lattice_of(MIXED, 1.0)
+    tabulate(joint, Separable(per_robot), 1.0)
+    assert asked == [(max(len(lattice.q) for lattice in joint.lattices), 3, 3)]
 
 
 def test_separable_children_are_not_rescored():
-    team = team_of(MIXED, 2.0)
-    estimate = estimate_of(team, straight_line(MIXED), 2.0)
-    state = np.array([[lattice.start for lattice in team.lattices]], np.int32)
-    children = best_children(team, estimate.terms, state, 50)
-    score, primitive = estimate.rescored(team, state, children)
+    joint = joint_lattice_of(MIXED, 2.0)
+    estimate = tabulate(joint, straight_line(MIXED), 2.0)
+    state = np.array([[lattice.start for lattice in joint.lattices]], np.int32)
+    children = best_successors(joint, estimate.terms, state, 50)
+    score, primitive = estimate.rescored(joint, state, children)
     assert score is children.score and primitive is children.primitive
 
 
@@ -92,11 +92,11 @@ def bent(q):
 
 
 def test_a_plain_function_is_called_for_joint_configurations():
-    team = team_of(MIXED, 1.0)
-    estimate = estimate_of(team, bent, 2.0)
-    state = random_states(team, 40)
-    assert estimate.joint is bent
-    np.testing.assert_allclose(estimate(team, state), 2 * bent(team.configurations(state)), rtol=1e-12)
+    joint = joint_lattice_of(MIXED, 1.0)
+    estimate = tabulate(joint, bent, 2.0)
+    state = random_states(joint, 40)
+    assert estimate.plain is bent
+    np.testing.assert_allclose(estimate(joint, state), 2 * bent(joint.configurations(state)), rtol=1e-12)
 
 
 def test_a_plain_function_sees_few_batch_sizes():
@@ -106,10 +106,10 @@ def test_a_plain_function_sees_few_batch_sizes():
         sizes.add(len(q))
         return bent(q)
 
-    team = team_of(MIXED, 1.0)
-    estimate = estimate_of(team, counting, 1.0)
-    for n in range(1, 40):
-        assert estimate(team, random_states(team, n)).shape == (n,)
+    joint = joint_lattice_of(MIXED, 1.0)
+    estimate = tabulate(joint, counting, 1.0)
+    for n in range(40):
+        assert estimate(joint, random_states(joint, n)).shape == (n,)
     assert sizes == {1, 2, 4, 8, 16, 32, 64}
 
 
@@ -124,13 +124,13 @@ def test_estimates_too_large_for_float32_prune_nothing(separable):
 
 
 def test_children_are_rescored_by_a_plain_function():
-    team = team_of(MIXED, 1.0)
-    estimate = estimate_of(team, bent, 2.0)
+    joint = joint_lattice_of(MIXED, 1.0)
+    estimate = tabulate(joint, bent, 2.0)
     state = np.array(
-        [[lattice.start for lattice in team.lattices], [lattice.goal for lattice in team.lattices]], np.int32
+        [[lattice.start for lattice in joint.lattices], [lattice.goal for lattice in joint.lattices]], np.int32
     )
-    children = best_children(team, estimate.terms, state, 5000)
-    score, primitive = estimate.rescored(team, state, children)
+    children = best_successors(joint, estimate.terms, state, 5000)
+    score, primitive = estimate.rescored(joint, state, children)
     assert not np.array_equal(primitive, children.primitive)
     for row in range(2):
         count = int(np.isfinite(score[row]).sum())
@@ -139,18 +139,18 @@ def test_children_are_rescored_by_a_plain_function():
         before, after = (set(map(tuple, p[row, :count].tolist())) for p in (children.primitive, primitive))
         assert before == after
         parents = np.repeat(state[[row]], count, axis=0)
-        child = team.configurations(team.move(parents, primitive[row, :count]))
-        expected = team.move_costs(parents, primitive[row, :count]) + 2 * bent(child)
+        child = joint.configurations(joint.move(parents, primitive[row, :count]))
+        expected = joint.move_costs(parents, primitive[row, :count]) + 2 * bent(child)
         np.testing.assert_allclose(score[row, :count], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("factor", [1.0, 50.0])
 def test_finite_estimates_of_a_plain_function_are_taken_as_they_are(factor):
-    team = team_of(DOOR, 0.4)
+    joint = joint_lattice_of(DOOR, 0.4)
     line = straight_line(DOOR)
-    estimate = estimate_of(team, lambda q: factor * line(q), 1.0)
-    state = random_states(team, 60)
-    np.testing.assert_allclose(estimate(team, state), factor * line(team.configurations(state)), rtol=1e-12)
+    estimate = tabulate(joint, lambda q: factor * line(q), 1.0)
+    state = random_states(joint, 60)
+    np.testing.assert_allclose(estimate(joint, state), factor * line(joint.configurations(state)), rtol=1e-12)
 
 
 def test_a_plain_function_guides_like_its_separable_twin():
@@ -170,10 +170,10 @@ def test_infinite_terms_exceed_all_others_but_are_finite():
         values[q[..., 1] > 5] = np.inf
         return values
 
-    team = team_of(DOOR, 0.5)
-    estimate = estimate_of(team, Separable(per_robot), 1.0)
+    joint = joint_lattice_of(DOOR, 0.5)
+    estimate = tabulate(joint, Separable(per_robot), 1.0)
     (table,) = estimate.tables
-    unknown = team.lattices[0].q[:, 1] > 5
+    unknown = joint.lattices[0].q[:, 1] > 5
     assert np.isfinite(table).all() and table[unknown].min() > table[~unknown].max()
 
 
@@ -182,10 +182,10 @@ def test_infinite_joint_estimates_exceed_all_others_but_are_finite(factor):
     def heuristic(q):
         return np.where(q[:, 0, 1] > 5, np.inf, factor * q[:, 0, 0])
 
-    team = team_of(DOOR, 0.5)
-    estimate = estimate_of(team, heuristic, 1.0)
-    nodes = np.arange(len(team.lattices[0].q))[:, None]
-    values, unknown = estimate(team, nodes), team.lattices[0].q[:, 1] > 5
+    joint = joint_lattice_of(DOOR, 0.5)
+    estimate = tabulate(joint, heuristic, 1.0)
+    nodes = np.arange(len(joint.lattices[0].q))[:, None]
+    values, unknown = estimate(joint, nodes), joint.lattices[0].q[:, 1] > 5
     assert np.isfinite(values).all() and values[unknown].min() > values[~unknown].max()
 
 

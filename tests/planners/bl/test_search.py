@@ -5,13 +5,13 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, apart, effort, exact, graph_of, hallway, team_of
+from planner_helpers import FOUR_NEIGHBORS, apart, exact, graph_of, hallway, joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import Status, straight_line, zero
-from plr_jax.planners.bl.heuristic_table import estimate_of
+from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.lattice import PRIMITIVES
-from plr_jax.planners.bl.search import Search, Tree
+from plr_jax.planners.bl.search import BestFirstSearch, SearchTree
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
 LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])
@@ -25,11 +25,15 @@ MIXED = Problem(
 
 
 def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, limits=None, **options):
-    team = team_of(problem, step, primitives)
-    estimate = estimate_of(team, heuristic or straight_line(problem), weight)
-    cells = [np.arange(len(lattice.q)) for lattice in team.lattices]
-    return Search(
-        team, estimate, cells, **{"batch": 1, "branching": 1, "width": 1024, **options}, effort=limits or effort()
+    joint = joint_lattice_of(problem, step, primitives)
+    estimate = tabulate(joint, heuristic or straight_line(problem), weight)
+    cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
+    return BestFirstSearch(
+        joint,
+        estimate,
+        cells,
+        **{"batch": 1, "branching": 1, "width": 1024, **options},
+        budget=limits or search_budget(),
     )
 
 
@@ -42,16 +46,18 @@ def run_on(search):
     return status
 
 
-def reachable(team):
+def reachable(joint):
     """All joint configurations that joint motions reach, one after the other."""
-    start = tuple(lattice.start for lattice in team.lattices)
-    primitive = np.array(list(product(*(range(lattice.child.shape[1]) for lattice in team.lattices))), dtype=np.uint8)
+    start = tuple(lattice.start for lattice in joint.lattices)
+    primitive = np.array(
+        list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8
+    )
     reached, newest = {start}, [start]
     while newest:
         state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)
-        free = np.isfinite(team.move_costs(state, primitive))
-        free &= apart(team, state, primitive)
-        for child in map(tuple, team.move(state[free], primitive[free]).tolist()):
+        free = np.isfinite(joint.move_costs(state, primitive))
+        free &= apart(joint, state, primitive)
+        for child in map(tuple, joint.move(state[free], primitive[free]).tolist()):
             if child not in reached:
                 reached.add(child)
                 newest.append(child)
@@ -93,7 +99,7 @@ def test_without_heuristic_and_with_equal_motions_the_cost_is_that_of_dijkstra(b
     # A cell is claimed when a child is made, not when it is expanded. On four neighbors of equal cost, the nodes of
     # one cost come before those of the next, and no two of one cost are neighbors: then the first claim is the best.
     search = search_of(LABYRINTH, 1.0, zero(), 0.0, FOUR_NEIGHBORS, branching=branching)
-    (lattice,) = search.team.lattices
+    (lattice,) = search.joint.lattices
     assert run_on(search) is Status.SOLVED
     expected = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
     assert search.tree.cost[search.found] == expected == 24.0
@@ -102,7 +108,7 @@ def test_without_heuristic_and_with_equal_motions_the_cost_is_that_of_dijkstra(b
 def test_without_heuristic_every_cell_has_its_distance_where_motions_are_equal():
     search = search_of(LABYRINTH, 1.0, zero(), 0.0, FOUR_NEIGHBORS)
     search.goal = np.array([-1])
-    (lattice,) = search.team.lattices
+    (lattice,) = search.joint.lattices
     assert run_on(search) is Status.EXHAUSTED
     expected = nx.single_source_dijkstra_path_length(graph_of(lattice), lattice.start, weight="cost")
     costs = dict(zip(search.state[:, 0].tolist(), search.tree.cost[: search.tree.size].tolist(), strict=True))
@@ -122,7 +128,7 @@ def test_without_heuristic_every_cell_has_its_distance_where_motions_are_equal()
 def test_nodes_come_in_the_order_of_the_book(problem, step, weight):
     search = search_of(problem, step, weight=weight)
     assert run_on(search) is Status.SOLVED
-    states, costs = nodes_by_the_book(search.team.lattices[0], search.estimate.tables[0], weight)
+    states, costs = nodes_by_the_book(search.joint.lattices[0], search.estimate.tables[0], weight)
     assert search.state[:, 0].tolist() == states
     np.testing.assert_allclose(search.tree.cost[: search.tree.size], costs, rtol=1e-12)
 
@@ -134,13 +140,13 @@ def test_a_branch_is_a_sequence_of_motions_that_costs_what_the_tree_says(branchi
     problem = scenes.single_door()
     search = search_of(problem, 0.5, weight=weight, branching=branching, batch=batch)
     assert run_on(search) is Status.SOLVED
-    (lattice,), nodes = search.team.lattices, search.branch[:, 0].tolist()
+    (lattice,), nodes = search.joint.lattices, search.branch[:, 0].tolist()
     graph = graph_of(lattice)
     cost = sum(graph.edges[edge]["cost"] for edge in pairwise(nodes))
     assert (nodes[0], nodes[-1]) == (lattice.start, lattice.goal)
     assert search.tree.cost[search.found] == pytest.approx(cost)
     assert cost >= nx.dijkstra_path_length(graph, lattice.start, lattice.goal, "cost") - 1e-9
-    assert validate(problem, search.team.configurations(search.branch)).valid
+    assert validate(problem, search.joint.configurations(search.branch)).valid
 
 
 @pytest.mark.parametrize("branching", [1, 1000])
@@ -148,7 +154,7 @@ def test_teams_with_few_or_many_children_at_a_time(branching):
     problem = scenes.cross(2)
     search = search_of(problem, 0.5, exact(problem), 2.0, branching=branching, batch=16)
     assert run_on(search) is Status.SOLVED
-    report = validate(problem, search.team.configurations(search.branch))
+    report = validate(problem, search.joint.configurations(search.branch))
     assert report.valid and report.cost == pytest.approx(search.tree.cost[search.found])
 
 
@@ -156,7 +162,7 @@ def test_a_start_that_is_the_goal_is_found_at_once():
     problem = Problem(BLOCKS, [DiscRobot(0.3), PointRobot()], [(0.5, 0.5), (4, 4)], [(0.5, 0.5), (4, 4)])
     search = search_of(problem, 1.0)
     assert search.run(10) is Status.SOLVED
-    assert len(search.branch) == 1 and search.effort.num_expansions == 0
+    assert len(search.branch) == 1 and search.budget.num_expansions == 0
 
 
 # What is exhausted
@@ -180,17 +186,17 @@ def test_a_start_that_is_the_goal_is_found_at_once():
 def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, options):
     search = search_of(problem, 1.0, **options)
     search.goal = np.full(2, -1)  # nowhere
-    expected = reachable(search.team)
+    expected = reachable(search.joint)
     assert run_on(search) is Status.EXHAUSTED
     states = list(map(tuple, search.state.tolist()))
-    assert len(states) == len(set(states)) == search.effort.num_nodes and set(states) == expected
-    assert not search.kept and search.effort.num_children_valid >= len(states) - 1
+    assert len(states) == len(set(states)) == search.budget.num_nodes and set(states) == expected
+    assert not search.successors and search.budget.num_children_valid >= len(states) - 1
 
 
 def test_robots_that_cannot_pass_exhaust_the_frontier():
     search = search_of(hallway(6), 1.0)
     assert run_on(search) is Status.EXHAUSTED and search.found is None
-    assert search.effort.num_nodes == 15, "two of six cells, in their order"
+    assert search.budget.num_nodes == 15, "two of six cells, in their order"
 
 
 def test_three_robots_whose_product_is_cut_reach_every_state():
@@ -200,19 +206,21 @@ def test_three_robots_whose_product_is_cut_reach_every_state():
     for search in (everything, cut):
         search.goal = np.full(3, -1)
         assert run_on(search) is Status.EXHAUSTED
-    expected = reachable(everything.team)
+    expected = reachable(everything.joint)
     assert len(expected) > 20
     assert set(map(tuple, everything.state.tolist())) == set(map(tuple, cut.state.tolist())) == expected
-    assert cut.effort.num_expansions > everything.effort.num_expansions, "nodes are expanded again, wider"
+    assert cut.budget.num_expansions > everything.budget.num_expansions, "nodes are expanded again, wider"
 
 
 def test_larger_cells_are_claimed_once():
     problem = scenes.four_rooms(2)
-    team = team_of(problem, 0.5)
+    joint = joint_lattice_of(problem, 0.5)
     cells = [
-        np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in team.lattices
+        np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in joint.lattices
     ]
-    search = Search(team, estimate_of(team, zero(), 0.0), cells, 16, 1, 1024, effort(max_expansions=300))
+    search = BestFirstSearch(
+        joint, tabulate(joint, zero(), 0.0), cells, 16, 1, 1024, search_budget(max_expansions=300)
+    )
     search.run(10_000)
     claimed = [tuple(cell[s] for cell, s in zip(cells, state, strict=True)) for state in search.state]
     assert len(set(claimed)) == len(claimed) > 40
@@ -222,19 +230,19 @@ def test_larger_cells_are_claimed_once():
 
 
 def test_limit_on_expansions():
-    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, batch=8, limits=effort(max_expansions=40))
+    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, batch=8, limits=search_budget(max_expansions=40))
     assert search.run(10_000) is Status.EXPANSION_LIMIT
-    assert 40 <= search.effort.num_expansions < 40 + 8 and search.found is None
+    assert search.budget.num_expansions == 40 and search.found is None
 
 
 def test_limit_on_memory():
-    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, limits=effort(max_memory=200_000))
+    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, limits=search_budget(max_memory=200_000))
     assert search.run(10_000) is Status.MEMORY_LIMIT
-    assert search.effort.memory >= 200_000 and 1 < search.tree.size < 1000
+    assert search.budget.memory >= 200_000 and 1 < search.tree.size < 1000
 
 
 def test_limit_on_time():
-    search = search_of(scenes.four_rooms(2), 0.4, limits=effort(seconds=0.0))
+    search = search_of(scenes.four_rooms(2), 0.4, limits=search_budget(seconds=0.0))
     assert search.run(10_000) is Status.TIME_LIMIT and search.tree.size == 1
 
 
@@ -242,7 +250,7 @@ def test_memory_counts_what_is_kept_and_forgets_what_is_used_up():
     search = search_of(CELL, 1.0)
     search.goal = np.full(2, -1)
     assert run_on(search) is Status.EXHAUSTED
-    per_node = search.effort.memory / (search.tree.size - 1)
+    per_node = search.budget.memory / (search.tree.size - 1)
     assert per_node == int(per_node) and per_node > 100, "only nodes are left"
 
 
@@ -252,7 +260,7 @@ def test_a_paused_search_goes_on_where_it_was():
     assert run_on(whole) is Status.SOLVED
     pauses, turn = 0, 5
     while (status := paused.run(turn)) is None:
-        assert paused.effort.num_expansions >= turn
+        assert paused.budget.num_expansions >= turn
         turn, pauses = turn + 5, pauses + 1
     assert status is Status.SOLVED and pauses > 2
     np.testing.assert_array_equal(paused.state, whole.state)
@@ -267,14 +275,14 @@ def test_two_searches_do_the_same_bit_for_bit():
     first, second = runs
     np.testing.assert_array_equal(first.state, second.state)
     np.testing.assert_array_equal(first.tree.cost[: first.tree.size], second.tree.cost[: second.tree.size])
-    assert first.frontier == second.frontier and first.effort.memory == second.effort.memory
+    assert first.frontier == second.frontier and first.budget.memory == second.budget.memory
 
 
 # The tree
 
 
 def test_a_tree_grows_and_keeps_its_branches():
-    tree = Tree.of(np.array([7, 8]))
+    tree = SearchTree.of(np.array([7, 8]))
     for node in range(1, 3000):
         assert tree.add(np.array([node, -node]), float(node), node // 2) == node
     assert tree.size == 3000

@@ -6,7 +6,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_helpers import ROOM, effort, exact, team_of
+from planner_helpers import ROOM, exact, joint_lattice_of, search_budget
 
 from plr_jax import (
     BLOptions,
@@ -21,10 +21,10 @@ from plr_jax import (
     validate,
 )
 from plr_jax._problem import motion_costs
-from plr_jax.collision.walls import MotionTest
+from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners import straight_line
-from plr_jax.planners.bl.heuristic_table import estimate_of
-from plr_jax.planners.bl.search import Search
+from plr_jax.planners.bl.heuristic_table import tabulate
+from plr_jax.planners.bl.search import BestFirstSearch
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
@@ -38,7 +38,7 @@ MIXED = Problem(
 
 
 def shortened(problem, path, deadline=np.inf):
-    return shorten(problem, path, [MotionTest(problem.workspace, robot) for robot in problem.robots], deadline)
+    return shorten(problem, path, JointMotionTest(problem.workspace, problem.robots), deadline)
 
 
 def zigzag(problem, steps, width):
@@ -59,12 +59,12 @@ def straight(problem, steps):
 
 def found_on_lattice(problem, step):
     """A path of the planner before anything is shortened, by its search alone."""
-    team = team_of(problem, step)
-    cells = [np.arange(len(lattice.q)) for lattice in team.lattices]
-    search = Search(team, estimate_of(team, exact(problem), 2.0), cells, 16, 1, 1024, effort())
+    joint = joint_lattice_of(problem, step)
+    cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
+    search = BestFirstSearch(joint, tabulate(joint, exact(problem), 2.0), cells, 16, 1, 1024, search_budget())
     while search.run(100_000) is None:
         pass
-    return team.configurations(search.branch)
+    return joint.configurations(search.branch)
 
 
 # What becomes straight

@@ -14,15 +14,15 @@ _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 
 
 def numbers_of_polynomials(
-    order: int, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], is_inf: Bool[np.ndarray, "leaves"]
+    order: int, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> Float[np.ndarray, "leaves count"]:
     """What a query reads of every leaf: the numbers of its cell, and coefficients by powers of the place in it.
 
     Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``. The exponent of
     such a number, as a 32-bit float, says how many such intervals span the domain.
     """
-    powers = coefficients @ monomials(order, cells.dim)
-    powers[is_inf] = 0.0
+    is_inf = np.isinf(coefficients[:, 0])
+    powers = np.where(is_inf[:, None], 0.0, coefficients) @ monomials(order, cells.dim)
     powers[is_inf, 0] = np.inf
     return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 

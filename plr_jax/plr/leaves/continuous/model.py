@@ -110,14 +110,10 @@ class Continuous:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self,
-        domain: Box,
-        cells: Cells,
-        coefficients: Float[np.ndarray, "leaves terms"],
-        is_inf: Bool[np.ndarray, "leaves"],
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf; some answer ``inf``."""
-        return numbers_of_polynomials(self.order, cells, coefficients, is_inf)
+        """What a query reads of every leaf."""
+        return numbers_of_polynomials(self.order, cells, coefficients)
 
     def evaluate(
         self,

@@ -10,7 +10,7 @@ from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 
 
-def numbers_of_planes(
+def heights_and_slopes(
     domain: Box, cells: Cells, planes: Float[np.ndarray, "leaves terms"]
 ) -> Float[np.ndarray, "leaves terms"]:
     """What a query reads of every leaf: its plane's value at the domain's rounded lower corner, and its slopes."""

@@ -24,7 +24,7 @@ from plr_jax.plr.leaves.plane.codec import (
     read_planes,
     write_planes,
 )
-from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, numbers_of_planes
+from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, heights_and_slopes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, levels_of
 from plr_jax.plr.query.tables import Tables
@@ -79,7 +79,16 @@ class Plane:
 
         def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
             parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-            return Nodes.concatenate([nodes_of(sampler(cells[part]), bound[part]) for part in parts])
+            return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
+
+        def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+            fit = sampler(cells)
+            few = fit.is_hardly_seen
+            if not few.any():
+                return nodes_of(fit, bound)
+            order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
+            fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+            return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
         encoding = _PlaneEncoding(self._choices(limits))
@@ -140,17 +149,10 @@ class Plane:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self,
-        domain: Box,
-        cells: Cells,
-        coefficients: Float[np.ndarray, "leaves terms"],
-        is_inf: Bool[np.ndarray, "leaves"],
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """What a query reads of every leaf; some answer ``inf``."""
-        numbers = numbers_of_planes(domain, cells, coefficients)
-        numbers[is_inf] = np.eye(1, numbers.shape[1])[0]
-        numbers[is_inf, 0] = np.inf
-        return numbers
+        """What a query reads of every leaf."""
+        return heights_and_slopes(domain, cells, coefficients)
 
     def evaluate(
         self,

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_points, require_integer
+from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
-from plr_jax.plr.refine.face_samples import Faces
-from plr_jax.plr.refine.losses import Loss, Penalty, squared
-from plr_jax.plr.refine.objective import WeightedPoints, minimize, pose
-from plr_jax.plr.refine.report import Refinement, Stage, measure_errors, measure_jumps
+from plr_jax.plr.refinement.face_samples import Faces
+from plr_jax.plr.refinement.losses import Loss, Penalty, squared
+from plr_jax.plr.refinement.objective import minimize
+from plr_jax.plr.refinement.posing import WeightedPoints, pose
+from plr_jax.plr.refinement.report import Refinement, Stage, measure_errors, measure_jumps
 
 _CALIBRATION = 0.2  # share of the training points with which the height is set, where a loss asks for a share
 
@@ -121,11 +122,11 @@ def refine(
 
 def _check_functions(plr: PLR, loss: Loss, penalties: Sequence[Penalty]) -> None:
     if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR, as construct builds, can be refined, got {plr!r:.200}.")
+        raise ValueError(f"Only a PLR, as construct builds, can be refined, got {shortened(plr)}.")
     if not callable(loss):
-        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {loss!r:.200}.")
+        raise ValueError(f"loss must be a function, such as squared or quantile(0.05), got {shortened(loss)}.")
     if not (isinstance(penalties, Sequence) and all(map(callable, penalties))):
-        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {penalties!r:.200}.")
+        raise ValueError(f"penalties must be a list of functions, such as [eikonal()], got {shortened(penalties)}.")
 
 
 def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None, seed: int) -> None:

@@ -42,9 +42,8 @@ class Faces:
         """
         if not self._fit(plr):
             raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
-        coefficients = plr.leaf.coefficients(plr.cells, plr.stored)
-        value = np.sum(coefficients[self.leaves] * self.basis, axis=2)
-        return value[:, 1] - value[:, 0]
+        below, above = (plr.values_in_leaves(leaf, self.x) for leaf in self.leaves.T)
+        return above - below
 
     def _fit(self, plr: PLR) -> bool:
         """Whether the points are where the PLR's leaves say that they are."""

@@ -5,9 +5,9 @@ from plr_helpers import UNIT, cone, leaf_by_search, points, walled
 
 from plr_jax import Box, VisibilityGraph, scenes
 from plr_jax.plr import Plane, construct
-from plr_jax.plr.refine.driver import refine
-from plr_jax.plr.refine.face_samples import sample_faces
-from plr_jax.plr.refine.losses import Quantile, eikonal, jumps, quantile, squared
+from plr_jax.plr.refinement.driver import refine
+from plr_jax.plr.refinement.face_samples import sample_faces
+from plr_jax.plr.refinement.losses import Quantile, eikonal, jumps, quantile, squared
 
 
 def test_the_pinball_loss_by_hand():

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from plr_jax._types import ArrayLike
-from plr_jax.plr.refine.face_samples import Faces
+from plr_jax.plr.refinement.face_samples import Faces
 
 
 class Planes(NamedTuple):

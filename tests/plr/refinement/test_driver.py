@@ -9,10 +9,10 @@ import pytest
 from plr_helpers import UNIT, leaf_by_search, points
 
 from plr_jax.plr import construct, cyclic_axis, from_bytes, load, maximum_depth, save
-from plr_jax.plr.refine import objective as objective_module
-from plr_jax.plr.refine.driver import RefinementInterrupted, refine
-from plr_jax.plr.refine.face_samples import sample_faces
-from plr_jax.plr.refine.losses import eikonal, jumps, quantile
+from plr_jax.plr.refinement import objective as objective_module
+from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
+from plr_jax.plr.refinement.face_samples import sample_faces
+from plr_jax.plr.refinement.losses import eikonal, jumps, quantile
 
 
 def lstsq_twin(plr, x, distance, weight):

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of
-from plr_jax.plr.refine.face_samples import Faces
-from plr_jax.plr.refine.losses import Loss
+from plr_jax.plr.refinement.face_samples import Faces
+from plr_jax.plr.refinement.losses import Loss
 
 
 @dataclass(frozen=True)

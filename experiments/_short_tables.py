@@ -1,0 +1,61 @@
+"""The three tables of README.md: a few columns of the results, of which experiments/README.md has all."""
+
+from typing import Any
+
+from experiments._tables import at_least, markdown, mean_and_largest, spread
+
+_BYTES = 6_144
+_APPROXIMATIONS = {
+    "PLR": "PLR, planes",
+    "PLR, continuous": "PLR, continuous",
+    "bilinear grid, 16-bit": "bilinear grid, 16-bit",
+    "interpax, cubic, 16-bit": "cubic grid, 16-bit",
+    "LinearNDInterpolator": "triangles",
+    "LightGBM linear trees": "linear trees",
+    "network, 16-bit": "network, 16-bit",
+}
+_QUERIES = (
+    *("PLR", "map_coordinates", "interpax, linear", "network", "SciPy RegularGridInterpolator"),
+    *("LightGBM linear tree", "Numba loop, all cores"),
+)
+
+
+def rivals(results: dict[str, Any]) -> str:
+    """Mean and largest errors of one number of bytes, one row an approximation and one column a map."""
+    maps = results["maps"]
+    budgets = {row["budget"] for rows in maps.values() for row in rows}
+    budget = _BYTES if _BYTES in budgets else max(budgets)
+    table = [[f"error at {budget:,} bytes", *maps]]
+    for contender, label in _APPROXIMATIONS.items():
+        errors = [
+            next((row["free"] for row in rows if (row["contender"], row["budget"]) == (contender, budget)), None)
+            for rows in maps.values()
+        ]
+        table.append([label, *map(mean_and_largest, errors)])
+    return markdown(table, numbers=len(maps))
+
+
+def speed(results: dict[str, Any]) -> str:
+    """Nanoseconds a point in the plane, beside bytes and error."""
+    plane = results["plane"]
+    sizes = [str(n) for n in plane["points"] if n > 1]
+    table = [["query", "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
+    for contender in _QUERIES:
+        if contender in plane["nanoseconds"]:
+            size, times = plane["rows"][contender], plane["nanoseconds"][contender]
+            cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}", *(f"{times[n][0]:.3g}" for n in sizes)]
+            table.append([contender, *cells])
+    return markdown(table, numbers=len(table[0]) - 1)
+
+
+def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
+    """Seconds and costs of BL under PLRs, the paper's seconds, and those of the best of OMPL."""
+    table = [["scene", "paper s", "s", "cost / bound", "best of OMPL s"]]
+    of_ompl = {total["scene"]: total["same_cost"] for total in race["summary"]}
+    for row in results["rows"]:
+        if row["heuristic"] == "PLR":
+            best = of_ompl.get(row["scene"])
+            cells = [f"{results['paper'].get(row['scene'], {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
+            cells += [spread(row["cost_over_bound"], ".3f"), at_least(best, "best") if best else "-"]
+            table.append([row["scene"], *cells])
+    return markdown(table, numbers=4)

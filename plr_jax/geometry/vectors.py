@@ -1,0 +1,60 @@
+"""Vectors in the plane, many at once: products, normals, directions, distances, arcs."""
+
+import numpy as np
+from jaxtyping import Float
+
+
+def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
+    """Cross product of 2-D vectors: positive where ``v`` points to the left of ``u``."""
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+
+def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Each vector after a quarter turn to the left."""
+    return np.stack([-u[..., 1], u[..., 0]], axis=-1)
+
+
+def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """The unit vector a quarter turn to the left of each vector."""
+    return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
+
+
+def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+    """A number in [0, 4] that grows with the direction's angle in [0, 2 pi], at the cost of a division.
+
+    It turns at between half and the full rate of the angle. The zero vector gives 0.
+    """
+    length = np.abs(dx) + np.abs(dy)
+    slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
+    return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
+
+
+def distances_between(x: Float[np.ndarray, "n 2"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "n m"]:
+    """Straight distance of each of ``x`` to each of ``points``."""
+    length = np.square(x[:, :1] - points[:, 0])
+    length += np.square(x[:, 1:] - points[:, 1])
+    return np.sqrt(length, out=length)
+
+
+def arc(
+    center: Float[np.ndarray, "2"],
+    start: Float[np.ndarray, "2"],
+    end: Float[np.ndarray, "2"],
+    num_segments: int,
+) -> Float[np.ndarray, "points 2"]:
+    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``.
+
+    Args:
+        center: Center of the circle.
+        start: Offset of the first point.
+        end: Offset of the last point, of the same length.
+        num_segments: Chords a quarter turn.
+
+    Returns:
+        The chords' ends, the first and last exactly ``center + start`` and ``center + end``.
+    """
+    turn = np.arctan2(cross_product(start, end), start @ end) % (2 * np.pi)
+    angle = np.linspace(0.0, turn, 1 + max(1, int(np.ceil(num_segments * turn / (np.pi / 2) - 1e-9))))
+    points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
+    points[-1] = end
+    return center + points

@@ -1,0 +1,207 @@
+"""The optimization that :func:`refine` poses, in coordinates that make it easy.
+
+Which leaf holds a point does not change, so it is looked up once; a step gathers the coefficients of all points and
+adds up their gradients. Three things make a few hundred steps enough, whatever the loss:
+
+- The start is the least-squares fit, and what is optimized is the correction to it, so that 32-bit floats resolve
+  small errors of large distances.
+- The variables ``z`` are coordinates in which a unit step changes the values at the points it moves by a unit in the
+  root mean square. Where each leaf has parameters of its own, they come from the Cholesky factor of the leaf's normal
+  matrix; where leaves share them, each parameter is scaled for itself.
+- That unit is about the error of the least-squares fit there: leaves of small errors take small steps.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import padded, padded_size
+from plr_jax._types import Distances, Points
+from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr.leaves.base import Parameters, values_at_centers
+from plr_jax.plr.refinement.objective import Objective
+
+POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
+# The least unit, should the least-squares fit be very good: a share of the error over all points, and of how much the
+# leaf's own function varies. Penalties may ask more of it than its points do.
+_OF_ALL_ERROR, _OF_VARIATION = 0.1, 0.01
+_RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as it is
+# Where leaves share parameters, each holds on to its function: as if so small a share of its points, or as many as
+# other leaves have where it has too few, lay on it, spread evenly.
+_HELD = 1e-3
+_EVEN_POINTS = 256
+
+
+class WeightedPoints(NamedTuple):
+    """Points of finite distance, with their weights."""
+
+    x: Points
+    distance: Distances
+    weight: Float[np.ndarray, "n"]
+
+    def take(self, index: Int[np.ndarray, "m"]) -> "WeightedPoints":
+        """Some of the points."""
+        return WeightedPoints(self.x[index], self.distance[index], self.weight[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Refinable:
+    """A PLR's parameters, and the objective in which they are variables.
+
+    Attributes:
+        objective: What is minimized.
+        values: The parameters of least squared error.
+        to_parameters: From variables to corrections of them, in double precision.
+        has_enough: Which leaves have enough points to be fitted to.
+    """
+
+    objective: Objective
+    values: Float[np.ndarray, "parameters"]
+    to_parameters: Callable[[Float[np.ndarray, "variables"]], Float[np.ndarray, "parameters"]]
+    has_enough: Bool[np.ndarray, "leaves"]
+
+    def corrected(self, z: Float[np.ndarray, "padded"]) -> Float[np.ndarray, "parameters"]:
+        """The parameters at given variables."""
+        return self.values + self.to_parameters(np.asarray(z, np.float64)[: len(self.values)])
+
+
+def pose(plr: PLR, points: WeightedPoints) -> Refinable:
+    """The problem of refining a PLR with some points.
+
+    Points of leaves that have too few of them get no weight, and nothing moves what those leaves alone depend on.
+    """
+    leaf = leaf_of(plr, points.x)
+    order = np.argsort(leaf, kind="stable")
+    leaf, (x, distance, weight) = leaf[order], points.take(order)
+    lo, hi = plr.leaf_boxes
+    basis = plr.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+    parameters = plr.leaf.parameters(plr.cells, plr.stored)
+    shape = (plr.num_leaves, basis.shape[1])
+    num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
+    has_enough = (num_points >= POINTS_A_COEFFICIENT * basis.shape[1]) & ~plr.unreachable
+    weight = _normalized(weight * has_enough[leaf], plr, POINTS_A_COEFFICIENT * basis.shape[1])
+    sum_up = _sums(leaf, len(lo))
+    normal, share = _normal_matrices(sum_up, basis, weight), sum_up(weight)
+    error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
+    moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
+    if not parameters.is_leafwise:
+        normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
+    parameters = parameters.moved(-_least_squares(parameters, normal, moments))
+    coefficients = _coefficients(parameters, shape)
+    error = np.sum(coefficients[leaf] * basis, axis=1) - distance
+    center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
+    unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
+    if parameters.is_leafwise:
+        num_points = np.where(has_enough, num_points, 1)
+        scaled, to_parameters = _whitened(parameters, share, normal, unit, num_points)
+    else:
+        scaled, to_parameters = _scaled(parameters, unit, shape[1])
+    objective = Objective(
+        *map(_padded, (leaf, basis, error, weight, share, coefficients, scaled.row, scaled.column, scaled.weight)),
+        center,
+        half.T,
+        _padded(2 / (hi - lo)),
+        _padded(np.zeros(len(parameters.values))),
+    )
+    return Refinable(objective, parameters.values, to_parameters, has_enough)
+
+
+def _normalized(weight: Float[np.ndarray, "n"], plr: PLR, num_points: int) -> Float[np.ndarray, "n"]:
+    """Weights that sum to 1."""
+    if not weight.any():
+        raise ValueError(
+            f"No leaf of {plr} has {num_points} points of positive weight and finite distance to be fitted to; give "
+            "more points."
+        )
+    weight = weight / weight.max()  # so that the sum does not overflow
+    return weight / weight.sum()
+
+
+def _coefficients(parameters: Parameters, shape: tuple[int, int]) -> Float[np.ndarray, "leaves terms"]:
+    moved = parameters.weight * parameters.values[parameters.column]
+    return np.bincount(parameters.row, moved, minlength=shape[0] * shape[1]).reshape(shape)
+
+
+def _even_moments(plr: PLR) -> Float[np.ndarray, "terms terms"]:
+    """The normal matrix of points spread evenly over a leaf, of weights that sum to 1."""
+    basis = plr.leaf.basis(np.random.default_rng(0).uniform(-1, 1, (_EVEN_POINTS, plr.dim)))
+    return basis.T @ basis / _EVEN_POINTS
+
+
+def _least_squares(
+    parameters: Parameters,
+    normal: Float[np.ndarray, "leaves terms terms"],
+    moments: Float[np.ndarray, "leaves terms"],
+) -> Float[np.ndarray, "parameters"]:
+    """The change of parameters that explains the moments of the errors."""
+    from scipy.sparse import bsr_array, csc_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    leaves, shape = len(moments), (moments.size, len(parameters.values))
+    of_leaves = csc_array((parameters.weight, (parameters.row, parameters.column)), shape)
+    blocks = bsr_array((normal, np.arange(leaves), np.arange(leaves + 1)), (moments.size, moments.size))
+    matrix = of_leaves.T @ (blocks @ of_leaves)
+    diagonal = matrix.diagonal()
+    matrix = csc_array(matrix + diags_array(_RIDGE * (diagonal + diagonal.max())))
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return factors.solve(of_leaves.T @ moments.ravel())
+
+
+def _whitened(
+    parameters: Parameters,
+    share: Float[np.ndarray, "leaves"],
+    normal: Float[np.ndarray, "leaves terms terms"],
+    unit: Float[np.ndarray, "leaves"],
+    num_points: Int[np.ndarray, "leaves"],
+) -> tuple[Parameters, Callable]:
+    """Coordinates in which the values at a leaf's points change by a unit in the root mean square.
+
+    As many points as a leaf has coefficients, spread evenly over the cell, are counted in: along directions in
+    which the points hardly vary, a function is not flung about.
+    """
+    leaves, terms, _ = normal.shape
+    even = np.diag([1.0, *[1 / 3] * (terms - 1)])
+    counted_in = np.where(share > 0, share * terms / num_points, 1.0)
+    moments = (normal + counted_in[:, None, None] * even) / (share + counted_in)[:, None, None]
+    transform = unit[:, None, None] * np.linalg.inv(np.linalg.cholesky(moments)).swapaxes(1, 2)
+    row, column = np.broadcast_arrays(*np.ogrid[: leaves * terms, :terms])
+    scaled = Parameters(parameters.values, row.ravel(), (row // terms * terms + column).ravel(), transform.ravel())
+    return scaled, lambda z: np.einsum("lij,lj->li", transform, z.reshape(leaves, terms)).ravel()
+
+
+def _scaled(
+    parameters: Parameters, unit: Float[np.ndarray, "leaves"], terms: int
+) -> tuple[Parameters, Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n"]]]:
+    """Each parameter in the smallest unit of the leaves it moves: it stays where one has too few points to tell."""
+    scale = np.full(len(parameters.values), np.inf)
+    np.minimum.at(scale, parameters.column, unit[parameters.row // terms])
+    weight = parameters.weight * scale[parameters.column]
+    return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
+
+
+def _sums(leaf: Int[np.ndarray, "n"], leaves: int) -> Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "leaves"]]:
+    """Sums a number a point over the points of each leaf."""
+    return lambda values: np.bincount(leaf, values, minlength=leaves)
+
+
+def _normal_matrices(
+    sum_up: Callable, design: Float[np.ndarray, "n terms"], weight: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "leaves terms terms"]:
+    rows = [[sum_up(weight * a * b) for b in design.T] for a in design.T]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _units(
+    share: Float[np.ndarray, "leaves"], squares: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+) -> Float[np.ndarray, "leaves"]:
+    """Unit of each leaf's variables: how far off its least-squares fit is, but not next to nothing."""
+    of_leaf = np.sqrt(squares / np.where(share > 0, share, 1.0))
+    least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(half, axis=1))
+    return np.maximum(of_leaf, least)
+
+
+def _padded(rows: np.ndarray) -> np.ndarray:
+    return padded(rows, padded_size(len(rows)))

@@ -1,0 +1,129 @@
+"""Text, JSON and YAML from outside: bounded before it is parsed, and wrong in one way only, by a ``ValueError``.
+
+A document holds at most 16 MiB, lists and mappings at most 32 deep, and integers that a float64 can stand for; a
+YAML document has no aliases, by which few bytes could mean any number of values, and no tags.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_MOST_BYTES = 2**24
+_MOST_NESTED = 32
+_LONGEST_WORD = 1000  # unquoted characters of YAML: what they mean may take the square of their number to find out
+_LARGEST_INTEGER = int(np.finfo(np.float64).max)
+
+
+@contextmanager
+def errors_named(path: Path) -> Iterator[None]:
+    """Let every ``ValueError`` about what a file holds begin with the file's name."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def text_of(path: Path) -> str:
+    """The text of a file in UTF-8, with or without a byte-order mark.
+
+    Raises:
+        ValueError: If it is binary or too large.
+        OSError: If it cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, got a larger file.")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"expected text in UTF-8, got a binary file ({error}).") from None
+
+
+def json_of(path: Path) -> Any:
+    """The value that a JSON file stands for.
+
+    Raises:
+        ValueError: If it is no JSON, or beyond the bounds above.
+        OSError: If it cannot be read.
+    """
+    text = text_of(path)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"expected JSON, got something else or a damaged file ({error}).") from None
+    _require_modest(value)
+    return value
+
+
+def yaml_of(path: Path) -> Any:
+    """The value that a YAML file stands for.
+
+    Raises:
+        ValueError: If it is no YAML of plain values, or beyond the bounds above.
+        OSError: If it cannot be read.
+    """
+    import yaml
+
+    text, loader = text_of(path), _loader()
+    try:
+        _require_plain(yaml.parse(text, loader))
+        value = yaml.load(text, loader)
+    except (yaml.YAMLError, ValueError) as error:
+        raise ValueError(f"expected YAML ({error}).") from None
+    _require_modest(value)
+    return value
+
+
+@cache
+def _loader() -> Any:
+    import yaml
+
+    fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+    class Loader(fastest):
+        pass
+
+    # YAML 1.1 takes 1e-05 for a word, but that is how C++ writes numbers.
+    number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$", re.ASCII)
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
+    return Loader
+
+
+def _require_plain(events: Iterator[Any]) -> None:
+    """Refuse what the parser of YAML would follow too far: it recurses, copies aliases, and reads endless words."""
+    import yaml
+
+    nested = 0
+    for event in events:
+        nested += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        _require_shallow(nested)
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
+            raise ValueError(
+                f"neither aliases nor tags are read; write the value itself, line {event.start_mark.line + 1}"
+            )
+        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
+            raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
+
+
+def _require_modest(value: Any) -> None:
+    level, nested = [value], 0
+    while level:
+        if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):
+            raise ValueError(f"expected numbers up to {float(_LARGEST_INTEGER):.2g}, got a larger integer.")
+        lists = [
+            entry.values() if isinstance(entry, dict) else entry for entry in level if isinstance(entry, list | dict)
+        ]
+        level, nested = [entry for entries in lists for entry in entries], nested + bool(lists)
+        _require_shallow(nested)
+
+
+def _require_shallow(nested: int) -> None:
+    if nested > _MOST_NESTED:
+        raise ValueError(f"expected lists and mappings at most {_MOST_NESTED} deep, got deeper ones")

@@ -1,0 +1,111 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from plr_jax import scenes
+from plr_jax.scenes._documents import json_of, text_of, yaml_of
+
+DEEP = "expected lists and mappings at most 32 deep"
+MANY_DIGITS = "Exceeds the limit"
+ALIASES = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
+
+
+def refused(read, name, content, message, tmp_path):
+    """Fails unless the reader refuses such a file by its name, as all do."""
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match=re.escape(f"{name}: ") + ".*" + message):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[" * 100_000, "recursion"),
+        ("[" * 200 + "]" * 200, DEEP),
+        ("[" * 33 + "]" * 33, DEEP),
+        ('{"a":' * 33 + "1" + "}" * 33, DEEP),
+        ("[" + "1" * 400 + "]", "larger integer"),
+        ("[-" + "1" * 400 + "]", "larger integer"),
+        ("[" + "1" * 5000 + "]", MANY_DIGITS),
+        (b'{"a": "\xff"}', "expected text in UTF-8"),
+        (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
+    ],
+    ids=range(9),
+)
+def test_hostile_json_is_refused_by_name(content, message, tmp_path):
+    for read in (scenes.load, scenes.read_polygons):
+        refused(read, "a.json", content, message, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ALIASES, "neither aliases nor tags are read.* line 2"),
+        ("a: &a {x: 1}\nb: {<<: [*a, *a]}", "neither aliases nor tags"),
+        ("a: &a [*a]", "neither aliases nor tags"),
+        ("a: !!python/name:os.system", "neither aliases nor tags"),
+        ("!!timestamp foo", "neither aliases nor tags"),
+        ("[" * 5000, DEEP),
+        ("- " * 33 + "1", DEEP),
+        ("1" * 400, "larger integer"),
+        ("1" * 5000, "at most 1000 characters"),
+        ("1:" * 5000 + "1", "at most 1000 characters"),
+        ("2001-99-99", "month must be in"),
+        ("0x_", "invalid literal"),
+        ("? [1]\n: 2", "unhashable"),
+        ("\x00", "control characters"),
+        (b"\xff", "expected text in UTF-8"),
+    ],
+    ids=range(15),
+)
+def test_hostile_yaml_is_refused_by_name(content, message, tmp_path):
+    for read in (scenes.read_dbcbs, scenes.read_trajectories):
+        refused(read, "a.yaml", content, f"(?s:.*){message}", tmp_path)
+
+
+def test_hostile_grids_are_refused_by_name(tmp_path):
+    header = "type octile\nheight {}\nwidth 2\nmap\n..\n"
+    refused(scenes.read_map, "a.map", header.format("9" * 5000), MANY_DIGITS, tmp_path)
+    refused(scenes.read_map, "a.map", header.format("9" * 50), "cut short", tmp_path)
+    refused(scenes.read_map, "a.map", b" " * (2**24 + 1), "at most 16,777,216 bytes", tmp_path)
+    refused(scenes.read_scen, "a.scen", b"version 1\n\xff", "expected text", tmp_path)
+    refused(scenes.read_scen, "a.scen", "version 1\n" + "x" * 10**6, r"line 2: .{1,400}$", tmp_path)
+
+
+def test_documents_may_be_as_deep_and_as_large_as_allowed(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("[" * 32 + "1" + "]" * 32)
+    assert np.ravel(json_of(path)) == np.ravel(yaml_of(path)) == [1]
+    path.write_text(f"[{2**1023}, -{2**1023}]")
+    assert json_of(path) == yaml_of(path) == [2**1023, -(2**1023)]
+    path.write_bytes(b" " * 2**24)
+    assert len(text_of(path)) == 2**24
+    path.write_text("'" + "long " * 1000 + "'")
+    assert yaml_of(path) == "long " * 1000
+
+
+def test_numbers_in_yaml_may_be_written_as_other_languages_write_them(tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_text("[1e-05, -2E3, 1.5e3, 3.e+2, .5e1, 1.0e-3, 7, '1e3', e5, 1e5x]")
+    assert yaml_of(path) == [1e-5, -2000, 1500, 300, 5, 1e-3, 7, "1e3", "e5", "1e5x"]
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
+    scenes.save(scenes.maze(), tmp_path / "a.json")
+    (tmp_path / "b.json").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "a.json").read_bytes())
+    assert scenes.is_scene(tmp_path / "b.json")
+    np.testing.assert_array_equal(scenes.load(tmp_path / "b.json").starts, scenes.maze().starts)
+    square = json.dumps({"outer": [[0, 0], [4, 0], [4, 4], [0, 4]]})
+    (tmp_path / "c.json").write_text("\ufeff" + square, encoding="utf-8")
+    assert scenes.read_polygons(tmp_path / "c.json").free_space.area == 16
+    (tmp_path / "d.map").write_text("\ufefftype octile\nheight 1\nwidth 2\nmap\n..\n", encoding="utf-8")
+    assert scenes.read_map(tmp_path / "d.map").free_space.area == 2
+
+
+def test_a_name_that_no_file_can_have_is_refused():
+    for read in (scenes.load, scenes.read_polygons, scenes.read_dbcbs, scenes.read_map):
+        with pytest.raises(ValueError, match=re.escape("a\0b: ")):
+            read("a\0b")
