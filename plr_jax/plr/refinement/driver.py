@@ -1,4 +1,4 @@
-"""Refinement: the partition of a PLR stays, and all its leaves move at once against a loss."""
+"""Refinement: the partition of a PLR stays, and all its planes move at once against a loss."""
 
 import warnings
 from collections.abc import Sequence
@@ -40,9 +40,7 @@ def refine(
 
     The partition stays, and so does the number of bits of a coefficient: a query costs the same, and the file is of
     about the same size (a few bytes more or less, where half-differences need more or fewer bits). Leaves that were
-    unreachable stay so. A leaf with fewer than ``4 * (dim + 1)`` points keeps its plane, but for rounding. Leaves
-    that share values with others move together: one with too few points then resists, as if it had some that agree
-    with it.
+    unreachable stay so. A leaf with fewer than ``4 * (dim + 1)`` points keeps its plane, but for rounding.
 
     With a loss that asks for a share of over-estimates (:func:`quantile`), another fifth of the training points is
     kept apart. At the end, after rounding to what the file holds, one number is added to all values, so that at most

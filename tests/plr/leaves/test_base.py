@@ -26,7 +26,6 @@ def test_coefficients_are_the_map_of_the_parameters(leaf):
     of_map = np.zeros(coefficients.size)
     np.add.at(of_map, parameters.row, parameters.weight * parameters.values[parameters.column])
     np.testing.assert_allclose(of_map.reshape(coefficients.shape), coefficients, atol=1e-12)
-    assert parameters.is_leafwise == (leaf == "plane")
 
 
 def test_the_same_parameters_are_stored_as_before_then_with_fewer_and_fewer_bits(leaf):
@@ -72,4 +71,3 @@ def test_parameters_move():
     each = np.arange(3)
     parameters = Parameters(np.array([1.0, 2, 3]), each, each, np.ones(3))
     assert parameters.moved(np.array([1.0, 0, -1])).values.tolist() == [2, 2, 2]
-    assert not Parameters(np.ones(2), each, np.array([0, 1, 1]), np.ones(3)).is_leafwise

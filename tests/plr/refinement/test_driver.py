@@ -63,12 +63,9 @@ def test_refining_to_other_distances_lowers_the_loss_of_every_leaf_model(plr, sa
     """The walled square's PLR, moved to a function that is a plane more."""
     x, distance = samples[0], 1.2 * samples[1] + 0.3 * samples[0][:, 0]
     refined, report = refine(plr, x, distance, num_steps=50)
-    assert report.refined.held_out.loss < 1e-3 * report.given.held_out.loss
     # Leaves that share values with others, but have few points, resist.
-    assert (
-        report.refined.held_out.mean
-        < (1.5 if plr.leaf.name == "plane" else 3) * np.abs(np.asarray(plr(x)) - samples[1]).mean()
-    )
+    share = 1e-3 if plr.leaf.name == "plane" else 0.1
+    assert report.refined.held_out.loss < share * report.given.held_out.loss
     assert refined.leaf == plr.leaf and refined.num_leaves == plr.num_leaves
     np.testing.assert_array_equal(refined.cells.position, plr.cells.position)
     np.testing.assert_array_equal(refined.unreachable, plr.unreachable)

@@ -115,5 +115,5 @@ def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
 def test_numbers_are_the_cell_and_powers_of_the_place_in_it():
     """On the upper half along x, with 1, 2, 4, 8 at the corners (lower x first): 1 + t + 3 s + 3 s t."""
     cells = Cells.root(2).split(np.array([0]))
-    found = numbers_of_polynomials(0, cells, np.array([[0.0] * 4, [1, 2, 4, 8]]), np.array([True, False]))
+    found = numbers_of_polynomials(0, cells, np.array([[np.inf, 0, 0, 0], [1, 2, 4, 8]]))
     np.testing.assert_array_equal(found, [[2, 1, np.inf, 0, 0, 0], [3, 1, 1, 1, 3, 3]])

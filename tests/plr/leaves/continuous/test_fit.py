@@ -16,7 +16,7 @@ from plr_jax.plr.sampling.pattern import sample_pattern
 def space_and_fit(value):
     """A partition of 16 leaves, all tied, and samples of given values."""
     tree = tree_of(random_partition(4, 2, 15))
-    fit = Sampler(lambda x: np.ones(len(x)), UNIT, None, sample_pattern(2, 48, 0.0, 0), 14)(tree.leaves)
+    fit = Sampler(lambda x: np.ones(len(x)), UNIT, None, *2 * [sample_pattern(2, 48, 0.0, 0)], 14)(tree.leaves)
     return nodal_space(tree, shared_faces(tree), np.zeros(16, bool)), replace(fit, value=value)
 
 

@@ -5,14 +5,14 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import construct
-from plr_jax.plr.leaves.plane.evaluation import numbers_of_planes
+from plr_jax.plr.leaves.plane.evaluation import heights_and_slopes
 from plr_jax.plr.partition.cells import Cells
 
 
 def test_numbers_are_the_value_at_the_corner_and_the_slopes():
     """The plane ``3 + 5 x - 2 y`` on [2, 4] x [1, 2], in its upper half along x."""
     cells = Cells.root(2).split(np.array([0]))[[1]]
-    numbers = numbers_of_planes(Box((2, 1), (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]))
+    numbers = heights_and_slopes(Box((2, 1), (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]))
     np.testing.assert_allclose(numbers, [[3 + 10 - 2, 5, -2]])
 
 
