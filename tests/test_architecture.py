@@ -38,7 +38,7 @@ MOST_MODULES, MOST_LINES = 12, 350
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 PLR = PACKAGE / "plr"
 PLR_SOURCES = [path for path in SOURCES if path.is_relative_to(PLR)]
-LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.name}." for path in (PLR / "leaves").iterdir() if path.is_dir())
+LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.name}" for path in (PLR / "leaves").iterdir() if path.is_dir())
 
 
 def imported_modules(path: Path) -> set[str]:
