@@ -19,17 +19,26 @@ LAYERS = [
     ["optimize", "metrics", "plot", "scenes"],
     ["cli"],
 ]
-# Inside the room that stores, likewise.
+# Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
-    ["partition", "query"],
-    ["sampling"],
+    ["partition"],
+    ["query", "sampling", "file"],
     ["growth"],
-    ["file"],
     ["leaves"],
-    ["refinement"],
+    ["_file"],
+    ["_plr"],
+    ["_construct", "_io", "refinement"],
 ]
+# What each may import, where that is less than all before it.
+PLR_IMPORTS = {
+    "growth": {"partition", "query", "sampling"},
+    "_io": {"_plr"},
+}
 MOST_MODULES, MOST_LINES = 12, 350
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+PLR = PACKAGE / "plr"
+PLR_SOURCES = [path for path in SOURCES if path.is_relative_to(PLR)]
+LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.name}" for path in (PLR / "leaves").iterdir() if path.is_dir())
 
 
 def imported_modules(path: Path) -> set[str]:
@@ -46,15 +55,16 @@ def imported_modules(path: Path) -> set[str]:
     return names
 
 
-def parts_of(path: Path) -> set[str]:
-    """Top-level parts of the package that a file imports: `_box`, `oracles`, ..."""
-    ours = {name.split(".")[1] for name in imported_modules(path) if name.startswith("plr_jax.")}
-    return {part for part in ours if (PACKAGE / part).is_dir() or (PACKAGE / f"{part}.py").exists()}
+def parts_of(path: Path, package: Path = PACKAGE) -> set[str]:
+    """Parts of a package that a file imports: of the whole `_types`, `oracles`, ..."""
+    prefix = ".".join(package.relative_to(PACKAGE.parent).parts) + "."
+    ours = {name.removeprefix(prefix).split(".")[0] for name in imported_modules(path) if name.startswith(prefix)}
+    return {part for part in ours if (package / part).is_dir() or (package / f"{part}.py").exists()}
 
 
-def part_of(path: Path) -> str:
-    """The top-level part that a file belongs to."""
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def part_of(path: Path, package: Path = PACKAGE) -> str:
+    """The part of a package that a file belongs to."""
+    return path.relative_to(package).parts[0].removesuffix(".py")
 
 
 def below(part: str, layers: list[list[str]]) -> set[str]:
@@ -73,6 +83,25 @@ def test_imports_point_downward(path):
     part = part_of(path)
     if part != "__init__":
         assert parts_of(path) - {part} <= below(part, LAYERS)
+
+
+def test_every_part_of_the_room_that_stores_has_a_layer():
+    found = {part_of(path, PLR) for path in PLR_SOURCES} - {"__init__"}
+    assert found == {part for layer in PLR_LAYERS for part in layer}
+
+
+@pytest.mark.parametrize("path", PLR_SOURCES, ids=lambda path: str(path.relative_to(PLR)))
+def test_imports_inside_the_room_that_stores_point_downward(path):
+    part = part_of(path, PLR)
+    if part != "__init__":
+        assert parts_of(path, PLR) - {part} <= PLR_IMPORTS.get(part, below(part, PLR_LAYERS))
+
+
+@pytest.mark.parametrize("path", PLR_SOURCES, ids=lambda path: str(path.relative_to(PLR)))
+def test_only_leaves_know_the_leaf_models(path):
+    """Outside of their folder, which lists them, and of the public list nothing imports one."""
+    if part_of(path, PLR) not in ("leaves", "__init__"):
+        assert not [name for name in imported_modules(path) if name.startswith(LEAF_MODELS)]
 
 
 def test_packages_and_modules_are_small():

@@ -98,4 +98,5 @@ def construct(
     )
     sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
     levels, cells, stored = model.construct(sampler, Rules(should_split, split), limits)
-    return plr_of_leaves(Contents(domain, model, cells, stored), levels)
+    as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
+    return plr_of_leaves(Contents(domain, as_loaded, cells, stored), levels)

@@ -14,6 +14,7 @@ from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level
+from plr_jax.plr.query.tables import check_depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,7 @@ def decode(data: bytes) -> Contents:
     leaf.check_dim(dim)
     body = BitReader(container.body)
     cells = read_leaves(body, dim, container.num_leaves)
+    check_depth(cells)
     stored = leaf.read(body, cells)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")

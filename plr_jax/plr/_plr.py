@@ -187,13 +187,17 @@ class PLR:
         slope = half * 2 / (hi - lo)
         return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
 
-    @cached_property
+    @property
     def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
         """The rounded lower corner of a domain so far from the origin that points are counted from there.
 
         On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
         """
-        if isinstance(self.tables.frame, jax.core.Tracer) or jax.config.jax_enable_x64:
+        return None if jax.config.jax_enable_x64 else self._corner_if_far
+
+    @cached_property
+    def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
+        if isinstance(self.tables.frame, jax.core.Tracer):
             return None
         frame = np.asarray(self.tables.frame, np.float64)
         lo, hi = frame[Frame.LO], frame[Frame.HI]

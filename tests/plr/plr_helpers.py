@@ -1,9 +1,18 @@
 """Distance functions and slow twins that several tests of the PLR room share."""
 
+import struct
+import zlib
+
 import numpy as np
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr._file import Contents
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
+from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.partition.tree import levels_of, tree_of
 
 UNIT = Box([0, 0], [1, 1])
 
@@ -77,3 +86,28 @@ def chain(axes):
     for axis in axes:
         leaves = leaves[[0]].split(np.array([axis])).append(leaves[1:])
     return leaves
+
+
+def random_contents(seed, dim, leaf, cells=None):
+    """Leaves of a random partition, or of given cells, with random numbers, and the levels of their tree."""
+    rng = np.random.default_rng(seed)
+    tree = tree_of(random_partition(seed, dim, 20) if cells is None else cells)
+    cells, model = tree.leaves, leaf_model(leaf)
+    unreachable = rng.random(len(cells)) < 0.2
+    unreachable[0] = False
+    if leaf == "plane":
+        center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
+        stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
+    else:
+        faces = shared_faces(tree)
+        partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)
+        partition.tied[~partition.between_reachable()] = False
+        stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
+    domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5)
+    return Contents(domain, model, cells, stored), levels_of(cells)[0]
+
+
+def sealed(content):
+    """The bytes of a file but for its checksum, with the size and checksum that they ought to have."""
+    content = content[:12] + struct.pack("<I", len(content) + 4) + content[16:]
+    return content + struct.pack("<I", zlib.crc32(content))

@@ -2,66 +2,72 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plr_helpers import cone, evaluate_by_search, leaf_by_search, walled
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr import construct, evaluate
-from plr_jax.plr._plr import _evaluate
-from plr_jax.plr.query.tables import lookup
+from plr_jax.plr import PLR, construct, evaluate
+from plr_jax.plr._plr import _evaluate, leaf_of
+from plr_jax.plr.query.lookup import lookup
 
-SQUARE = Box((0, 0), (1, 1))
-
-
-@pytest.fixture(scope="module")
-def plr():
-    return construct(walled, SQUARE, max_leaves=100)
-
-
-@pytest.fixture(scope="module")
-def x():
-    return np.random.default_rng(0).random((1000, 2)).astype(np.float32)
-
-
-def test_a_query_is_the_plane_of_the_leaf_that_holds_the_point(plr, x):
-    np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-6)
+FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))
 
 
 def test_evaluate_is_calling(plr, x):
     np.testing.assert_array_equal(evaluate(plr, x), plr(x))
 
 
-def test_attributes(plr):
+def test_attributes(plr, leaf, x):
     lo, hi = plr.leaf_boxes
     assert plr.num_leaves == len(plr.slope) == len(plr.intercept) == len(lo) == 100
-    assert plr.domain == SQUARE and plr.dim == 2
+    assert plr.domain == UNIT and plr.dim == 2 and plr.leaf.name == leaf
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(1.0)
     assert plr.depth == round(-np.log2(np.prod(hi - lo, axis=1).min()))
-    assert plr.resident_bytes >= plr.tables.leaf_of_slot.nbytes + 100 * 12
-    assert "num_leaves=100" in repr(plr)
+    assert (
+        plr.resident_bytes
+        >= plr.tables.leaf_of_slot.nbytes + 100 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
+    )
+    assert f"PLR('{leaf}', dim=2, num_leaves=100" in repr(plr)
+    assert not plr.unreachable.all() and plr.num_unreachable == np.isinf(plr.intercept).sum()
+    np.testing.assert_array_equal(leaf_of(plr, x), leaf_by_search(plr, x))
+
+
+def test_the_mean_plane_is_near_the_function(plr, x):
+    """In a leaf a function is off its mean plane by about as much as that plane errs."""
+    assert np.abs(evaluate_by_search(plr, x) - np.asarray(plr(x))).mean() < 0.01
 
 
 @pytest.mark.parametrize("shape", [(2,), (0, 2), (3, 2), (4, 5, 2)])
 def test_any_batch_shape(plr, shape):
     x = np.random.default_rng(1).random(shape)
     assert plr(x).shape == shape[:-1]
-    np.testing.assert_array_equal(np.ravel(plr(x)), np.ravel(plr(x.reshape(-1, 2))))
+    np.testing.assert_allclose(np.ravel(plr(x)), np.ravel(plr(x.reshape(-1, 2))), rtol=1e-6)
 
 
-def test_jit_vmap_and_a_loop_agree(plr, x):
-    plain = np.asarray(plr(x))
-    np.testing.assert_array_equal(jax.jit(plr)(x), plain)
-    np.testing.assert_array_equal(jax.jit(lambda plr, x: plr(x))(plr, x), plain)
-    np.testing.assert_array_equal(jax.vmap(plr)(jnp.asarray(x)), plain)
-    np.testing.assert_array_equal([plr(point) for point in x[:50]], plain[:50])
+def test_jit_vmap_and_a_loop_agree(plr, leaf, x):
+    plain, rtol = np.asarray(plr(x)), 0 if leaf == "plane" else 1e-6
+    np.testing.assert_allclose(jax.jit(plr)(x), plain, rtol=rtol)
+    np.testing.assert_allclose(jax.jit(lambda plr, x: plr(x))(plr, x), plain, rtol=rtol)
+    np.testing.assert_allclose(jax.vmap(plr)(jnp.asarray(x)), plain, rtol=rtol)
+    np.testing.assert_allclose([plr(point) for point in x[:20]], plain[:20], rtol=rtol)
 
 
-def test_gradient_is_the_slope_of_the_leaf(plr, x):
-    gradient = jax.vmap(jax.grad(plr))(jnp.asarray(x))
-    np.testing.assert_allclose(gradient, plr.slope[leaf_by_search(plr, x)], rtol=1e-6)
+def test_gradients_are_finite_differences_inside_cells(plr):
+    with jax.enable_x64(True):
+        x = points(500, 2)
+        lo, hi = (corner[leaf_by_search(plr, x)] for corner in plr.leaf_boxes)
+        inside = np.all((x > lo + 0.01 * (hi - lo)) & (x < hi - 0.01 * (hi - lo)), axis=1)
+        gradient = np.asarray(jax.vmap(jax.grad(plr))(jnp.asarray(x)))
+        scale = np.maximum(np.linalg.norm(gradient, axis=1), 0.1)
+        for axis in range(2):
+            h = 1e-5 * np.eye(2)[axis]
+            slope = (np.asarray(plr(x + h)) - np.asarray(plr(x - h))) / 2e-5
+            assert np.max(np.abs(slope - gradient[:, axis])[inside] / scale[inside]) < 1e-4
 
 
 def test_gradient_is_finite_and_zero_where_there_is_none(plr):
-    outside = jnp.array([[-0.5, 0.5], [2.0, 2.0], [1e30, 0.5]])
+    outside = jnp.array([[-0.5, 0.5], [2.0, 2.0], [1e30, 0.5], [jnp.inf, 0.5]])
     np.testing.assert_array_equal(jax.vmap(jax.grad(plr))(outside), 0)
 
 
@@ -71,12 +77,10 @@ def test_a_pytree_survives_a_round_trip_through_jit(plr, x):
     assert again.to_bytes() == plr.to_bytes() and again.num_leaves == 100
 
 
-def test_a_second_plr_of_its_size_class_compiles_nothing(x):
-    first = construct(walled, SQUARE, max_leaves=100)
-    second = construct(lambda x: walled(x) + 1, Box((0, 0), (1, 1)), max_leaves=100)
-    first(x)
+def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):
+    plr(x)
     compiled = _evaluate._cache_size()
-    second(x)
+    construct(lambda x: 1 + 2 * walled(x), Box((0, 0), (1, 1)), leaf=leaf, max_leaves=98)(x)
     assert _evaluate._cache_size() == compiled
 
 
@@ -84,32 +88,82 @@ def test_outside_nan_and_edges(plr):
     answers = plr(np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0], [1.0001, 0.5], [0.5, -0.0001], [np.inf, 0.5]]))
     np.testing.assert_array_equal(np.isfinite(answers), [True, True, True, False, False, False])
     assert np.isposinf(answers[3:]).all()
-    answers = plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))
-    assert np.isnan(answers).all()
+    assert np.isnan(plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))).all()
+
+
+def test_every_free_point_is_answered(plr):
+    x = points(20_000, 1)
+    assert np.isfinite(np.asarray(plr(x))[np.isfinite(walled(x))]).all()
+    edge = np.linspace(0, 1, 1000)
+    for at in (0.0, 1.0):
+        assert np.isfinite(plr(np.stack([edge, np.full(1000, at)], axis=1))[(edge < 0.4) | (edge > 0.5)]).all()
+    beside = np.stack([np.full(500, 0.4 + 1e-6), np.linspace(0, 0.7, 500)], axis=1)  # a little way into the wall
+    assert np.isfinite(plr(beside)).all()
+
+
+def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
+    plr = construct(lambda x: np.where(x[:, 0] < 0.1, cone(x), np.inf), UNIT, leaf=leaf, max_leaves=150)
+    assert np.isfinite(plr(np.array([[0.1 + 1e-6, 0.5]]))).all()
+    assert np.isposinf(plr(np.array([[0.9, 0.5]]))).all()
+    assert plr.num_unreachable > 0 and plr.unreachable.sum() >= plr.num_unreachable
+    gradient = np.asarray(jax.vmap(jax.grad(plr))(jnp.array([[0.9, 0.5], [0.05, 0.5], [0.1, 0.5]])))
+    assert (gradient[0] == 0).all() and (gradient[1] != 0).any() and np.isfinite(gradient).all()
 
 
 @pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
-def test_corners_of_a_domain_that_floats_cannot_hold(corner):
-    domain = Box((-corner, -corner), (corner, corner))
-    plr = construct(cone, domain, max_leaves=20)
+def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
+    plr = construct(cone, Box((-corner, -corner), (corner, corner)), leaf=leaf, max_leaves=20)
     for dtype in (np.float32, np.float64):
         corners = np.array([[1, 1], [-1, -1], [1, -1]], dtype) * dtype(corner)
         np.testing.assert_allclose(plr(corners), corner * np.sqrt(2), rtol=0.05)
 
 
-def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not():
-    plr = construct(lambda x: np.where(x[:, 0] < 0.1, cone(x), np.inf), SQUARE, max_leaves=300)
-    assert np.isfinite(plr(np.array([[0.1 + 1e-6, 0.5]]))).all()
-    assert np.isposinf(plr(np.array([[0.9, 0.5]]))).all()
-    assert np.all(np.asarray(jax.grad(plr)(jnp.array([0.9, 0.5]))) == 0)
-
-
-def test_far_from_the_origin_the_precision_stays():
+def test_far_from_the_origin_the_precision_stays(leaf):
     origin = np.array([5e5, 2e6])
-    here = construct(cone, Box((0, 0), (8, 8)), max_leaves=50)
-    there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), max_leaves=50)
+    here = construct(cone, Box((0, 0), (8, 8)), leaf=leaf, max_leaves=50)
+    there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), leaf=leaf, max_leaves=50)
     x = np.random.default_rng(0).integers(0, 8, size=(50, 2)).astype(np.float32)
-    np.testing.assert_allclose(there(x + origin.astype(np.float32)), here(x), atol=1e-5)
+    np.testing.assert_allclose(there(x + origin.astype(np.float32)), here(x), atol=1e-4)
+
+
+def test_double_precision_points_far_from_the_origin_are_placed_in_double_precision(leaf):
+    """As exactly as near the origin, and so through a stack: once a mean error of 0.015 instead of 0.0004."""
+    goal = np.array([0.3, 1.1])
+    here = construct(lambda x: cone(x - goal), Box((0, 0), (2, 2)), leaf=leaf, max_leaves=200)
+    there = construct(lambda x: cone(x - goal - 1e6), FAR, leaf=leaf, max_leaves=200)
+    x = 2 * points(2000, 0)
+    near = np.abs(np.asarray(here(x)) - cone(x - goal)).mean()
+    far = np.abs(np.asarray(there(x + 1e6)) - cone(x - goal))
+    assert far.mean() < 1.1 * near + 1e-5 < 3e-3
+    stacked = PLR.stack([there, here])(np.stack([x + 1e6, x], axis=1))
+    np.testing.assert_array_equal(stacked[:, 0], np.asarray(there(x + 1e6), np.float64))
+    np.testing.assert_array_equal(leaf_of(there, x + 1e6), leaf_by_search(there, x + 1e6))
+    edges = np.array([[0, 1], [2, 1], [0, 2], [-1e-3, 1], [2.001, 1], [1, -1e-3]]) + 1e6
+    np.testing.assert_array_equal(np.isfinite(there(edges)), [True, True, True, False, False, False])
+    assert np.isnan(there(np.array([np.nan, 1e6])))
+
+
+def test_precision_far_from_the_origin_comes_and_goes_with_double_precision():
+    """What was decided for one mode of JAX is not kept for the other."""
+    there = construct(lambda x: cone(x - 1e6 - 0.3), FAR, max_leaves=50)
+    x = 2 * points(500, 0) + 1e6
+    with jax.enable_x64(True):
+        double = np.asarray(there(x))
+    single = np.asarray(there(x))
+    assert (double.dtype, single.dtype) == (np.float64, np.float32)
+    np.testing.assert_allclose(single, double, atol=1e-5)
+
+
+@settings(max_examples=30, deadline=None)
+@given(lo=st.floats(-1e8, 1e8), width=st.floats(1e-3, 1e3))
+def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
+    lo, hi = np.full(2, lo), np.full(2, lo + width)
+    if not (hi - lo > 100 * np.spacing(np.abs(hi))).all():
+        return
+    plr = construct(lambda x: np.ones(len(x)), Box(lo, hi), max_leaves=1, num_samples=8)
+    corners = np.array([lo, hi, [lo[0], hi[1]], (lo + hi) / 2])
+    np.testing.assert_array_equal(plr(corners), 1)
+    np.testing.assert_array_equal(PLR.stack([plr])(corners[:, None]), 1)
 
 
 @pytest.mark.parametrize("origin", [1e3 + 0.03, 1e6 + 0.03, 1e7 + 0.3])
@@ -135,35 +189,46 @@ def test_double_precision_where_enabled(plr, x):
     with jax.enable_x64(True):
         answers = plr(x.astype(np.float64))
         assert answers.dtype == np.float64
-        np.testing.assert_allclose(answers, evaluate_by_search(plr, x.astype(np.float64)), rtol=1e-12)
+        np.testing.assert_allclose(answers, plr(x), atol=1e-5)
         assert plr(x).dtype == np.float32
 
 
-def test_integers_lists_and_half_precision_are_points_too(plr):
+def test_integers_and_lists_are_points_too(plr):
     expected = plr(np.array([[0.0, 1.0], [1.0, 0.0]], np.float32))
     np.testing.assert_array_equal(plr([[0, 1], [1, 0]]), expected)
-    np.testing.assert_array_equal(plr(jnp.array([[0, 1], [1, 0]])), expected)
-    half = plr(np.array([[0, 1], [1, 0]], np.float16))
-    np.testing.assert_array_equal(half, expected)
-    assert half.dtype == np.float32
+    np.testing.assert_array_equal(plr(np.array([[False, True], [True, False]])), expected)
+    np.testing.assert_array_equal(plr(np.array([[0, 1], [1, 0]], np.longdouble)), expected)
+
+
+@pytest.mark.parametrize("dtype", ["float16", "bfloat16", "int8", "uint8", "int32", "float32"])
+def test_points_of_any_type_under_strict_promotion(plr, dtype):
+    """In 32 bits, from JAX and from NumPy, and through a gradient, where the type has one."""
+    exact = np.array([[0, 1], [1, 0], [1, 1]], np.float32)
+    expected = plr(exact)
+    x = jnp.asarray(exact, dtype)
+    with jax.numpy_dtype_promotion("strict"):
+        for given in (x, np.asarray(x)):
+            np.testing.assert_array_equal(plr(given), expected)
+            assert plr(given).dtype == np.float32
+        if jnp.issubdtype(x.dtype, jnp.floating):
+            value, gradient = jax.vmap(jax.value_and_grad(plr))(x)
+            np.testing.assert_allclose(value, expected, rtol=1e-6)
+            assert gradient.dtype == x.dtype and np.isfinite(np.asarray(gradient, np.float32)).all()
+    if jnp.issubdtype(x.dtype, jnp.integer):
+        assert np.isposinf(plr(jnp.asarray([[100, 0]], dtype))).all()
 
 
 @pytest.mark.parametrize(
-    ("points", "message"),
+    ("bad", "message"),
     [
         (np.zeros((3, 3)), r"shape \(\.\.\., 2\), got \(3, 3\)"),
         (1.0, r"shape \(\.\.\., 2\), got \(\)"),
         (np.zeros((2, 2), complex), "real numbers"),
+        (jnp.zeros((2, 2), complex), "real numbers"),
         (["a", "b"], "real numbers"),
         ([[0.0, 1.0], [2.0]], "array of numbers"),
     ],
 )
-def test_bad_points_are_refused(plr, points, message):
+def test_bad_points_are_refused(plr, bad, message):
     with pytest.raises(ValueError, match=message):
-        plr(points)
-
-
-def test_strict_promotion(plr, x):
-    with jax.numpy_dtype_promotion("strict"):
-        plr(x)
-        jax.vmap(jax.value_and_grad(plr))(jnp.asarray(x))
+        plr(bad)

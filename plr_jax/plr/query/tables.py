@@ -139,8 +139,6 @@ def build_tables(
         ValueError: If the leaves are too deep for a file of that size.
     """
     bits = cells.depth.max(axis=0)
-    if bits.max() > FRACTION_BITS:
-        raise ValueError(f"A cell is split {bits.max()} times along one axis; a query resolves {FRACTION_BITS}.")
     of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
     flat = bits.sum() <= MAX_FLAT_BITS
     block_bits = 0 * bits if flat else _choose_block_bits(cells, bits, max_entries(num_bytes))
@@ -161,6 +159,12 @@ def build_tables(
         numbers=jnp.asarray(_lay_out(numbers, rows)),
         leaf=leaf,
     )
+
+
+def check_depth(cells: Cells) -> None:
+    """Raise ``ValueError`` if a cell is smaller than what a query resolves."""
+    if (deepest := cells.depth.max()) > FRACTION_BITS:
+        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
 
 
 def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:

@@ -85,7 +85,8 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
     u = _local(plr, x, leaves)
-    return Faces(x, leaves, u, plr.leaf.basis(u.reshape(-1, plr.dim)).reshape(len(x), 2, -1))
+    basis = plr.leaf.basis(u.reshape(-1, plr.dim))
+    return Faces(x, leaves, u, basis.reshape(len(x), 2, basis.shape[1]))
 
 
 def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:

@@ -2,17 +2,12 @@ import struct
 import zlib
 
 import pytest
+from plr_helpers import sealed
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.container import HEADER_SIZE, Container, container_size, file_size
 
 CONTAINER = Container(Box((-1, 0), (1, 3)), 2, 77, b"body")
-
-
-def sealed(content):
-    """A header that is given up to its size, and what follows it, with the right size and checksum."""
-    content = content[:12] + struct.pack("<I", len(content) + 4) + content[16:]
-    return content + struct.pack("<I", zlib.crc32(content))
 
 
 def test_the_layout_by_hand():

@@ -14,11 +14,13 @@ AXIS_DEPTH = 7  # in the plane, for files of up to 2,048 bytes
 
 def best_first_twin(distance_fn, max_leaves):
     """Best-first construction with a priority queue, one leaf at a time: the leaves."""
-    sampler = Sampler(distance_fn, UNIT, None, sample_pattern(2, 192, 0.0, 0), AXIS_DEPTH)
+    patterns = [sample_pattern(2, num_samples, 0.0, 0) for num_samples in (192, 8 * 192)]
+    sampler = Sampler(distance_fn, UNIT, None, *patterns, AXIS_DEPTH)
 
     def push(queue, cells):
         for cell in range(len(cells)):
             fit = sampler(cells[[cell]])
+            fit = sampler.densely(cells[[cell]]) if fit.is_hardly_seen[0] else fit
             heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
 
     queue, done = [], []

@@ -11,7 +11,7 @@ from plr_jax.plr.sampling.pattern import sample_pattern
 
 def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):
     cells = Cells.root(2) if cells is None else cells
-    return Sampler(distance_fn, UNIT, weight_fn, sample_pattern(2, 64, 0.0, 0), max_axis_depth)(cells)
+    return Sampler(distance_fn, UNIT, weight_fn, *2 * [sample_pattern(2, 64, 0.0, 0)], max_axis_depth)(cells)
 
 
 def test_best_axis_is_the_one_along_which_the_function_bends():
@@ -39,7 +39,7 @@ def test_sum_of_squares_after_split_equals_two_separate_fits():
     pattern = sample_pattern(2, 50, 0.0, 0)
     blocked = rng.random((2, 50)) < [[0.0], [0.4]]
     table = np.where(blocked, np.inf, rng.random((2, 50)))
-    found = Sampler(lambda x: table.ravel(), UNIT, None, pattern, 14)(Cells.root(2).split(np.array([0])))
+    found = Sampler(lambda x: table.ravel(), UNIT, None, pattern, pattern, 14)(Cells.root(2).split(np.array([0])))
     for cell in range(2):
         for axis in range(2):
             expected = 0.0

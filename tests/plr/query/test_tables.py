@@ -7,7 +7,7 @@ from plr_helpers import UNIT, chain, random_partition, walled
 from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
-from plr_jax.plr.query.tables import _pack_blocks, build_tables, table_corners
+from plr_jax.plr.query.tables import _pack_blocks, build_tables, check_depth, table_corners
 
 
 def shapes(plr):
@@ -58,8 +58,9 @@ def test_all_goals_of_a_maze_have_tables_of_one_shape(leaf, num_goals, limits):
 
 
 def test_cells_too_deep_for_a_query_are_refused():
-    with pytest.raises(ValueError, match="A cell is split 24 times along one axis; a query resolves 23"):
-        build_tables(Box([0.0], [1.0]), chain([0] * 24), np.zeros((25, 2)), Plane(), 1000)
+    check_depth(chain([0] * 23))
+    with pytest.raises(ValueError, match="a cell is split 24 times along one axis; a query resolves 23"):
+        check_depth(chain([0] * 24))
 
 
 def test_tables_larger_than_the_file_allows_are_refused():

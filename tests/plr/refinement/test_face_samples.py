@@ -1,20 +1,21 @@
 import numpy as np
 from plr_helpers import cone, walled
 
-from plr_jax import Box, construct
+from plr_jax import Box
+from plr_jax.plr import Plane, construct
+from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import plr_of_leaves
-from plr_jax.plr.file import plr_file as _file
 from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.faces import shared_faces, tree_of
-from plr_jax.plr.partition.tree import Level
-from plr_jax.plr.sampling.face_samples import sample_faces
+from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.partition.tree import Level, tree_of
+from plr_jax.plr.refinement.face_samples import sample_faces
 
 
 def test_faces_are_free_and_each_point_lies_on_both_of_its_leaves(wall, wall_faces):
     plr = wall[0]
     (lo, hi), faces = plr.leaf_boxes, wall_faces
-    assert np.isfinite(walled(faces.x)).all() and not plr.planes.unreachable[faces.leaves].any()
+    assert np.isfinite(walled(faces.x)).all() and not plr.unreachable[faces.leaves].any()
     assert (np.abs(faces.u) <= 1 + 1e-12).all()
     for side in range(2):
         x = (lo + hi)[faces.leaves[:, side]] / 2 + faces.u[:, side] * (hi - lo)[faces.leaves[:, side]] / 2
@@ -29,7 +30,7 @@ def test_faces_are_free_and_each_point_lies_on_both_of_its_leaves(wall, wall_fac
         for axis in range(2):
             other = 1 - axis
             start, end = max(lo[i, other], lo[j, other]), min(hi[i, other], hi[j, other])
-            if hi[i, axis] == lo[j, axis] and end > start and not plr.planes.unreachable[[i, j]].any():
+            if hi[i, axis] == lo[j, axis] and end > start and not plr.unreachable[[i, j]].any():
                 x = np.empty((50, 2))
                 x[:, axis], x[:, other] = hi[i, axis], start + u * (end - start)
                 assert (i, j) in sampled or not np.isfinite(walled(x)).all()
@@ -44,7 +45,7 @@ def test_all_pieces_of_faces_are_sampled_alike():
     np.testing.assert_array_equal(pairs, np.stack([pieces.lower, pieces.upper], axis=1))
 
 
-def test_faces_of_a_file_that_splits_the_same_leaves_in_another_order(monkeypatch):
+def test_faces_of_a_file_that_splits_the_same_leaves_in_another_order():
     quarters = Cells.root(2).split(np.array([1])).split(np.array([0, 0]))
     every = np.array([True, True])
     levels = [
@@ -52,9 +53,8 @@ def test_faces_of_a_file_that_splits_the_same_leaves_in_another_order(monkeypatc
         Level(every, np.array([0, 0])),
         Level(np.zeros(4, bool), np.zeros(0, int)),
     ]
-    monkeypatch.setattr(_file, "levels_of", lambda cells: (levels, np.arange(4)))
     planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
-    plr = plr_of_leaves(Box([0, 0], [1, 1]), quarters, planes)
+    plr = plr_of_leaves(Contents(Box([0, 0], [1, 1]), Plane(), quarters, planes), levels)
     faces = sample_faces(plr, cone, num_samples=1)
     assert (np.abs(faces.u) <= 1).all()
     # Lower left is 0, lower right 1, upper left 2, upper right 3.

@@ -3,10 +3,11 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, leaf_by_search, points, walled
 
-from plr_jax import Box, VisibilityGraph, construct, scenes
+from plr_jax import Box, VisibilityGraph, scenes
+from plr_jax.plr import Plane, construct
+from plr_jax.plr.refinement.driver import refine
+from plr_jax.plr.refinement.face_samples import sample_faces
 from plr_jax.plr.refinement.losses import Quantile, eikonal, jumps, quantile, squared
-from plr_jax.plr.refinement.refine import refine
-from plr_jax.plr.sampling.face_samples import sample_faces
 
 
 def test_the_pinball_loss_by_hand():
@@ -17,7 +18,7 @@ def test_the_pinball_loss_by_hand():
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.5])
 @pytest.mark.parametrize("bits", [32, 12])
 def test_the_share_of_over_estimates_is_the_asked_one_on_new_points(share, bits):
-    plr = construct(cone, Box([-1, -1], [1, 1]), max_leaves=40, coefficient_bits=bits)
+    plr = construct(cone, Box([-1, -1], [1, 1]), max_leaves=40, leaf=Plane(coefficient_bits=bits))
     x, new = 2 * points(40_000, 2) - 1, 2 * points(40_000, 3) - 1
     refined, report = refine(plr, x, cone(x), loss=quantile(share))
     assert abs(np.mean(np.asarray(refined(new), float) > cone(new)) - share) <= 0.01
@@ -40,7 +41,7 @@ def test_quantiles_of_a_maze_at_two_kilobytes():
 
 def test_the_shift_makes_up_for_what_rounding_did():
     """Coarse coefficients err by far more than the planes; the share holds because it is set after rounding."""
-    plr = construct(lambda x: x[:, 0] + 2, UNIT, max_leaves=8, coefficient_bits=4)
+    plr = construct(lambda x: x[:, 0] + 2, UNIT, max_leaves=8, leaf=Plane(coefficient_bits=4))
     x, new = points(20_000, 6), points(20_000, 7)
     refined, report = refine(plr, x, x[:, 0] + 2, loss=quantile(0.05))
     assert np.mean(np.asarray(refined(new), float) > new[:, 0] + 2) <= 0.06
@@ -82,6 +83,19 @@ def test_the_jumps_penalty_lowers_jumps_and_more_of_it_lowers_them_more(wall, wa
     assert rms[0] == pytest.approx(reports[0].least_squares.jump_rms, rel=1e-3)
     assert rms[0] > 1.1 * rms[1] > 1.1 * 1.1 * rms[2]
     assert reports[1].refined.training.rms > reports[0].refined.training.rms
+
+
+def test_penalties_of_every_leaf_model(plr, samples):
+    """Each lowers what it penalizes, and the loss pays for it."""
+    faces = sample_faces(plr, walled, num_samples=2)
+    plain, before = refine(plr, *samples, faces=faces, num_steps=50)
+    for penalty, name in ((eikonal(1.0), "eikonal_rms"), (jumps(faces, 10.0), "jump_rms")):
+        _, after = refine(plr, *samples, penalties=[penalty], faces=faces, num_steps=100)
+        stages = [report.refined if name == "jump_rms" else report.refined.training for report in (before, after)]
+        assert getattr(stages[1], name) < (0.8 if plr.leaf.name == "plane" else 0.99) * getattr(stages[0], name)
+        assert after.refined.training.loss > before.refined.training.loss
+    if plr.leaf.name != "plane":  # it jumps beside walls alone, where a face is nearly all wall
+        assert np.quantile(np.abs(faces.jumps(plain)), 0.95) < 1e-9
 
 
 def test_two_planes_can_be_joined_without_a_jump():

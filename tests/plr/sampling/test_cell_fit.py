@@ -11,7 +11,9 @@ LINE = Box([0.0], [2.0])
 
 def fit(distance_fn, weight_fn=None, cells=None, domain=LINE, num_samples=64):
     pattern = sample_pattern(domain.dim, num_samples, 0.0, 0)
-    return Sampler(distance_fn, domain, weight_fn, pattern, 14)(Cells.root(domain.dim) if cells is None else cells)
+    return Sampler(distance_fn, domain, weight_fn, pattern, pattern, 14)(
+        Cells.root(domain.dim) if cells is None else cells
+    )
 
 
 def left_half(x):
@@ -64,7 +66,7 @@ def test_cells_can_be_split_until_every_axis_is_at_its_end():
 
 
 def test_a_root_without_a_reachable_sample_is_refused():
-    sampler = Sampler(lambda x: np.full(len(x), np.inf), LINE, None, sample_pattern(1, 16, 0.0, 0), 14)
+    sampler = Sampler(lambda x: np.full(len(x), np.inf), LINE, None, *2 * [sample_pattern(1, 16, 0.0, 0)], 14)
     with pytest.raises(ValueError, match="found nothing reachable"):
         sampler.root()
 
@@ -77,6 +79,17 @@ def test_a_root_without_a_reachable_sample_is_refused():
     ],
 )
 def test_bad_fits_are_refused(rule, message):
-    sampler = Sampler(lambda x: x[:, 0], LINE, None, sample_pattern(1, 16, 0.0, 0), 14, rule)
+    sampler = Sampler(lambda x: x[:, 0], LINE, None, *2 * [sample_pattern(1, 16, 0.0, 0)], 14, rule)
     with pytest.raises(ValueError, match=message):
         sampler(Cells.root(1))
+
+
+def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
+    """Two reachable samples a coefficient of a plane, and no more: a plane passes near them all."""
+    sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
+    patterns = [sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
+    sampler = Sampler(sliver, LINE, None, *patterns, 14)
+    few, many = sampler(Cells.root(1)), sampler.densely(Cells.root(1))
+    assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
+    assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
+    assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none

@@ -56,5 +56,5 @@ def test_intervals_and_boxes():
 
 
 def test_a_distance_function_that_fails_beside_a_face_is_named():
-    with pytest.raises(ValueError, match="distance_fn must return numbers, or inf"):
+    with pytest.raises(ValueError, match="distance_fn gives NaN"):
         FaceTests(lambda x: np.full(len(x), np.nan), SQUARE).are_free(*grid(1))

@@ -38,15 +38,15 @@ def test_an_oracle_may_compute_in_place():
 @pytest.mark.parametrize(
     ("oracle", "message"),
     [
-        (lambda x: x, "one distance a point"),
-        (lambda x: np.ones(len(x) - 1), "one distance a point"),
-        (lambda x: 1.0, "one distance a point"),
-        (lambda x: np.full(len(x), np.nan), "got nan at"),
-        (lambda x: np.full(len(x), -np.inf), "got -inf at"),
-        (lambda x: np.full(len(x), "far"), "an array of numbers"),
-        (lambda x: {}, "an array of numbers"),
-        (lambda x: [[1.0], [2.0, 3.0]], "an array of numbers"),
-        (lambda x: 1j * cone(x), "got complex"),
+        (lambda x: x, "distance_fn must give one number a point"),
+        (lambda x: np.ones(len(x) - 1), "distance_fn must give one number a point"),
+        (lambda x: 1.0, "distance_fn must give one number a point"),
+        (lambda x: np.full(len(x), np.nan), r"distance_fn gives NaN at \[.*; use inf for unreachable"),
+        (lambda x: np.full(len(x), -np.inf), "distance_fn gives -inf at"),
+        (lambda x: np.full(len(x), "far"), "answer must be real numbers"),
+        (lambda x: {}, "answer must be real numbers"),
+        (lambda x: [[1.0], [2.0, 3.0]], "answer must be real numbers"),
+        (lambda x: 1j * cone(x), "answer must be real numbers"),
     ],
 )
 def test_bad_oracles_are_refused(oracle, message):
@@ -56,5 +56,5 @@ def test_bad_oracles_are_refused(oracle, message):
 
 @pytest.mark.parametrize("weights", [lambda x: -np.ones(len(x)), lambda x: x, lambda x: np.full(len(x), np.nan)])
 def test_bad_weights_are_refused(weights):
-    with pytest.raises(ValueError, match="one finite weight >= 0 a point"):
+    with pytest.raises(ValueError, match=r"weight_fn must (return finite weights >= 0|give one number a point)"):
         call_weights(weights, points(5, 0))

@@ -31,12 +31,19 @@ class Continuous:
 
     Args:
         order: Of continuity: 0 for values, multilinear in every leaf; 1 for gradients too, cubic along every axis.
+
+    Raises:
+        ValueError: If the order is neither.
     """
 
     order: int = 0
 
     num_samples = 96
     least_bytes = 1
+
+    def __post_init__(self):
+        if self.order not in (0, 1):
+            raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
 
     @property
     def name(self) -> str:

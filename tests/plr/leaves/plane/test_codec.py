@@ -1,11 +1,22 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from plr_helpers import random_partition
 
-from plr_jax.plr.leaves.plane.codec import FLOAT_BITS, StoredPlanes, encode_planes
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.leaves.plane.codec import (
+    FLOAT_BITS,
+    StoredPlanes,
+    encode_planes,
+    planes_bits,
+    read_planes,
+    unreachable_code,
+    write_planes,
+)
 
 
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 1000), bits=st.integers(4, 20), scale=st.sampled_from([1e-6, 1.0, 1e6]))
 def test_rounding_is_within_half_a_step(seed, bits, scale):
     rng = np.random.default_rng(seed)
@@ -46,3 +57,32 @@ def test_widths_hold_the_largest_half_difference_of_their_depth(bits, expected):
     depth = np.array([[0, 1], [0, 1], [2, 1], [3, 0]])
     planes = StoredPlanes(bits, 0.0, 1.0, np.zeros(4, np.int64), half)
     assert [widths.tolist() for widths in planes.widths(depth)] == expected
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 5), bits=st.sampled_from([4, 11, 16, 20, 32]))
+def test_what_is_read_is_what_was_written(seed, dim, bits):
+    rng = np.random.default_rng(seed)
+    depth = random_partition(seed, dim, 30).depth
+    center = np.where(rng.random(len(depth)) < 0.2, np.inf, rng.normal(size=len(depth)))
+    center[0] = 1.0
+    planes = encode_planes(center, rng.normal(size=depth.shape), bits)
+    body = BitWriter()
+    write_planes(body, depth, planes)
+    assert body.num_bits == planes_bits(depth, planes)
+    again = read_planes(BitReader(body.to_bytes()), depth)
+    np.testing.assert_array_equal(again.center, planes.center)
+    np.testing.assert_array_equal(again.half, planes.half)
+    assert (again.bits, again.offset, again.step) == (planes.bits, planes.offset, planes.step)
+
+
+def test_the_mark_of_unreachable_leaves():
+    assert unreachable_code(8) == 255
+    assert np.array([unreachable_code(32)], np.uint32).view(np.float32)[0] == np.inf
+
+
+def test_planes_beyond_floats_are_refused():
+    with pytest.raises(ValueError, match="scale them down"):
+        encode_planes(np.array([1e31]), np.zeros((1, 2)), 16)
+    with pytest.raises(ValueError, match="scale them down"):
+        encode_planes(np.array([1.0]), np.full((1, 2), -1e31), FLOAT_BITS)

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from plr_helpers import UNIT, walled
+
+from plr_jax.plr import Plane, construct
+from plr_jax.plr.sampling.plane_fits import midrange
+
+
+def test_rounding_is_as_the_step_says():
+    exact = construct(walled, UNIT, max_leaves=60)
+    rounded = construct(walled, UNIT, max_leaves=60, leaf=Plane(coefficient_bits=8))
+    x = np.random.default_rng(0).random((10_000, 2))
+    difference = np.abs(np.asarray(exact(x)) - np.asarray(rounded(x)))
+    assert 0 < difference.max() <= 1.5 * rounded.stored.step + 1e-6
+
+
+def test_floats_without_a_budget_and_integers_with_one():
+    assert construct(walled, UNIT, max_leaves=5).stored.bits == 32
+    assert construct(walled, UNIT, max_bytes=500).stored.bits in range(8, 17)
+    assert construct(walled, UNIT, max_leaves=5, leaf=Plane(coefficient_bits=12)).stored.bits == 12
+
+
+@pytest.mark.parametrize("bits", [3, 21, 31, 33, 0, -1])
+def test_bits_out_of_range_are_refused(bits):
+    with pytest.raises(ValueError, match=f"coefficient_bits must be 32 .floats. or 4 to 20, got {bits}"):
+        Plane(coefficient_bits=bits)
+
+
+def test_bits_that_are_no_integer_are_refused():
+    with pytest.raises((ValueError, TypeError), match="coefficient_bits"):
+        Plane(coefficient_bits=8.5)
+
+
+def test_a_fit_of_the_callers_own():
+    flat = lambda pattern, value, weight: (value.max(axis=1), 0 * value[:, :2])  # noqa: E731
+    plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, compute_coefficients=flat)
+    np.testing.assert_allclose(plr.slope, 0)
+    assert (plr(np.random.default_rng(0).random((100, 2))) >= 0.2).all()
+
+
+def test_midrange_planes_need_fewer_leaves_for_a_tolerance():
+    cone = lambda x: np.hypot(x[:, 0], x[:, 1])  # noqa: E731
+    balanced = construct(cone, UNIT, tolerance=0.002, compute_coefficients=midrange)
+    plain = construct(cone, UNIT, tolerance=0.002)
+    x = np.random.default_rng(0).random((20_000, 2))
+    assert np.abs(balanced(x) - cone(x)).max() < 1.2 * 0.002
+    assert balanced.num_leaves < 0.8 * plain.num_leaves
