@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.geometry.boundary import cross
+from plr_jax.geometry.vectors import cross_product
 
 _ROUNDING = 1e-12  # of the body's size
 
@@ -114,7 +114,7 @@ def as_size(name: str, value: Any) -> float:
 def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
     """How far points lie to the left of each side of a polygon."""
     side = np.roll(core, -1, axis=0) - core
-    return cross((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
+    return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
 
 
 def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
