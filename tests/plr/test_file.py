@@ -58,7 +58,7 @@ def test_a_file_of_planes_by_hand():
 
 @pytest.fixture(scope="module", params=MODELS)
 def data(request):
-    return construct(walled, ((0, 0), (1, 1)), leaf=request.param, max_bytes=250).to_bytes()
+    return construct(walled, ((0, 0), (1, 1)), leaf=request.param, max_bytes=150, num_samples=32).to_bytes()
 
 
 def test_every_truncation_is_refused(data):

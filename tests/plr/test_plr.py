@@ -9,7 +9,6 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import PLR, construct, evaluate
 from plr_jax.plr._plr import _evaluate, leaf_of
-from plr_jax.plr.query.lookup import lookup
 
 FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))
 
@@ -20,15 +19,15 @@ def test_evaluate_is_calling(plr, x):
 
 def test_attributes(plr, leaf, x):
     lo, hi = plr.leaf_boxes
-    assert plr.num_leaves == len(plr.slope) == len(plr.intercept) == len(lo) == 100
+    assert plr.num_leaves == len(plr.slope) == len(plr.intercept) == len(lo) == 60
     assert plr.domain == UNIT and plr.dim == 2 and plr.leaf.name == leaf
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(1.0)
     assert plr.depth == round(-np.log2(np.prod(hi - lo, axis=1).min()))
     assert (
         plr.resident_bytes
-        >= plr.tables.leaf_of_slot.nbytes + 100 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
+        >= plr.tables.leaf_of_slot.nbytes + 60 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
     )
-    assert f"PLR('{leaf}', dim=2, num_leaves=100" in repr(plr)
+    assert f"PLR('{leaf}', dim=2, num_leaves=60" in repr(plr)
     assert not plr.unreachable.all() and plr.num_unreachable == np.isinf(plr.intercept).sum()
     np.testing.assert_array_equal(leaf_of(plr, x), leaf_by_search(plr, x))
 
@@ -74,13 +73,13 @@ def test_gradient_is_finite_and_zero_where_there_is_none(plr):
 def test_a_pytree_survives_a_round_trip_through_jit(plr, x):
     again = jax.jit(lambda plr: plr)(plr)
     np.testing.assert_array_equal(again(x), plr(x))
-    assert again.to_bytes() == plr.to_bytes() and again.num_leaves == 100
+    assert again.to_bytes() == plr.to_bytes() and again.num_leaves == 60
 
 
 def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):
     plr(x)
     compiled = _evaluate._cache_size()
-    construct(lambda x: 1 + 2 * walled(x), Box((0, 0), (1, 1)), leaf=leaf, max_leaves=98)(x)
+    construct(lambda x: 1 + 2 * walled(x), Box((0, 0), (1, 1)), leaf=leaf, max_leaves=59, num_samples=48)(x)
     assert _evaluate._cache_size() == compiled
 
 
@@ -112,7 +111,7 @@ def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
 
 @pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
 def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
-    plr = construct(cone, Box((-corner, -corner), (corner, corner)), leaf=leaf, max_leaves=20)
+    plr = construct(cone, Box((-corner, -corner), (corner, corner)), leaf=leaf, max_leaves=20, num_samples=32)
     for dtype in (np.float32, np.float64):
         corners = np.array([[1, 1], [-1, -1], [1, -1]], dtype) * dtype(corner)
         np.testing.assert_allclose(plr(corners), corner * np.sqrt(2), rtol=0.05)
@@ -120,8 +119,9 @@ def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
 
 def test_far_from_the_origin_the_precision_stays(leaf):
     origin = np.array([5e5, 2e6])
-    here = construct(cone, Box((0, 0), (8, 8)), leaf=leaf, max_leaves=50)
-    there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), leaf=leaf, max_leaves=50)
+    options = {"leaf": leaf, "max_leaves": 30, "num_samples": 32}
+    here = construct(cone, Box((0, 0), (8, 8)), **options)
+    there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), **options)
     x = np.random.default_rng(0).integers(0, 8, size=(50, 2)).astype(np.float32)
     np.testing.assert_allclose(there(x + origin.astype(np.float32)), here(x), atol=1e-4)
 
@@ -129,12 +129,13 @@ def test_far_from_the_origin_the_precision_stays(leaf):
 def test_double_precision_points_far_from_the_origin_are_placed_in_double_precision(leaf):
     """As exactly as near the origin, and so through a stack: once a mean error of 0.015 instead of 0.0004."""
     goal = np.array([0.3, 1.1])
-    here = construct(lambda x: cone(x - goal), Box((0, 0), (2, 2)), leaf=leaf, max_leaves=200)
-    there = construct(lambda x: cone(x - goal - 1e6), FAR, leaf=leaf, max_leaves=200)
-    x = 2 * points(2000, 0)
+    options = {"leaf": leaf, "max_leaves": 200 if leaf == "plane" else 80, "num_samples": 48}
+    here = construct(lambda x: cone(x - goal), Box((0, 0), (2, 2)), **options)
+    there = construct(lambda x: cone(x - goal - 1e6), FAR, **options)
+    x = 2 * points(1000, 0)
     near = np.abs(np.asarray(here(x)) - cone(x - goal)).mean()
-    far = np.abs(np.asarray(there(x + 1e6)) - cone(x - goal))
-    assert far.mean() < 1.1 * near + 1e-5 < 3e-3
+    far = np.abs(np.asarray(there(x + 1e6)) - cone(x - goal)).mean()
+    assert far < 1.1 * near + 1e-5 < 4e-3
     stacked = PLR.stack([there, here])(np.stack([x + 1e6, x], axis=1))
     np.testing.assert_array_equal(stacked[:, 0], np.asarray(there(x + 1e6), np.float64))
     np.testing.assert_array_equal(leaf_of(there, x + 1e6), leaf_by_search(there, x + 1e6))
@@ -154,7 +155,7 @@ def test_precision_far_from_the_origin_comes_and_goes_with_double_precision():
     np.testing.assert_allclose(single, double, atol=1e-5)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(lo=st.floats(-1e8, 1e8), width=st.floats(1e-3, 1e3))
 def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     lo, hi = np.full(2, lo), np.full(2, lo + width)
@@ -166,14 +167,14 @@ def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     np.testing.assert_array_equal(PLR.stack([plr])(corners[:, None]), 1)
 
 
-@pytest.mark.parametrize("origin", [1e3 + 0.03, 1e6 + 0.03, 1e7 + 0.3])
+@pytest.mark.parametrize("origin", [1e3 + 0.03, 1e7 + 0.3])
 def test_cells_stay_in_place_far_from_the_origin(origin):
     with jax.enable_x64(True):
         far = construct(
-            lambda x: cone(x - origin - 0.3), ((origin, origin), (origin + 1, origin + 1)), max_leaves=200
+            lambda x: cone(x - origin - 0.3), ((origin, origin), (origin + 1, origin + 1)), max_leaves=100
         )
         x = np.random.default_rng(0).random((2000, 2)) + origin
-        found = lookup(far.tables, jnp.asarray(x)) == leaf_by_search(far, x)
+        found = leaf_of(far, x) == leaf_by_search(far, x)
         assert np.mean(found) > 0.999  # all but points within a float's rounding of a face
         np.testing.assert_allclose(far(x)[found], evaluate_by_search(far, x)[found], atol=1e-5)
         edges = np.array([[0, 0.5], [1, 0.5], [-0.02, 0.5], [1.02, 0.5]]) + origin
@@ -200,7 +201,14 @@ def test_integers_and_lists_are_points_too(plr):
     np.testing.assert_array_equal(plr(np.array([[0, 1], [1, 0]], np.longdouble)), expected)
 
 
-@pytest.mark.parametrize("dtype", ["float16", "bfloat16", "int8", "uint8", "int32", "float32"])
+@pytest.mark.parametrize(
+    ("leaf", "dtype"),  # placed alike for all leaf models
+    [
+        *(("plane", dtype) for dtype in ("float16", "bfloat16", "int8", "uint8", "int32", "float32")),
+        *((leaf, dtype) for leaf in ("continuous", "smooth") for dtype in ("bfloat16", "int8")),
+    ],
+    scope="session",
+)
 def test_points_of_any_type_under_strict_promotion(plr, dtype):
     """In 32 bits, from JAX and from NumPy, and through a gradient, where the type has one."""
     exact = np.array([[0, 1], [1, 0], [1, 1]], np.float32)
