@@ -93,12 +93,19 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
     scale = _scales(parameters, unit, shape[1])
     objective = Objective(
-        *map(_padded, (leaf, basis, error, weight, share, coefficients, parameters.row, parameters.column)),
-        _padded(parameters.weight * scale[parameters.column]),
-        center,
-        half.T,
-        _padded(2 / (hi - lo)),
-        _padded(np.zeros(len(parameters.values))),
+        leaf=_padded(leaf),
+        basis=_padded(basis),
+        error=_padded(error),
+        weight=_padded(weight),
+        share=_padded(share),
+        coefficients=_padded(coefficients),
+        row=_padded(parameters.row),
+        column=_padded(parameters.column),
+        entry=_padded(parameters.weight * scale[parameters.column]),
+        center=center,
+        half=half.T,
+        per_half=_padded(2 / (hi - lo)),
+        start=_padded(np.zeros(len(parameters.values))),
     )
     return Refinable(objective, parameters.values, scale, has_enough)
 
@@ -148,7 +155,7 @@ def _scales(parameters: Parameters, unit: Float[np.ndarray, "leaves"], terms: in
     """The smallest unit of the leaves that each parameter moves: 0 where one has too few points to tell."""
     scale = np.full(len(parameters.values), np.inf)
     np.minimum.at(scale, parameters.column, unit[parameters.row // terms])
-    return scale
+    return np.where(np.isfinite(scale), scale, 0.0)
 
 
 def _sums(leaf: Int[np.ndarray, "n"], leaves: int) -> Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "leaves"]]:
