@@ -41,6 +41,11 @@ class Parameters:
     column: Int[np.ndarray, "entries"]
     weight: Float[np.ndarray, "entries"]
 
+    @property
+    def is_leafwise(self) -> bool:
+        """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
+        return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
+
     def moved(self, change: Float[np.ndarray, "parameters"]) -> "Parameters":
         """The same map of other values."""
         return replace(self, values=self.values + change)
