@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from plr_jax._arrays import padded, padded_size, shortened
@@ -193,11 +194,12 @@ class PLR:
 
         On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
         """
-        return None if jax.config.jax_enable_x64 else self._corner_if_far
+        has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+        return None if has_doubles else self._corner_if_far
 
     @cached_property
     def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
-        if isinstance(self.tables.frame, jax.core.Tracer):
+        if isinstance(self.tables.frame, Tracer):
             return None
         frame = np.asarray(self.tables.frame, np.float64)
         lo, hi = frame[Frame.LO], frame[Frame.HI]

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
@@ -41,6 +41,11 @@ class Parameters:
     column: Int[np.ndarray, "entries"]
     weight: Float[np.ndarray, "entries"]
 
+    @property
+    def is_leafwise(self) -> bool:
+        """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
+        return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
+
     def moved(self, change: Float[np.ndarray, "parameters"]) -> "Parameters":
         """The same map of other values."""
         return replace(self, values=self.values + change)
@@ -53,16 +58,22 @@ class LeafModel(Protocol):
     In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
     ``basis(u) @ coefficients``. What is *stored* is the model's own affair: an object that its ``write`` puts into a
     file and its ``read`` gives back.
-
-    Attributes:
-        name: What ``construct(leaf=...)`` calls it.
-        num_samples: Samples of a cell, unless others are asked for.
-        least_bytes: Bytes of a file that a leaf takes at the least, a power of two.
     """
 
-    name: ClassVar[str]
-    num_samples: ClassVar[int]
-    least_bytes: ClassVar[int]
+    @property
+    def name(self) -> str:
+        """What ``construct(leaf=...)`` calls it."""
+        ...
+
+    @property
+    def num_samples(self) -> int:
+        """Samples of a cell, unless others are asked for."""
+        ...
+
+    @property
+    def least_bytes(self) -> int:
+        """Bytes of a file that a leaf takes at the least, a power of two."""
+        ...
 
     def check_dim(self, dim: int) -> None:
         """Raise ``ValueError`` if the model is not for so many axes."""

@@ -5,7 +5,9 @@ adds up their gradients. Three things make a few hundred steps enough, whatever 
 
 - The start is the least-squares fit, and what is optimized is the correction to it, so that 32-bit floats resolve
   small errors of large distances.
-- The variables are the parameters in units, so that steps are of one size everywhere.
+- The variables ``z`` are coordinates in which a unit step changes the values at the points it moves by a unit in the
+  root mean square. Where each leaf has parameters of its own, they come from the Cholesky factor of the leaf's normal
+  matrix; where leaves share them, each parameter is scaled for itself.
 - That unit is about the error of the least-squares fit there: leaves of small errors take small steps.
 """
 
@@ -27,9 +29,9 @@ POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
 # leaf's own function varies. Penalties may ask more of it than its points do.
 _OF_ALL_ERROR, _OF_VARIATION = 0.1, 0.01
 _RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as it is
-# Each leaf holds on to its function: as if so small a share of its points, or as many as other leaves have where it
-# has too few, lay on it, spread evenly.
-_HELD = 1e-6
+# Where leaves share parameters, each holds on to its function: as if so small a share of its points, or as many as
+# other leaves have where it has too few, lay on it, spread evenly.
+_HELD = 1e-3
 _EVEN_POINTS = 256
 
 
@@ -52,18 +54,18 @@ class Refinable:
     Attributes:
         objective: What is minimized.
         values: The parameters of least squared error.
-        scale: What a variable is multiplied with to correct its parameter.
+        to_parameters: From variables to corrections of them, in double precision.
         has_enough: Which leaves have enough points to be fitted to.
     """
 
     objective: Objective
     values: Float[np.ndarray, "parameters"]
-    scale: Float[np.ndarray, "parameters"]
+    to_parameters: Callable[[Float[np.ndarray, "variables"]], Float[np.ndarray, "parameters"]]
     has_enough: Bool[np.ndarray, "leaves"]
 
     def corrected(self, z: Float[np.ndarray, "padded"]) -> Float[np.ndarray, "parameters"]:
         """The parameters at given variables."""
-        return self.values + self.scale * np.asarray(z, np.float64)[: len(self.values)]
+        return self.values + self.to_parameters(np.asarray(z, np.float64)[: len(self.values)])
 
 
 def pose(plr: PLR, points: WeightedPoints) -> Refinable:
@@ -85,22 +87,34 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     normal, share = _normal_matrices(sum_up, basis, weight), sum_up(weight)
     error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
-    normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
+    if not parameters.is_leafwise:
+        normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
     parameters = parameters.moved(-_least_squares(parameters, normal, moments))
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
     center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
     unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
-    scale = _scales(parameters, unit, shape[1])
+    if parameters.is_leafwise:
+        num_points = np.where(has_enough, num_points, 1)
+        scaled, to_parameters = _whitened(parameters, share, normal, unit, num_points)
+    else:
+        scaled, to_parameters = _scaled(parameters, unit, shape[1])
     objective = Objective(
-        *map(_padded, (leaf, basis, error, weight, share, coefficients, parameters.row, parameters.column)),
-        _padded(parameters.weight * scale[parameters.column]),
-        center,
-        half.T,
-        _padded(2 / (hi - lo)),
-        _padded(np.zeros(len(parameters.values))),
+        leaf=_padded(leaf),
+        basis=_padded(basis),
+        error=_padded(error),
+        weight=_padded(weight),
+        share=_padded(share),
+        coefficients=_padded(coefficients),
+        row=_padded(scaled.row),
+        column=_padded(scaled.column),
+        entry=_padded(scaled.weight),
+        center=center,
+        half=half.T,
+        per_half=_padded(2 / (hi - lo)),
+        start=_padded(np.zeros(len(parameters.values))),
     )
-    return Refinable(objective, parameters.values, scale, has_enough)
+    return Refinable(objective, parameters.values, to_parameters, has_enough)
 
 
 def _normalized(weight: Float[np.ndarray, "n"], plr: PLR, num_points: int) -> Float[np.ndarray, "n"]:
@@ -144,11 +158,37 @@ def _least_squares(
     return factors.solve(of_leaves.T @ moments.ravel())
 
 
-def _scales(parameters: Parameters, unit: Float[np.ndarray, "leaves"], terms: int) -> Float[np.ndarray, "parameters"]:
-    """The smallest unit of the leaves that each parameter moves: 0 where one has too few points to tell."""
+def _whitened(
+    parameters: Parameters,
+    share: Float[np.ndarray, "leaves"],
+    normal: Float[np.ndarray, "leaves terms terms"],
+    unit: Float[np.ndarray, "leaves"],
+    num_points: Int[np.ndarray, "leaves"],
+) -> tuple[Parameters, Callable]:
+    """Coordinates in which the values at a leaf's points change by a unit in the root mean square.
+
+    As many points as a leaf has coefficients, spread evenly over the cell, are counted in: along directions in
+    which the points hardly vary, a function is not flung about.
+    """
+    leaves, terms, _ = normal.shape
+    even = np.diag([1.0, *[1 / 3] * (terms - 1)])
+    counted_in = np.where(share > 0, share * terms / num_points, 1.0)
+    moments = (normal + counted_in[:, None, None] * even) / (share + counted_in)[:, None, None]
+    transform = unit[:, None, None] * np.linalg.inv(np.linalg.cholesky(moments)).swapaxes(1, 2)
+    row, column = np.broadcast_arrays(*np.ogrid[: leaves * terms, :terms])
+    scaled = Parameters(parameters.values, row.ravel(), (row // terms * terms + column).ravel(), transform.ravel())
+    return scaled, lambda z: np.einsum("lij,lj->li", transform, z.reshape(leaves, terms)).ravel()
+
+
+def _scaled(
+    parameters: Parameters, unit: Float[np.ndarray, "leaves"], terms: int
+) -> tuple[Parameters, Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "n"]]]:
+    """Each parameter in the smallest unit of the leaves it moves: it stays where one has too few points to tell."""
     scale = np.full(len(parameters.values), np.inf)
     np.minimum.at(scale, parameters.column, unit[parameters.row // terms])
-    return scale
+    scale[np.isinf(scale)] = 0.0
+    weight = parameters.weight * scale[parameters.column]
+    return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
 
 
 def _sums(leaf: Int[np.ndarray, "n"], leaves: int) -> Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "leaves"]]:

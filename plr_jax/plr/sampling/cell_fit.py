@@ -69,7 +69,7 @@ class CellFit:
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
         """Which cells may still be halved along some axis."""
-        return (self.cells.depth < self.max_axis_depth).any(axis=1)
+        return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
     def noise(self) -> Float[np.ndarray, "cells"]:
