@@ -73,7 +73,9 @@ def test_slivers_of_free_space_show_their_errors():
 
 
 def test_the_same_seed_gives_the_same_plr_and_another_seed_another(leaf):
-    first, again, other = (construct(walled, UNIT, leaf=leaf, max_leaves=30, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (
+        construct(walled, UNIT, leaf=leaf, max_leaves=12, num_samples=32, seed=seed) for seed in (1, 1, 2)
+    )
     assert first.to_bytes() == again.to_bytes() != other.to_bytes()
 
 
@@ -104,7 +106,7 @@ def test_masked_distances_mean_inf(leaf):
         distance = walled(x)
         return np.ma.masked_array(np.where(np.isinf(distance), 0.0, distance), np.isinf(distance))
 
-    plr, expected = (construct(fn, UNIT, leaf=leaf, max_leaves=30) for fn in (masked, walled))
+    plr, expected = (construct(fn, UNIT, leaf=leaf, max_leaves=12, num_samples=32) for fn in (masked, walled))
     assert plr.to_bytes() == expected.to_bytes()
 
 

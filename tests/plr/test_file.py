@@ -257,8 +257,8 @@ def test_the_smallest_of_such_files():
         assert refused_for_little(data)
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3, 5, 8, 12])
-@pytest.mark.parametrize("max_leaves", [30, 300])
+@pytest.mark.parametrize("dim", [1, 2, 3, 8])
+@pytest.mark.parametrize("max_leaves", [30, 200])
 @pytest.mark.parametrize("grow", ["chain", "anywhere"])
 def test_every_file_that_construct_writes_can_be_read(dim, max_leaves, grow):
     """Whatever rules the caller gives, as deep as construction goes."""

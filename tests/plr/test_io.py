@@ -30,7 +30,7 @@ def test_a_loaded_plr_equals_the_saved_one_bit_for_bit(plr, tmp_path):
 
 @pytest.mark.parametrize("model", [Plane(coefficient_bits=16), Plane(coefficient_bits=5), "continuous", "smooth"])
 def test_what_is_built_under_a_budget_equals_what_its_file_holds(model):
-    plr = construct(walled, UNIT, leaf=model, max_bytes=300)
+    plr = construct(walled, UNIT, leaf=model, max_bytes=200, num_samples=32)
     assert_same(from_bytes(plr.to_bytes()), plr)
 
 

@@ -109,7 +109,7 @@ def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
     assert (gradient[0] == 0).all() and (gradient[1] != 0).any() and np.isfinite(gradient).all()
 
 
-@pytest.mark.parametrize("corner", [0.1, 1 / 3, 1e5 + 0.1])
+@pytest.mark.parametrize("corner", [1 / 3, 1e5 + 0.1])
 def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
     plr = construct(cone, Box((-corner, -corner), (corner, corner)), leaf=leaf, max_leaves=20, num_samples=32)
     for dtype in (np.float32, np.float64):
@@ -119,7 +119,7 @@ def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
 
 def test_far_from_the_origin_the_precision_stays(leaf):
     origin = np.array([5e5, 2e6])
-    options = {"leaf": leaf, "max_leaves": 30, "num_samples": 32}
+    options = {"leaf": leaf, "max_leaves": 15, "num_samples": 32}
     here = construct(cone, Box((0, 0), (8, 8)), **options)
     there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), **options)
     x = np.random.default_rng(0).integers(0, 8, size=(50, 2)).astype(np.float32)
@@ -129,7 +129,7 @@ def test_far_from_the_origin_the_precision_stays(leaf):
 def test_double_precision_points_far_from_the_origin_are_placed_in_double_precision(leaf):
     """As exactly as near the origin, and so through a stack: once a mean error of 0.015 instead of 0.0004."""
     goal = np.array([0.3, 1.1])
-    options = {"leaf": leaf, "max_leaves": 200 if leaf == "plane" else 80, "num_samples": 48}
+    options = {"leaf": leaf, "max_leaves": 200 if leaf == "plane" else 50, "num_samples": 32}
     here = construct(lambda x: cone(x - goal), Box((0, 0), (2, 2)), **options)
     there = construct(lambda x: cone(x - goal - 1e6), FAR, **options)
     x = 2 * points(1000, 0)

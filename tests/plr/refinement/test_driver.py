@@ -267,7 +267,7 @@ for plr, options in ((cone, {}), (plr, {"loss": "quantile"}), (plr, {"penalties"
 
 def test_double_precision_changes_nothing_but_rounding(wall, wall_faces):
     plr, x, distance = wall
-    arguments = {"loss": quantile(0.2), "penalties": [eikonal(1e-3), jumps(wall_faces, 1e-3)], "num_steps": 100}
+    arguments = {"loss": quantile(0.2), "penalties": [eikonal(1e-3), jumps(wall_faces, 1e-3)], "num_steps": 50}
     single, _ = refine(plr, x, distance, **arguments)
     with jax.enable_x64(True):
         double, _ = refine(from_bytes(plr.to_bytes()), x, distance, **arguments)

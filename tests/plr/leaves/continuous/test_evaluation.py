@@ -21,7 +21,7 @@ def leaf(request):
 
 @pytest.fixture(scope="module")
 def plr(leaf):
-    return construct(walled, UNIT, leaf=leaf, max_leaves=150)
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100, num_samples=48)
 
 
 def both_sides_of_faces(plr, distance_fn, seed=0):
@@ -75,14 +75,14 @@ def test_no_jump_in_other_dimensions(dim):
         blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
         return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
 
-    plr = construct(walled_anywhere, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=120)
+    plr = construct(walled_anywhere, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=80, num_samples=48)
     below, above = both_sides_of_faces(plr, walled_anywhere)
     assert np.abs(np.asarray(plr(below)) - np.asarray(plr(above))).max() <= 1e-5
     assert np.isfinite(plr(below)).all()
 
 
 def test_a_query_is_the_interpolation_of_nodal_values(x):
-    plr = construct(walled, UNIT, leaf="continuous", max_leaves=100)
+    plr = construct(walled, UNIT, leaf="continuous", max_leaves=60)
     stored = plr.stored
     node = (numbers_of_leaves(0, stored.partition.space) @ stored.decode()).reshape(-1, 2, 2)
     leaf = leaf_by_search(plr, x)
@@ -100,7 +100,7 @@ def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
     """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
     # Widths that are no powers of two, for which not even the lookup rounds the same way in all compiled code.
     domain = Box([0.0, -1.0], [24.0, 14.0])
-    plr = construct(lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7), domain, leaf=leaf, max_leaves=150)
+    plr = construct(lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7), domain, leaf=leaf, max_leaves=80, num_samples=32)
     rng = np.random.default_rng(0)
     for axis, corners in enumerate(plr.leaf_boxes[0].T):
         borders = np.unique(corners)[1:].repeat(50)

@@ -20,7 +20,7 @@ def test_exhausted_leaves_take_no_part_of_what_was_asked_for(max_leaves):
     def bumps_and_a_jump(x):
         return 2 + np.sin(40 * x[:, 0]) + 10 * (x[:, 0] > 1 / 3)
 
-    plr = construct(bumps_and_a_jump, ([0.0], [1.0]), leaf="continuous", max_leaves=max_leaves)
+    plr = construct(bumps_and_a_jump, ([0.0], [1.0]), leaf="continuous", max_leaves=max_leaves, num_samples=48)
     assert plr.num_leaves == max_leaves
 
 
