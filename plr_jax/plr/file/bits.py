@@ -97,7 +97,9 @@ class BitReader:
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
         """The next numbers, written as 32-bit floats."""
-        return self.read_alike(num_values, 32).astype(np.uint32).view(np.float32).astype(np.float64)
+        floats = self.read_alike(num_values, 32).astype(np.uint32).view(np.float32)
+        with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
+            return floats.astype(np.float64)
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
         """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""

@@ -58,6 +58,13 @@ def test_floats_are_kept_to_32_bits():
     np.testing.assert_array_equal(read, values.astype(np.float32))
 
 
+@pytest.mark.filterwarnings("error")
+def test_any_32_bits_are_read_as_a_float():
+    patterns = np.array([0x7FA00000, 0xFF800001, 0x7F800000, 1])  # two signaling NaNs, infinity, the least number
+    read = BitReader(BitWriter().write(patterns, 32).to_bytes()).read_floats(4)
+    np.testing.assert_array_equal(read, [np.nan, np.nan, np.inf, 2.0**-149])
+
+
 @QUICK
 @given(values=st.lists(st.integers(0, 2**39)))
 def test_coded_numbers_of_any_size(values):
