@@ -49,15 +49,7 @@ class TurnPoints:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The turn of the shortest path from each point, of those in sight.
-
-        Args:
-            x: The points.
-            sees: Visibility, for pairs of a point and a vertex, by index.
-
-        Returns:
-            The vertex that the path goes to first, -1 where none is in sight, and its length, ``inf`` there.
-        """
+        """The vertex that the shortest path from each point goes to first, -1 where it sees none, and its length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]),
             len(x),
@@ -72,10 +64,7 @@ def find_turn_points(
 ) -> TurnPoints:
     """The corners that bend a shortest path to the goal, with the points that come around them.
 
-    Args:
-        vertices: The goal as vertex 0, then the corners.
-        distances: Distance of each vertex to the goal.
-        parents: The next vertex on the way there.
+    The goal is vertex 0; the parent of a vertex is the next one on the way there.
     """
     vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]

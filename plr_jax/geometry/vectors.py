@@ -42,16 +42,9 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_segments: int,
 ) -> Float[np.ndarray, "points 2"]:
-    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``.
+    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``, as long as it.
 
-    Args:
-        center: Center of the circle.
-        start: Offset of the first point.
-        end: Offset of the last point, of the same length.
-        num_segments: Chords a quarter turn.
-
-    Returns:
-        The chords' ends, the first and last exactly ``center + start`` and ``center + end``.
+    There are ``num_segments`` chords a quarter turn, of ends the first and last of which are exact.
     """
     turn = np.arctan2(cross_product(start, end), start @ end) % (2 * np.pi)
     angle = np.linspace(0.0, turn, 1 + max(1, int(np.ceil(num_segments * turn / (np.pi / 2) - 1e-9))))

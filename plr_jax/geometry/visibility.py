@@ -69,15 +69,9 @@ class VisibilityTable:
         return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether viewpoint ``v[i]`` sees point ``x[i]``.
+        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
 
-        Args:
-            v: Indices of viewpoints.
-            x: As many points, in free space.
-
-        Returns:
-            True where the segment between them lies in closed free space, to the tolerance. A segment
-            that grazes several corners may be reported as not seen; it is seen from the last of them.
+        A segment that grazes several corners may be reported as not seen; it is seen from the last of them.
         """
         dx, dy = (x - self.points[v]).T
         cx, cy = self.cut[v].T
@@ -133,13 +127,7 @@ class VisibilityTable:
 def visibility_table(boundary: Boundary, tolerance: float, views: Viewpoints) -> VisibilityTable:
     """The visibility polygons of all viewpoints.
 
-    Args:
-        boundary: The boundary of free space.
-        tolerance: How far behind an edge a point still counts as free.
-        views: Points in free space, on walls only exactly at vertices or with their sectors given.
-
-    Returns:
-        The table.
+    These are points in free space, on walls only exactly at vertices or with their sectors given.
     """
     cut = _cuts(boundary, views)
     size = max(1, _CHUNK // len(boundary.vertices))

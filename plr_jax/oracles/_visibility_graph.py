@@ -175,17 +175,9 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
     vertices = corners.corners.with_goal(goal)
     graph = Graph(vertices.points, np.concatenate([_goal_edges(corners, goal_table, goal), 1 + corners.edges]))
     distances, parents = dijkstra(graph, 0)
-    for name, value in (
-        ("workspace", workspace),
-        ("goal", goal),
-        ("graph", graph),
-        ("distances", distances),
-        ("_parents", parents),
-        ("_corners", corners),
-        ("_goal_table", goal_table),
-        ("_turns", find_turn_points(vertices, distances, parents)),
-    ):
-        object.__setattr__(oracle, name, value)
+    turns = find_turn_points(vertices, distances, parents)
+    vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
+    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:

@@ -60,10 +60,6 @@ class Robot(ABC):
 def check_body(name: str, robot: Robot) -> None:
     """Refuse what is no convex body about its reference point.
 
-    Args:
-        name: What the robot is called in an error.
-        robot: The robot.
-
     Raises:
         ValueError: If the core is no array ``(vertices, 2)`` of finite numbers, or its vertices are not those of a
             convex polygon, each once and counterclockwise; the rounding is negative or not finite; the degrees of
@@ -90,18 +86,7 @@ def check_body(name: str, robot: Robot) -> None:
 
 
 def as_size(name: str, value: Any) -> float:
-    """A size of a robot as a float.
-
-    Args:
-        name: What it is called in an error.
-        value: The size.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: If it is not a positive finite number.
-    """
+    """A size of a robot as a float; ``ValueError`` if it is not a positive finite number."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
