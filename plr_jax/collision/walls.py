@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import runs
 from plr_jax.collision.boxes import judge_boxes
 from plr_jax.collision.convex import judge_convex
-from plr_jax.collision.moving import MovingBodies, bisect, distance_to_segment, moving
+from plr_jax.collision.moving import MovingBodies, bisect, moving
+from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 

@@ -1,7 +1,11 @@
-"""Vectors in the plane, many at once: products, normals, directions, distances, arcs."""
+"""Vectors in the plane, many at once: products, normals, directions, distances, segments, arcs."""
+
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
+
+Scalars: TypeAlias = Float[np.ndarray, "*#batch"]
 
 
 def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -34,6 +38,21 @@ def distances_between(x: Float[np.ndarray, "n 2"], points: Float[np.ndarray, "m 
     length = np.square(x[:, :1] - points[:, 0])
     length += np.square(x[:, 1:] - points[:, 1])
     return np.sqrt(length, out=length)
+
+
+def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Float[np.ndarray, "*batch"]:
+    """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    x, y = nearest_on_segment(x, y, dx, dy)
+    return np.sqrt(x * x + y * y)
+
+
+def nearest_on_segment(
+    x: Scalars, y: Scalars, dx: Scalars, dy: Scalars
+) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
+    """The point nearest to the origin on segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    squared = dx * dx + dy * dy
+    t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+    return x + t * dx, y + t * dy
 
 
 def arc(

@@ -18,10 +18,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_distances, as_finite_point, as_points
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.corners import ReflexCorners, find_corners
+from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
 from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.geometry.graph import Graph, dijkstra
-from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 

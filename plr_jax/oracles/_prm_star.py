@@ -23,12 +23,7 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``.
-
-    Args:
-        num_vertices: Number of vertices ``n``, at least 2.
-        dim: Dimension of the space.
-        free_volume: Volume of free space.
+    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, for ``n`` vertices, at least 2.
 
     References:
         Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above

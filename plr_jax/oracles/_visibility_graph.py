@@ -9,9 +9,8 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
 from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
-from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
 

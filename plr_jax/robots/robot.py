@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.geometry.vectors import cross_product
+from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 _ROUNDING = 1e-12  # of the body's size
 
@@ -107,6 +107,4 @@ def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
     if len(core) > 2 and (depth := float(_offsets(core, np.zeros((1, 2))).min())) >= 0:
         return depth
     side = np.roll(core, -1, axis=0) - core
-    squared = (side * side).sum(axis=1)
-    t = np.clip(-(core * side).sum(axis=1) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-    return -float(np.hypot(*(core + t[:, None] * side).T).min())
+    return -float(distance_to_segment(*core.T, *side.T).min())
