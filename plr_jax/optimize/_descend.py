@@ -104,7 +104,9 @@ def descend(
     if not workspace.is_free(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")
     places = find_corners(workspace)[0].without(goal).with_goal(goal)
-    length, onward = _ways_to_goal(workspace, places, _field_at(distance_fn, places.points))
+    field = as_distances("The field", distance_fn(places.points.copy()), places.points)  # a copy it may change
+    field = np.append(0.0, field[1:])  # zero at the goal, by definition
+    length, onward = _ways_to_goal(workspace, places, field)
     free = workspace.is_free(starts)
     first = np.full(len(starts), -1)
     first[free] = _first_places(workspace, starts[free], places, length, onward)
@@ -112,14 +114,6 @@ def descend(
     at_corner = (first > 0) & (starts == places.points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
     return _assemble(starts, free, first, places.points, onward)
-
-
-def _field_at(
-    distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
-) -> Float[np.ndarray, "places"]:
-    """The field at the goal, where it is zero by definition, and at the corners."""
-    field = as_distances("The field", distance_fn(points.copy()), points)  # which may compute in place
-    return np.append(0.0, field[1:])
 
 
 def _ways_to_goal(

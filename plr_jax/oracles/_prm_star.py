@@ -29,13 +29,9 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
         Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above
         ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; this bound itself is taken.
     """
-    gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume(dim)) ** (1 / dim)
+    unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
+    gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
-
-
-def unit_ball_volume(dim: int) -> float:
-    """Volume of the Euclidean ball of radius 1."""
-    return math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
 
 
 def sample_free(domain: Box, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
