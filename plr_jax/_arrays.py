@@ -1,10 +1,14 @@
-"""Arrays and numbers from outside: of the right shape and range, or an error that says what was expected."""
+"""Arrays and numbers from outside: of the right shape and range, or an error that says what was expected.
+
+In an error, values are called by their ``name``. NaN and infinity are let through where nothing else is said, an
+array of float64 is passed on as it is, and what has another shape or holds no real numbers raises ``ValueError``.
+"""
 
 import reprlib
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from plr_jax._types import ArrayLike
 
@@ -14,19 +18,7 @@ _LONGEST = 200
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """A batch of points as a float64 array.
-
-    Args:
-        name: What the points are called in an error.
-        value: Anything array-like of shape ``(n, dim)``; NaN and infinity are let through.
-        dim: Coordinates a point; any number of them, but at least one, where not given.
-
-    Returns:
-        The points, ``(n, dim)``; the given array itself where it is one of float64.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not numbers.
-    """
+    """A batch of points ``(n, dim)`` of any dimension, or of the one given, at least 1."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -37,19 +29,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """One point as a float64 array.
-
-    Args:
-        name: What the point is called in an error.
-        value: Anything array-like of shape ``(dim,)``; NaN and infinity are let through.
-        dim: Number of coordinates; any, but at least one, where not given.
-
-    Returns:
-        The point, ``(dim,)``; the given array itself where it is one of float64.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not numbers.
-    """
+    """One point ``(dim,)`` of any dimension, or of the one given, at least 1."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -58,19 +38,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """One point to be kept, such as a goal: a read-only copy, free of NaN and infinity.
-
-    Args:
-        name: What the point is called in an error.
-        value: Anything array-like of shape ``(dim,)``.
-        dim: Number of coordinates; any, but at least one, where not given.
-
-    Returns:
-        The point, ``(dim,)``.
-
-    Raises:
-        ValueError: If the shape is another one, or a value is not a finite number.
-    """
+    """One point to be kept, such as a goal: a read-only copy, free of NaN and infinity."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -79,19 +47,7 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """An array of any shape as one of float64.
-
-    Args:
-        name: What the numbers are called in an error.
-        value: Anything array-like; NaN and infinity are let through.
-        expected: What they must be, after "must be".
-
-    Returns:
-        The numbers; the given array itself where it is one of float64.
-
-    Raises:
-        ValueError: If the values are not real numbers.
-    """
+    """An array of any shape as one of float64; ``expected`` says in an error what it must be."""
     try:
         numbers = np.asarray(value)
         if np.iscomplexobj(numbers):  # whose imaginary parts NumPy would drop
@@ -102,18 +58,9 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """What a function says of a batch of points, one number a point, as a float64 array.
+    """What the function of some name said of ``n`` points, one number each, ``(n,)``.
 
-    Args:
-        name: What the function is called in an error.
-        value: What it returned; NaN and infinity are let through. Masked entries are no answer: ``inf``.
-        n: Number of points.
-
-    Returns:
-        The values, ``(n,)``.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not real numbers.
+    Masked entries are no answer: ``inf``.
     """
     if isinstance(value, np.ma.MaskedArray):
         value = np.where(np.ma.getmaskarray(value), np.inf, value.data)
@@ -124,18 +71,9 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-    """What a distance function says of points, as a float64 array: the one check of an oracle's answer.
+    """What a distance function said of points: the one check of an oracle's answer.
 
-    Args:
-        name: What the function is called in an error.
-        value: What it returned. Masked entries mean ``inf``.
-        x: The points it was given.
-
-    Returns:
-        The distances, ``(n,)``; ``inf`` where the goal cannot be reached.
-
-    Raises:
-        ValueError: As :func:`as_values`, or if a distance is NaN or ``-inf``.
+    As :func:`as_values`, but NaN and ``-inf`` are refused: ``inf`` is where the goal cannot be reached.
     """
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
@@ -152,32 +90,24 @@ def require_integer(name: str, value: object, least: int) -> None:
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Rows to fill an array up to, so that compiled functions see arrays of few sizes.
+    """Rows to fill an array of ``n`` up to, so that compiled functions see arrays of few sizes.
 
-    Args:
-        n: Rows that there are.
-        sizes: Sizes to choose from, increasing.
-
-    Returns:
-        The least of the sizes that is at least ``n``, else the next power of two.
+    The least of the ``sizes``, which increase, that is at least ``n``; else the next power of two.
     """
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
-    """An array filled up to a size, as :func:`padded_size` gives.
-
-    Args:
-        rows: The array; no rows are fine.
-        size: Rows of the result, at least as many.
-        fill: One row, or what broadcasts to one, for the rest.
-
-    Returns:
-        A copy of the same type, the rows first.
-    """
+    """A copy of an array, filled up to ``size`` rows with what broadcasts to one row."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)], result[len(rows) :] = rows, fill
     return result
+
+
+def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
+    """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
+    run = np.repeat(np.arange(len(counts)), counts)
+    return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def shortened(value: object) -> str:

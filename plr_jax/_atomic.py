@@ -12,10 +12,6 @@ def write_atomically(path: Path, data: bytes) -> None:
 
     A symbolic link is followed; a device or a pipe is written to. A file that is replaced keeps its permissions.
 
-    Args:
-        path: The file.
-        data: All that it shall hold.
-
     Raises:
         OSError: If the file cannot be written; it names the path as given. An older file is as it was.
     """

@@ -64,12 +64,11 @@ class Problem:
             raise ValueError("A problem needs at least one robot, got none.")
         if rotation_weight is not None and not (np.isfinite(rotation_weight) and rotation_weight >= 0):
             raise ValueError(f"rotation_weight must be a finite number of at least 0, got {rotation_weight!r}.")
-        object.__setattr__(self, "workspace", workspace)
-        object.__setattr__(self, "robots", robots)
-        object.__setattr__(self, "rotation_weight", None if rotation_weight is None else float(rotation_weight))
-        for name, value in (("starts", starts), ("goals", goals)):
-            object.__setattr__(self, name, _configurations(name, value, len(robots), self.dof))
-        for name in _VERBS:
+        weight = None if rotation_weight is None else float(rotation_weight)
+        vars(self).update(workspace=workspace, robots=robots, rotation_weight=weight)
+        given = {"starts": starts, "goals": goals}
+        vars(self).update({name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
+        for name in given:
             _require_free(name, getattr(self, name), robots, workspace)
             _require_apart(name, getattr(self, name), robots, workspace.tolerance)
         _require_connected(self)
@@ -92,31 +91,16 @@ class Problem:
 def motion_costs(
     problem: Problem, q0: Float[np.ndarray, "*#batch robots dof"], q1: Float[np.ndarray, "*#batch robots dof"]
 ) -> Float[np.ndarray, "*batch robots"]:
-    """Cost of each robot's straight motion: its length, and the rotation weight times its turn.
-
-    Args:
-        problem: The robots and their weights.
-        q0: Joint configurations at the start of the motions.
-        q1: Joint configurations at the end.
-
-    Returns:
-        One cost a motion and robot, in workspace units.
-    """
+    """Cost of each robot's straight motion between joint configurations, as :func:`straight_costs`."""
     return straight_costs(q0, q1, problem.rotation_weights)
 
 
 def straight_costs(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
 ) -> Float[np.ndarray, "*batch"]:
-    """Cost of straight motions of one robot, or of several along the last batch axis.
+    """Cost of straight motions of one robot, or of several along the last batch axis, in workspace units.
 
-    Args:
-        q0: Configurations at the start of the motions, of 2 coordinates or 3.
-        q1: Configurations at the end.
-        rotation_weight: Cost of a turn by one radian, in workspace units: one, or one a robot.
-
-    Returns:
-        The length of each motion and the weight of its shorter turn, in workspace units.
+    The length of each motion, and the weight of its shorter turn: that of one radian, one for all or one a robot.
     """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
@@ -159,18 +143,7 @@ def makespan(problem: Problem, path: ArrayLike) -> float:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """A path as a float64 array.
-
-    Args:
-        problem: What it is a path of.
-        path: Anything array-like of shape ``(steps, robots, dof)``, at least one step.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: If the shape is another one, or the values are not numbers.
-    """
+    """A path of a problem, of at least one step, as a float64 array; ``ValueError`` if it has another shape."""
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:

@@ -5,7 +5,8 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool
 
-from plr_jax.collision.moving import Column, MovingBodies, across_motion, distance_to_segment, riding_bulges
+from plr_jax.collision.moving import Column, MovingBodies, across_motion, riding_bulges
+from plr_jax.geometry.vectors import distance_to_segment
 
 Heading: TypeAlias = tuple[Column, Column]  # cosine and sine
 

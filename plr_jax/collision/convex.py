@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax.collision.moving import Column, MovingBodies, across_motion, nearest_on_segment, riding_bulges
+from plr_jax.collision.moving import Column, MovingBodies, across_motion, riding_bulges
+from plr_jax.geometry.vectors import nearest_on_segment
 
 Corners = Float[np.ndarray, "2 _ n"]
 Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]

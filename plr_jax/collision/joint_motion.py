@@ -16,12 +16,7 @@ from plr_jax.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots.
-
-    Args:
-        workspace: Where the robots move.
-        robots: The team.
-    """
+    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots."""
 
     workspace: Workspace
     robots: Sequence[Robot]
@@ -65,18 +60,9 @@ class JointMotionTest:
         motion: Int[np.ndarray, "*#batch"],
         but: Sequence[int] = (),
     ) -> Bool[np.ndarray, "*batch"]:
-        """Whether motions of one robot keep clear of the others, each of which makes a motion of its path.
+        """Whether motions of robot ``i`` keep clear of the others but some, each of which makes a motion of its path.
 
-        Args:
-            i: The robot.
-            q0: Its configurations at the start of the motions.
-            q1: Its configurations at the end.
-            path: Joint configurations, ``(steps, robots, dof)``.
-            motion: Which motion of the path the others make meanwhile, from this row to the next.
-            but: Robots that are left out.
-
-        Returns:
-            True where it meets none of them.
+        Meanwhile they go from row ``motion`` of the path, of joint configurations, to the next.
         """
         apart = np.ones(np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1], motion.shape), dtype=bool)
         for j in set(range(len(self.robots))) - {i, *but}:

@@ -64,16 +64,9 @@ Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], tuple[Bool[np.n
 
 
 def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float) -> Bool[np.ndarray, "n"]:
-    """Whether bodies keep a distance, their motions bisected until that is certain.
+    """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
 
-    Args:
-        judge: The kernel.
-        a: Bodies of the kind that the kernel takes first.
-        b: The others, as many.
-        reach: The distance; below 0 a depth to which they may overlap.
-
-    Returns:
-        True where they certainly do.
+    Below 0, ``reach`` is a depth to which they may overlap.
     """
     apart, owner = np.ones(len(a.x), dtype=bool), np.arange(len(a.x))
     for bisections in range(_MAX_BISECTIONS + 1):
@@ -92,14 +85,8 @@ def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float) -> Bool
 def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> tuple[Column, Column]:
     """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
 
-    Args:
-        a: Bodies.
-        b: The others.
-        rim_a: How far the first reach from their reference points.
-        rim_b: How far the others do.
-
-    Returns:
-        The bulges of the offset between the two and of the other body's turn, as seen from the one.
+    These are the bulges of the offset between the two and of the other body's turn, as seen from the one. Their
+    rims say how far the bodies reach from their reference points.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
@@ -117,26 +104,3 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> tuple[Column, Column]:
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
     return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
-
-
-def distance_to_segment(
-    x: Float[np.ndarray, "*#batch"],
-    y: Float[np.ndarray, "*#batch"],
-    dx: Float[np.ndarray, "*#batch"],
-    dy: Float[np.ndarray, "*#batch"],
-) -> Float[np.ndarray, "*batch"]:
-    """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
-    x, y = nearest_on_segment(x, y, dx, dy)
-    return np.sqrt(x * x + y * y)
-
-
-def nearest_on_segment(
-    x: Float[np.ndarray, "*#batch"],
-    y: Float[np.ndarray, "*#batch"],
-    dx: Float[np.ndarray, "*#batch"],
-    dy: Float[np.ndarray, "*#batch"],
-) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
-    """The point nearest to the origin on segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
-    squared = dx * dx + dy * dy
-    t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-    return x + t * dx, y + t * dy

@@ -5,7 +5,8 @@ from jaxtyping import Bool, Float
 
 from plr_jax.collision.boxes import judge_box_and_point, judge_boxes, judge_point_and_box
 from plr_jax.collision.convex import judge_convex
-from plr_jax.collision.moving import Judge, bisect, distance_to_segment, moving
+from plr_jax.collision.moving import Judge, bisect, moving
+from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.robots.robot import Robot
 
 _CHUNK = 1 << 13  # pairs of motions at a time, whose temporaries stay in cache
@@ -20,26 +21,19 @@ def motions_apart(
     b1: Float[np.ndarray, "*#batch dof_b"],
     tolerance: float,
 ) -> Bool[np.ndarray, "*batch"]:
-    """Whether two robots stay clear of one another while both move.
+    """Whether two robots stay clear of one another while both move, from ``a0`` to ``a1`` and from ``b0`` to ``b1``.
 
     The batch shapes broadcast, so that every motion of one robot can be tested against every motion of the
-    other without copies of either.
-
-    Args:
-        robot_a: One robot.
-        a0: Its configurations at the start of the motions, finite.
-        a1: Its configurations at the end.
-        robot_b: The other robot.
-        b0: Its configurations at the start.
-        b1: Its configurations at the end.
-        tolerance: Depth of overlap that still counts as touching, ``Workspace.tolerance``.
+    other without copies of either. An overlap as deep as the tolerance, ``Workspace.tolerance``, is touching.
 
     Returns:
         True where they at most touch. Exact for two round robots, and where nothing turns; else a motion that
         comes within about 1e-7 of a turning robot's size to a collision may be refused, and one that collides
         never passes.
     """
-    distance = _closest_approach(a0, a1, b0, b1)
+    x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
+    dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
+    distance = np.asarray(distance_to_segment(x, y, dx, dy))  # of the reference points, where it is least
     outer = robot_a.circumscribed_radius + robot_b.circumscribed_radius
     inner = robot_a.inscribed_radius + robot_b.inscribed_radius
     apart = distance >= outer - tolerance
@@ -50,8 +44,7 @@ def motions_apart(
     judge, size_a, size_b = _kernel(robot_a, robot_b, reach)
     for begin in range(0, len(where[0]), _CHUNK):
         rows = tuple(index[begin : begin + _CHUNK] for index in where)
-        chosen = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
-        qa0, qa1, qb0, qb1 = chosen
+        qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
         apart[rows] = bisect(judge, a, b, reach)
     return apart
@@ -69,15 +62,3 @@ def _kernel(robot_a: Robot, robot_b: Robot, reach: float) -> tuple[Judge, np.nda
     if reach <= 0:
         return judge_boxes, half_a, half_b
     return judge_convex, robot_a.core.T, robot_b.core.T
-
-
-def _closest_approach(
-    a0: Float[np.ndarray, "*#batch dof_a"],
-    a1: Float[np.ndarray, "*#batch dof_a"],
-    b0: Float[np.ndarray, "*#batch dof_b"],
-    b1: Float[np.ndarray, "*#batch dof_b"],
-) -> Float[np.ndarray, "*batch"]:
-    """Smallest distance of two reference points that move at the same time."""
-    x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
-    dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
-    return np.asarray(distance_to_segment(x, y, dx, dy))

@@ -13,9 +13,11 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import runs
 from plr_jax.collision.boxes import judge_boxes
 from plr_jax.collision.convex import judge_convex
-from plr_jax.collision.moving import MovingBodies, bisect, distance_to_segment, moving
+from plr_jax.collision.moving import MovingBodies, bisect, moving
+from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
@@ -29,14 +31,7 @@ class MotionTest:
     """Whether straight motions of a robot are free of obstacles and within the bounds.
 
     The robot goes from one configuration to another at constant velocity, turning at a constant rate by
-    the shorter turn. Touching is free.
-
-    Args:
-        workspace: Where it moves.
-        robot: The robot.
-
-    Raises:
-        ValueError: When called, if configurations have the wrong shape or are not finite.
+    the shorter turn. Touching is free. Configurations of a wrong shape, or not finite, raise ``ValueError``.
     """
 
     workspace: Workspace
@@ -55,29 +50,14 @@ class MotionTest:
         longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + longest / 2 + cell if size > 0 else 0.0
         first, edge = _edges_near(workspace, centers, reach)
-        for name, value in (
-            ("workspace", workspace),
-            ("robot", robot),
-            ("_cell", cell),
-            ("_shape", shape),
-            ("_clearance", workspace.clearance(centers)),
-            ("_first", first),
-            ("_edge", edge),
-            ("_longest", longest),
-        ):
-            object.__setattr__(self, name, value)
+        vars(self).update(workspace=workspace, robot=robot, _cell=cell, _shape=shape, _longest=longest)
+        vars(self).update(_clearance=workspace.clearance(centers), _first=first, _edge=edge)
 
     def __call__(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        """Test motions.
+        """Whether motions from ``q0`` to ``q1`` are free all along, to ``workspace.tolerance``.
 
-        Args:
-            q0: Configurations at the start, ``(n, dof)``; the heading of a robot that has none may be there or not.
-            q1: Configurations at the end.
-
-        Returns:
-            True where the whole motion is free, to ``workspace.tolerance``. Exact for points and discs, and
-            where nothing turns; a robot that turns may be refused within about 1e-7 of its size from a wall,
-            and is never passed through one.
+        The heading of a robot that has none may be there or not. Exact for points and discs, and where nothing turns;
+        a robot that turns may be refused within about 1e-7 of its size from a wall, and is never passed through one.
         """
         _check(self.robot, q0, q1)
         free = np.empty(len(q0), dtype=bool)
@@ -147,15 +127,7 @@ class MotionTest:
 
 @lru_cache(maxsize=16)
 def motion_test(workspace: Workspace, robot: Robot) -> MotionTest:
-    """The motion test of a robot in a workspace, kept for the next call.
-
-    Args:
-        workspace: Where it moves.
-        robot: The robot.
-
-    Returns:
-        The test.
-    """
+    """The motion test of a robot in a workspace, kept for the next call."""
     return MotionTest(workspace, robot)
 
 
@@ -191,8 +163,7 @@ def _pieces(
     if not (count > 1).any():
         return whole, None
     count = np.maximum(count, 1)
-    owner = np.repeat(np.arange(len(q0)), count)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    owner, step = runs(count)
     t, share = step / count[owner], 1 / count[owner]
     whole = whole.take(owner)
     pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]

@@ -71,15 +71,7 @@ class Boundary:
 
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:
-    """The boundary graph of a Shapely (Multi)Polygon, its edges split where a vertex lies on one.
-
-    Args:
-        region: A valid polygon or multipolygon.
-        tolerance: A vertex this near to an edge lies on it.
-
-    Returns:
-        The graph, with the region to the left of each edge.
-    """
+    """The boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one, to the tolerance."""
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     vertices, index = np.unique(points, axis=0, return_inverse=True)

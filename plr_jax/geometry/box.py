@@ -35,8 +35,7 @@ class Box:
                 f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
                 f"on axis {axis}."
             )
-        object.__setattr__(self, "lo", lo)
-        object.__setattr__(self, "hi", hi)
+        vars(self).update(lo=lo, hi=hi)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":

@@ -15,7 +15,7 @@ Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]],
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """The shortest visible ways of each point.
+    """The shortest visible ways of each point, ``count`` of them.
 
     Tests the two shortest ways of every point (or ``count``, if that is more), then four times as many of the next
     ones of those still short of some, and so on: it finds what a test of all pairs would find, with few tests where

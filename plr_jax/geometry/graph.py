@@ -1,7 +1,5 @@
-"""Shortest paths over sparse geometric graphs: Dijkstra (SciPy), A*, and export to NetworkX."""
+"""Shortest paths over sparse geometric graphs: Dijkstra's algorithm (SciPy), and export to NetworkX."""
 
-import heapq
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,65 +73,16 @@ class Graph:
 
 
 def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Shortest paths from one vertex to all others.
+    """Length of the shortest path from one vertex to each, and the vertex before it on that path.
 
-    Args:
-        graph: The graph.
-        source: Index of the vertex where all paths begin.
-
-    Returns:
-        The length of the shortest path to each vertex, ``inf`` where there is none, and the vertex
-        before it on that path, ``NO_PARENT`` for the source and where there is none.
+    Where there is none they are ``inf`` and ``NO_PARENT``, which is also the parent of the source.
     """
     distances, parents = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True)
     return distances, parents
 
 
-def astar(graph: Graph, costs: Mapping[int, float], goal: int) -> list[int]:
-    """Shortest path to one vertex by A*, straight-line distance to the goal as the heuristic.
-
-    Args:
-        graph: The graph.
-        costs: Cost of entering the graph at each vertex where a path may begin (for a path from a
-            vertex, that vertex at cost 0).
-        goal: Index of the vertex where the path ends.
-
-    Returns:
-        The vertices of a path of least entry cost plus length, the goal last; empty if there is none.
-    """
-    indptr, indices, lengths = graph.adjacency.indptr, graph.adjacency.indices, graph.adjacency.data
-    cost_to_go = np.linalg.norm(graph.vertices - graph.vertices[goal], axis=1)
-    cost_to_come = np.full(graph.num_vertices, np.inf)
-    parents = np.full(graph.num_vertices, NO_PARENT)
-    for vertex, cost in costs.items():
-        cost_to_come[vertex] = cost
-    frontier = [(cost_to_come[vertex] + cost_to_go[vertex], vertex) for vertex in costs]
-    heapq.heapify(frontier)
-    expanded = np.zeros(graph.num_vertices, dtype=bool)
-    while frontier:
-        _, vertex = heapq.heappop(frontier)
-        if vertex == goal:
-            return path_from_root(parents, goal)
-        if expanded[vertex]:
-            continue
-        expanded[vertex] = True
-        row = slice(indptr[vertex], indptr[vertex + 1])
-        costs_through = cost_to_come[vertex] + lengths[row]
-        closer = costs_through < cost_to_come[indices[row]]
-        neighbors, costs_through = indices[row][closer], costs_through[closer]
-        cost_to_come[neighbors], parents[neighbors] = costs_through, vertex
-        for entry in zip((costs_through + cost_to_go[neighbors]).tolist(), neighbors.tolist(), strict=True):
-            heapq.heappush(frontier, entry)
-    return []
-
-
 def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
-    """Vertices from the root of a shortest-path tree to one vertex, both included.
-
-    Args:
-        parents: The vertex before each vertex, ``NO_PARENT`` at the root.
-        vertex: Index of the last vertex.
-    """
+    """Vertices from the root of a shortest-path tree, given by its parents, to one vertex, both included."""
     path = [vertex]
     while (parent := int(parents[path[-1]])) != NO_PARENT:
         path.append(parent)
@@ -141,12 +90,7 @@ def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
 
 
 def to_networkx(graph: Graph) -> networkx.Graph:
-    """The graph in NetworkX, for its algorithms and drawing.
-
-    Returns:
-        An undirected graph whose nodes ``0 ... num_vertices - 1`` carry their position as the tuple
-        ``pos`` and whose edges carry their length as ``weight``.
-    """
+    """The graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, a tuple, and edges with their length as ``weight``."""
     exported = networkx.Graph()
     exported.add_nodes_from((i, {"pos": tuple(pos)}) for i, pos in enumerate(graph.vertices.tolist()))
     ends, lengths = graph.edges.tolist(), graph.lengths.tolist()

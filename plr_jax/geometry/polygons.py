@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import shapely
-from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
@@ -19,15 +18,12 @@ LARGEST_COORDINATE = 1e100
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Valid polygons, given in any of the usual ways.
+    """Valid polygons in the order given: those of a collection one by one, a multipolygon as one.
 
     Args:
         name: What one of them is called in an error, before its number.
         shapes: A Shapely polygon, multipolygon or collection of those; or an iterable of these and of rings
             ``(n, 2)``, closed or not.
-
-    Returns:
-        The polygons in the order given; those of a collection one by one, a multipolygon as one.
 
     Raises:
         ValueError: If ``shapes`` is something else, or one is not a valid polygon, saying what is wrong with it.
@@ -47,11 +43,8 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     """A valid polygon of finite coordinates and positive area.
 
     Args:
-        name: What the polygon is called in an error.
+        name: What it is called in an error.
         ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon.
-
-    Returns:
-        The polygon.
 
     Raises:
         ValueError: If it is none, saying what is wrong with it.
@@ -85,13 +78,7 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 def as_components(
     components: Sequence[Any],
 ) -> tuple[list[Polygon | MultiPolygon], list[list[Polygon | MultiPolygon]]]:
-    """The outer ring, and the holes, of each component of a region.
-
-    Args:
-        components: ``{"outer": ring, "holes": [ring, ...]}`` each; ``"holes"`` may be left out.
-
-    Returns:
-        The outer rings, and for each of them its holes, as polygons.
+    """The outer rings, and the holes of each, of components ``{"outer": ring, "holes": [ring, ...]}``.
 
     Raises:
         ValueError: If there is no component, or one has another form or an invalid ring.
@@ -117,23 +104,9 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Geometries in which vertices that differ by rounding are the same.
-
-    Args:
-        geometries: Shapely geometries.
-        tolerance: Vertices this near to one another become one of them.
-
-    Returns:
-        The geometries with the same number of vertices each.
-    """
+    """Geometries in which vertices as near to one another as the tolerance are the same, none of them dropped."""
     points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
     i, j = KDTree(points).query_pairs(tolerance, output_type="ndarray").T
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
-
-
-def triangles_of(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
-    """A constrained Delaunay triangulation of a (Multi)Polygon."""
-    parts: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
-    return shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]

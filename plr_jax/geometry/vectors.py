@@ -1,7 +1,11 @@
-"""Vectors in the plane, many at once: products, normals, directions, distances, arcs."""
+"""Vectors in the plane, many at once: products, normals, directions, distances, segments, arcs."""
+
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
+
+Scalars: TypeAlias = Float[np.ndarray, "*#batch"]
 
 
 def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -36,22 +40,30 @@ def distances_between(x: Float[np.ndarray, "n 2"], points: Float[np.ndarray, "m 
     return np.sqrt(length, out=length)
 
 
+def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Float[np.ndarray, "*batch"]:
+    """Distance of the origin to segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    x, y = nearest_on_segment(x, y, dx, dy)
+    return np.sqrt(x * x + y * y)
+
+
+def nearest_on_segment(
+    x: Scalars, y: Scalars, dx: Scalars, dy: Scalars
+) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
+    """The point nearest to the origin on segments that start at ``(x, y)`` and are as long as ``(dx, dy)``."""
+    squared = dx * dx + dy * dy
+    t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+    return x + t * dx, y + t * dy
+
+
 def arc(
     center: Float[np.ndarray, "2"],
     start: Float[np.ndarray, "2"],
     end: Float[np.ndarray, "2"],
     num_segments: int,
 ) -> Float[np.ndarray, "points 2"]:
-    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``.
+    """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``, as long as it.
 
-    Args:
-        center: Center of the circle.
-        start: Offset of the first point.
-        end: Offset of the last point, of the same length.
-        num_segments: Chords a quarter turn.
-
-    Returns:
-        The chords' ends, the first and last exactly ``center + start`` and ``center + end``.
+    There are ``num_segments`` chords a quarter turn, of ends the first and last of which are exact.
     """
     turn = np.arctan2(cross_product(start, end), start @ end) % (2 * np.pi)
     angle = np.linspace(0.0, turn, 1 + max(1, int(np.ceil(num_segments * turn / (np.pi / 2) - 1e-9))))

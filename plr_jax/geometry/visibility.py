@@ -13,7 +13,7 @@ by level, to single intervals. All of it is array operations, O(E log E) a viewp
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.vectors import cross_product, pseudo_angle
@@ -69,15 +69,9 @@ class VisibilityTable:
         return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether viewpoint ``v[i]`` sees point ``x[i]``.
+        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
 
-        Args:
-            v: Indices of viewpoints.
-            x: As many points, in free space.
-
-        Returns:
-            True where the segment between them lies in closed free space, to the tolerance. A segment
-            that grazes several corners may be reported as not seen; it is seen from the last of them.
+        A segment that grazes several corners may be reported as not seen; it is seen from the last of them.
         """
         dx, dy = (x - self.points[v]).T
         cx, cy = self.cut[v].T
@@ -102,13 +96,11 @@ class VisibilityTable:
         tolerance = self.tolerance
         seen = distance <= tolerance
         slack = tolerance / np.maximum(distance, tolerance)
-        before = np.flatnonzero((key - self.key[row] <= slack) & (row > self.first[v]))
-        if before.size:
-            seen[before] |= self._seen_in(row[before] - 1, v[before], x[before], distance[before])
-        following = np.minimum(row + 1, self.first[v + 1] - 1)
-        after = np.flatnonzero((self.key[following] - key <= slack) & (following > row))
-        if after.size:
-            seen[after] |= self._seen_in(following[after], v[after], x[after], distance[after])
+        before, after = np.maximum(row - 1, self.first[v]), np.minimum(row + 1, self.first[v + 1] - 1)
+        for neighbor, gap in ((before, key - self.key[row]), (after, self.key[after] - key)):
+            near = np.flatnonzero((gap <= slack) & (neighbor != row))
+            if near.size:
+                seen[near] |= self._seen_in(neighbor[near], v[near], x[near], distance[near])
         return seen
 
     def _seen_in(
@@ -133,13 +125,7 @@ class VisibilityTable:
 def visibility_table(boundary: Boundary, tolerance: float, views: Viewpoints) -> VisibilityTable:
     """The visibility polygons of all viewpoints.
 
-    Args:
-        boundary: The boundary of free space.
-        tolerance: How far behind an edge a point still counts as free.
-        views: Points in free space, on walls only exactly at vertices or with their sectors given.
-
-    Returns:
-        The table.
+    These are points in free space, on walls only exactly at vertices or with their sectors given.
     """
     cut = _cuts(boundary, views)
     size = max(1, _CHUNK // len(boundary.vertices))
@@ -275,15 +261,7 @@ def _nearest_edges(boundary: Boundary, fan: _Fan) -> Int[np.ndarray, "views vert
     return np.append(edge, -1)[best[0]].reshape(-1, width)[:, :-1]
 
 
-def _ranges(
-    boundary: Boundary, fan: _Fan
-) -> tuple[
-    Int[np.ndarray, "ranges"],
-    Int[np.ndarray, "ranges"],
-    Float[np.ndarray, "ranges"],
-    Int[np.ndarray, "ranges"],
-    Int[np.ndarray, "ranges"],
-]:
+def _ranges(boundary: Boundary, fan: _Fan) -> tuple[Shaped[np.ndarray, "ranges"], ...]:
     """Viewpoint, edge, height above it, and range of intervals of each edge seen from its free side.
 
     Heights come from the very offsets that give the directions, so an edge almost in line with the viewpoint

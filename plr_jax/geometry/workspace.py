@@ -14,14 +14,7 @@ from plr_jax._arrays import as_points
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import (
-    LARGEST_COORDINATE,
-    as_components,
-    as_polygons,
-    merge_vertices,
-    polygons_of,
-    triangles_of,
-)
+from plr_jax.geometry.polygons import LARGEST_COORDINATE, as_components, as_polygons, merge_vertices, polygons_of
 from plr_jax.geometry.vectors import arc, cross_product
 
 _ARC_SEGMENTS = 8
@@ -131,7 +124,8 @@ class Workspace:
 
     @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
-        return triangles_of(self.free_space)
+        triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space))
+        return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in closed free space.
@@ -293,13 +287,7 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
     region = shapely.simplify(region, 4 * _grid(bounds))
     shapely.prepare(region)
-    for name, value in (
-        ("bounds", bounds),
-        ("obstacles", obstacles),
-        ("squeeze", squeeze),
-        ("free_space", region),
-    ):
-        object.__setattr__(workspace, name, value)
+    vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=squeeze, free_space=region)
 
 
 def _rounding(bounds: Box) -> float:

@@ -18,10 +18,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._arrays import as_distances, as_finite_point, as_points
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.corners import ReflexCorners, find_corners
+from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
 from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.geometry.graph import Graph, dijkstra
-from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 
@@ -105,7 +104,9 @@ def descend(
     if not workspace.is_free(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")
     places = find_corners(workspace)[0].without(goal).with_goal(goal)
-    length, onward = _ways_to_goal(workspace, places, _field_at(distance_fn, places.points))
+    field = as_distances("The field", distance_fn(places.points.copy()), places.points)  # a copy it may change
+    field = np.append(0.0, field[1:])  # zero at the goal, by definition
+    length, onward = _ways_to_goal(workspace, places, field)
     free = workspace.is_free(starts)
     first = np.full(len(starts), -1)
     first[free] = _first_places(workspace, starts[free], places, length, onward)
@@ -113,14 +114,6 @@ def descend(
     at_corner = (first > 0) & (starts == places.points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
     return _assemble(starts, free, first, places.points, onward)
-
-
-def _field_at(
-    distance_fn: Callable[[ArrayLike], ArrayLike], points: Float[np.ndarray, "places 2"]
-) -> Float[np.ndarray, "places"]:
-    """The field at the goal, where it is zero by definition, and at the corners."""
-    field = as_distances("The field", distance_fn(points.copy()), points)  # which may compute in place
-    return np.append(0.0, field[1:])
 
 
 def _ways_to_goal(

@@ -1,40 +1,37 @@
-"""The parts of PRM*: how far to connect, which configurations to draw, which pairs to join."""
+"""The parts of PRM*: the local planner, how far to connect, which configurations to draw, which pairs to join."""
 
 import math
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._types import Points
+from plr_jax._arrays import runs
+from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.box import Box
-from plr_jax.oracles._local_planner import IsFree, IsVisible
 
+IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
+IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
+
+_BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
 _EDGES_A_STEP = 2**15  # edges tested between two signs of life of the progress bar
 _MIN_FREE_FRACTION = 1e-4
 _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``.
-
-    Args:
-        num_vertices: Number of vertices ``n``, at least 2.
-        dim: Dimension of the space.
-        free_volume: Volume of free space.
+    """Connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, for ``n`` vertices, at least 2.
 
     References:
         Karaman and Frazzoli, IJRR 2011, section 3.3: asymptotically optimal for any ``gamma`` above
         ``2 (1 + 1/dim)^(1/dim) (free_volume / unit_ball_volume)^(1/dim)``; this bound itself is taken.
     """
-    gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume(dim)) ** (1 / dim)
+    unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
+    gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
-
-
-def unit_ball_volume(dim: int) -> float:
-    """Volume of the Euclidean ball of radius 1."""
-    return math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
 
 
 def sample_free(domain: Box, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
@@ -65,3 +62,56 @@ def visible_edges(tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.
             visible[i : i + _EDGES_A_STEP] = is_visible(tree.data[start], tree.data[end])
             progress.update(len(start))
     return pairs[visible].astype(np.int32)
+
+
+def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
+    """The user's test, false outside the domain, its answers checked."""
+
+    def checked(x: Points) -> Bool[np.ndarray, "n"]:
+        inside = domain.contains(x)
+        if inside.any():
+            inside[inside] = _booleans("is_free", is_free(x[inside]), int(inside.sum()))
+        return inside
+
+    return checked
+
+
+def checked_is_visible(is_free: IsFree, is_visible: IsVisible | None, resolution: float | None) -> IsVisible:
+    """The user's test, its answers checked, or one that samples motions at a resolution."""
+    if is_visible is None and resolution is not None:
+        if not (resolution > 0 and math.isfinite(resolution)):
+            raise ValueError(f"resolution must be a positive length, got {resolution}.")
+        return lambda a, b: _is_visible_sampled(is_free, resolution, a, b)
+    if is_visible is None or resolution is not None:
+        raise ValueError(
+            "Give either is_visible, an exact test of motions, or resolution, the step of a sampled one."
+        )
+
+    def checked(a: Points, b: Points) -> Bool[np.ndarray, "n"]:
+        return _booleans("is_visible", is_visible(a, b), len(a)) if len(a) else np.zeros(0, dtype=bool)
+
+    return checked
+
+
+def _booleans(name: str, answer: ArrayLike, num_points: int) -> Bool[np.ndarray, "n"]:
+    answer = np.asarray(answer)
+    if answer.shape != (num_points,) or answer.dtype != bool:
+        raise ValueError(
+            f"{name} must return one boolean for each of {num_points} rows, shape ({num_points},); "
+            f"got {answer.dtype} of shape {answer.shape}."
+        )
+    return answer
+
+
+def _is_visible_sampled(is_free: IsFree, resolution: float, a: Points, b: Points) -> Bool[np.ndarray, "n"]:
+    """Whether each straight motion between free points is free wherever it is tested."""
+    num_steps = np.ceil(np.linalg.norm(b - a, axis=1) / resolution).astype(np.int64)
+    num_tests = np.maximum(num_steps - 1, 0)
+    visible = np.ones(len(a), dtype=bool)
+    batch = np.cumsum(num_tests) // _BATCH
+    for rows in np.split(np.arange(len(a)), np.flatnonzero(np.diff(batch)) + 1):
+        row, step = runs(num_tests[rows])
+        motion = rows[row]
+        x = a[motion] + ((1 + step) / num_steps[motion])[:, None] * (b - a)[motion]
+        visible[motion[~is_free(x)]] = False
+    return visible

@@ -5,17 +5,24 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import Graph, astar, dijkstra, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles._local_planner import IsFree, IsVisible, checked_is_free, checked_is_visible
-from plr_jax.oracles._prm_star import prm_star_radius, sample_free, visible_edges
+from plr_jax.oracles._prm_star import (
+    IsFree,
+    IsVisible,
+    checked_is_free,
+    checked_is_visible,
+    prm_star_radius,
+    sample_free,
+    visible_edges,
+)
 
 _BATCH = 2**18  # pairs of a point and a vertex held at a time: a few tens of megabytes
 
@@ -72,6 +79,7 @@ class Roadmap:
     radius: float
     graph: Graph
     distances: Float[np.ndarray, "vertices"]
+    _parents: Int[np.ndarray, "vertices"]
     _tree: KDTree
 
     def __init__(
@@ -179,19 +187,10 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(n, dim)``.
         """
-        x = as_points("x", x, self.domain.dim)
-        answer = np.full(len(x), np.inf)
-        pending = np.flatnonzero(self.is_free(x))
-        for inner, outer in self._rings():
-            if pending.size == 0:
-                break
-            distance, connected = self._connect(x[pending], inner, outer)
-            answer[pending] = distance
-            pending = pending[~connected]
-        return answer
+        return self._first_vertices(as_points("x", x, self.domain.dim))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """The path whose length the query answers, found by A*.
+        """The path whose length the query answers.
 
         Args:
             x: A point, ``(dim,)``.
@@ -204,9 +203,10 @@ class Roadmap:
             ValueError: If ``x`` is not of shape ``(dim,)``.
         """
         x = as_point("The start", x, self.domain.dim)[None]
-        onward = astar(self.graph, self._visible_vertices(x), goal=0) if self.is_free(x)[0] else []
-        if not onward:
+        distance, first = self._first_vertices(x)
+        if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
+        onward = path_from_root(self._parents, int(first[0]))[::-1]
         path = np.concatenate([x, self.graph.vertices[onward]])
         return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
@@ -218,19 +218,30 @@ class Roadmap:
             yield inner, outer
             inner, outer = outer, 2 * outer
 
-    def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Distance through the vertices seen between two radii, and whether there are any."""
+    def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
+        """Distance of points, and the vertex that each goes to first: -1 if it is not free or sees none."""
+        answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
+        pending = np.flatnonzero(self.is_free(x))
+        for inner, outer in self._rings():
+            if pending.size == 0:
+                break
+            answer[pending], first[pending] = self._connect(x[pending], inner, outer)
+            pending = pending[first[pending] < 0]
+        return answer, first
+
+    def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
+        """Distance by way of the vertices seen between two radii, and the best of them, -1 where there are none."""
         count = self._tree.query_ball_point(x, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
-        distance, connected = np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
+        distance, first = np.empty(len(x)), np.empty(len(x), int)
         for begin in range(0, len(x), step):
             rows = slice(begin, begin + step)
-            distance[rows], connected[rows] = self._connect_batch(x[rows], inner, outer, int(count[rows].max()))
-        return distance, connected
+            distance[rows], first[rows] = self._connect_batch(x[rows], inner, outer, int(count[rows].max()))
+        return distance, first
 
     def _connect_batch(
         self, x: Points, inner: float, outer: float, count: int
-    ) -> tuple[Distances, Bool[np.ndarray, "n"]]:
+    ) -> tuple[Distances, Int[np.ndarray, "n"]]:
         # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
         limit = np.nextafter(outer, np.inf)
         length, vertex = self._tree.query(x, k=np.arange(1, 1 + count), distance_upper_bound=limit)
@@ -240,34 +251,17 @@ class Roadmap:
         way, distance = first_visible(
             through, lambda point, way: self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
         )
-        return distance[:, 0], way[:, 0] >= 0
-
-    def _visible_vertices(self, x: Float[np.ndarray, "1 dim"]) -> dict[int, float]:
-        """Every vertex to which a query at a free point is joined, with the length of that edge."""
-        length = np.linalg.norm(self.graph.vertices - x, axis=1)
-        for inner, outer in self._rings():
-            near = np.flatnonzero((inner < length) & (length <= outer))
-            seen = near[self.is_visible(np.repeat(x, len(near), axis=0), self.graph.vertices[near])]
-            if seen.size:
-                return dict(zip(seen.tolist(), length[seen].tolist(), strict=True))
-        return {}
+        first = np.append(vertex, np.full((len(x), 1), -1), axis=1)[np.arange(len(x)), way[:, 0]]
+        return distance[:, 0], first
 
 
 def _assign(
     roadmap: Roadmap, domain: Box, is_free: IsFree, is_visible: IsVisible, radius: float, graph: Graph, tree: KDTree
 ) -> None:
-    distances, _ = dijkstra(graph, 0)
+    distances, parents = dijkstra(graph, 0)
     graph.vertices.flags.writeable = distances.flags.writeable = False
-    for name, value in (
-        ("domain", domain),
-        ("is_free", is_free),
-        ("is_visible", is_visible),
-        ("radius", radius),
-        ("graph", graph),
-        ("distances", distances),
-        ("_tree", tree),
-    ):
-        object.__setattr__(roadmap, name, value)
+    vars(roadmap).update(domain=domain, is_free=is_free, is_visible=is_visible, radius=radius)
+    vars(roadmap).update(graph=graph, distances=distances, _parents=parents, _tree=tree)
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:

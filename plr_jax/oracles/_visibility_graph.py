@@ -9,9 +9,8 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
 from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
-from plr_jax.geometry.turn_points import TurnPoints, find_turn_points
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
 
@@ -175,17 +174,9 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
     vertices = corners.corners.with_goal(goal)
     graph = Graph(vertices.points, np.concatenate([_goal_edges(corners, goal_table, goal), 1 + corners.edges]))
     distances, parents = dijkstra(graph, 0)
-    for name, value in (
-        ("workspace", workspace),
-        ("goal", goal),
-        ("graph", graph),
-        ("distances", distances),
-        ("_parents", parents),
-        ("_corners", corners),
-        ("_goal_table", goal_table),
-        ("_turns", find_turn_points(vertices, distances, parents)),
-    ):
-        object.__setattr__(oracle, name, value)
+    turns = find_turn_points(vertices, distances, parents)
+    vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
+    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:

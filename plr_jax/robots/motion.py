@@ -10,28 +10,16 @@ from plr_jax.robots.robot import Robot
 
 
 def team_dof(robots: Sequence[Robot]) -> int:
-    """Numbers in each robot's configuration: 2 if none has a heading, else 3, where that of the others is ignored.
-
-    Args:
-        robots: The team.
-
-    Returns:
-        2 or 3.
-    """
+    """Numbers in a robot's configuration: 2 if none has a heading, else 3, where that of the others is ignored."""
     return max((robot.dof for robot in robots), default=2)
 
 
 def shorter_turn(
     theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
 ) -> Float[np.ndarray, "*batch"]:
-    """The turn by which a motion goes from one heading to another: the shorter one.
+    """Signed shorter turns in (-pi, pi] from one heading to another, counterclockwise positive.
 
-    Args:
-        theta0: First headings, radians.
-        theta1: Last headings, radians.
-
-    Returns:
-        Signed turns in (-pi, pi], counterclockwise positive. Half a turn goes counterclockwise.
+    Half a turn goes counterclockwise.
     """
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - 0.5))
@@ -40,15 +28,9 @@ def shorter_turn(
 def between(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Configurations along straight motions, which turn the shorter way.
+    """Configurations at a share from 0 to 1 of straight motions, which turn the shorter way.
 
-    Args:
-        q0: Configurations at the start of the motions, of 2 coordinates or 3.
-        q1: Configurations at the end.
-        t: Share of each motion, from 0 to 1.
-
-    Returns:
-        The configurations; at 0 those at the start, at 1 those at the end but for rounding and whole turns.
+    At 1 they are those at the end but for rounding and whole turns.
     """
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
@@ -56,15 +38,9 @@ def between(
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
-    """Points of a robot's own frame where a configuration places them.
+    """Points of a robot's own frame, at heading 0 about the origin, where a configuration places them.
 
-    Args:
-        robot: The robot.
-        points: The points, at heading 0 about the origin.
-        q: The configuration; the heading of a robot that has none may be there or not.
-
-    Returns:
-        The points in the workspace.
+    The heading of a robot that has none may be there or not.
     """
     if robot.dof == 2:
         return q[:2] + points
@@ -73,14 +49,9 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 
 def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
-    """The set that a robot covers, less its rounding: a disc's is its center.
+    """The set that a robot covers, less its rounding, as a Shapely geometry; a heading is as for :func:`placed`.
 
-    Args:
-        robot: The robot.
-        q: Its configuration; the heading of a robot that has none may be there or not.
-
-    Returns:
-        A Shapely Polygon, LineString or Point, as the core has three vertices or more, two, or one.
+    A Polygon, LineString or Point, as the core has three vertices or more, two, or one: a disc's is its center.
     """
     import shapely
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.geometry.vectors import cross_product
+from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 _ROUNDING = 1e-12  # of the body's size
 
@@ -60,10 +60,6 @@ class Robot(ABC):
 def check_body(name: str, robot: Robot) -> None:
     """Refuse what is no convex body about its reference point.
 
-    Args:
-        name: What the robot is called in an error.
-        robot: The robot.
-
     Raises:
         ValueError: If the core is no array ``(vertices, 2)`` of finite numbers, or its vertices are not those of a
             convex polygon, each once and counterclockwise; the rounding is negative or not finite; the degrees of
@@ -90,18 +86,7 @@ def check_body(name: str, robot: Robot) -> None:
 
 
 def as_size(name: str, value: Any) -> float:
-    """A size of a robot as a float.
-
-    Args:
-        name: What it is called in an error.
-        value: The size.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: If it is not a positive finite number.
-    """
+    """A size of a robot as a float; ``ValueError`` if it is not a positive finite number."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -122,6 +107,4 @@ def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
     if len(core) > 2 and (depth := float(_offsets(core, np.zeros((1, 2))).min())) >= 0:
         return depth
     side = np.roll(core, -1, axis=0) - core
-    squared = (side * side).sum(axis=1)
-    t = np.clip(-(core * side).sum(axis=1) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-    return -float(np.hypot(*(core + t[:, None] * side).T).min())
+    return -float(distance_to_segment(*core.T, *side.T).min())

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax.geometry.corners import corner_visibility, find_corners
-from plr_jax.geometry.turn_points import find_turn_points
+from plr_jax.geometry.corners import corner_visibility, find_corners, find_turn_points
 from plr_jax.geometry.workspace import Workspace
 
 TEN = ((0, 0), (10, 10))

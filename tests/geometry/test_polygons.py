@@ -8,7 +8,6 @@ from plr_jax.geometry.polygons import (
     as_polygons,
     merge_vertices,
     polygons_of,
-    triangles_of,
 )
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -94,13 +93,6 @@ def test_components_keep_their_holes():
 def test_points_and_lines_are_no_polygons():
     mixed = shapely.GeometryCollection([shapely.Point(0, 0), shapely.box(0, 0, 1, 1), shapely.LineString(SQUARE)])
     assert polygons_of(mixed) == (shapely.box(0, 0, 1, 1),)
-
-
-def test_triangles_fill_the_region_and_nothing_else():
-    region = shapely.union(shapely.box(0, 0, 4, 4) - shapely.box(1, 1, 2, 2), shapely.box(6, 0, 7, 1))
-    triangles = triangles_of(region)
-    assert shapely.union_all(shapely.polygons(triangles)).equals(region)
-    assert shapely.area(shapely.polygons(triangles)).sum() == pytest.approx(16)
 
 
 def test_vertices_that_differ_by_rounding_become_one():

@@ -206,7 +206,7 @@ def test_networkx_agrees():
     assert exported.nodes[0]["pos"] == (0.1, 0.1)
 
 
-def test_astar_agrees_with_the_query_and_its_path_is_free():
+def test_the_path_is_as_long_as_the_query_says_and_free():
     oracle = roadmap(GAP)
     x = free_points(GAP, 40)
     for start, distance in zip(x, oracle(x), strict=True):
@@ -228,7 +228,7 @@ def test_batches_larger_than_memory_allows_are_cut(monkeypatch):
     x = free_points(GAP, 200)
     expected, sampled = roadmap(GAP)(x), roadmap(GAP, is_visible=None, resolution=0.01)(x)
     monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
-    monkeypatch.setattr("plr_jax.oracles._local_planner._BATCH", 64)
+    monkeypatch.setattr("plr_jax.oracles._prm_star._BATCH", 64)
     np.testing.assert_array_equal(roadmap(GAP)(x), expected)
     np.testing.assert_array_equal(roadmap(GAP, is_visible=None, resolution=0.01)(x), sampled)
 

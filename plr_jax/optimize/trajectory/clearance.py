@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from plr_jax.geometry.vectors import left_normal
+from plr_jax._arrays import padded, padded_size
+from plr_jax.geometry.vectors import distance_to_segment, left_normal
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
@@ -24,12 +25,9 @@ _FAR = 1e3  # where corners are that are near to nothing
 
 
 class Wedges(NamedTuple):
-    """Corners of solid shapes.
+    """Corners of solid shapes: their places, and the normals of the two sides that meet there, out of the shape.
 
-    Args:
-        place: Where they are.
-        normals: Normals of the two sides that meet there, out of the shape.
-        reach: Distance from each corner within which the shape is the wedge between the two sides.
+    Within ``reach`` of a corner the shape is the wedge between the two sides.
     """
 
     place: Float[Array, "*batch corners 2"]
@@ -38,11 +36,9 @@ class Wedges(NamedTuple):
 
 
 class PaddedBoundary(NamedTuple):
-    """The boundary of free space, both parts padded to powers of two by what changes nothing.
+    """The boundary of free space: its edges, and the corners that stand out into free space.
 
-    Args:
-        edges: First and last point of each edge.
-        corners: Those that stand out into free space.
+    Both are padded to powers of two by what changes nothing.
     """
 
     edges: Float[Array, "edges 2 2"]
@@ -52,11 +48,9 @@ class PaddedBoundary(NamedTuple):
 class Outlines(NamedTuple):
     """The robots' shapes.
 
-    Args:
-        corners: Of their cores, counterclockwise, padded by the last one; a single one if all are round.
-        radius: The radius by which each is rounded.
-        turns: 1 for robots whose heading means something, else 0.
-        half: Half the sides of each core if all are boxes or points, which takes less to compute with; else None.
+    Their cores' corners, counterclockwise, are padded by the last one; there is a single one if all are round.
+    ``turns`` is 1 for robots whose heading means something, else 0. ``half`` are half the sides of each core if all
+    are boxes or points, which takes less to compute with.
     """
 
     corners: Wedges
@@ -113,12 +107,10 @@ def padded_boundary(workspace: Workspace, origin: Float[np.ndarray, "2"], scale:
         for x, others in zip(place, elsewhere, strict=True)
     ]
     sides = [np.linalg.norm(side, axis=1) for side in (leaving, arriving)]
-    corners = Wedges(
-        _single(_padded(place, np.full(2, _FAR))),
-        _single(_padded(left_normal(np.stack([leaving, arriving], axis=1)), np.zeros((2, 2)))),
-        _single(_padded(np.minimum(np.array(away), np.minimum(*sides)), np.zeros(()))),
-    )
-    return PaddedBoundary(_single(_padded(edges, edges[0, :1].repeat(2, axis=0))), corners)
+    normals, reach = left_normal(np.stack([leaving, arriving], axis=1)), np.min([away, *sides], axis=0)
+    size = padded_size(len(place))
+    corners = Wedges(*map(_single, (padded(place, size, _FAR), padded(normals, size), padded(reach, size))))
+    return PaddedBoundary(_single(padded(edges, padded_size(len(edges)), edges[0, :1])), corners)
 
 
 def point_clearance(walls: PaddedBoundary, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
@@ -280,15 +272,7 @@ def _norm(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
 
 
 def _distance_to_segments(x: Float[np.ndarray, "2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    along = segments[:, 1] - segments[:, 0]
-    t = np.clip(((x - segments[:, 0]) * along).sum(axis=1) / (along * along).sum(axis=1), 0.0, 1.0)
-    return np.linalg.norm(segments[:, 0] + t[:, None] * along - x, axis=1)
-
-
-def _padded(rows: Float[np.ndarray, "n *rest"], row: Float[np.ndarray, "*rest"]) -> Float[np.ndarray, "padded *rest"]:
-    """Rows, and copies of another up to a power of two."""
-    size = 1 << max(0, len(rows) - 1).bit_length()
-    return np.concatenate([rows, np.broadcast_to(row, (size - len(rows), *rows.shape[1:]))])
+    return distance_to_segment(*(segments[:, 0] - x).T, *(segments[:, 1] - segments[:, 0]).T)
 
 
 def _single(x: Float[np.ndarray, "*shape"]) -> Float[Array, "*shape"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
+from plr_jax._arrays import padded, padded_size
 from plr_jax._problem import Problem, path_cost
 from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
@@ -253,8 +254,7 @@ def _descended(
 
 def _scaled(scaled: ScaledProblem, paths: Paths) -> Float[Array, "padded rows robots dof"]:
     """Paths as they are optimized, padded to a power of two of them."""
-    padded = np.concatenate([paths, np.repeat(paths[:1], (1 << (len(paths) - 1).bit_length()) - len(paths), axis=0)])
-    start = np.stack([unwrapped(path) for path in padded])
+    start = np.stack([unwrapped(path) for path in padded(paths, padded_size(len(paths)), paths[0])])
     start[..., :2] = (start[..., :2] - np.asarray(scaled.origin, np.float64)) / float(scaled.scale)
     return jnp.asarray(start, jnp.float32)
 
@@ -262,9 +262,7 @@ def _scaled(scaled: ScaledProblem, paths: Paths) -> Float[Array, "padded rows ro
 def _parts(progress: Float[np.ndarray, "iterations"]) -> Float[np.ndarray, "parts part"]:
     """Progress of the iterations in parts of one length, padded by more than 1."""
     count = -(-len(progress) // _ITERATIONS_AT_ONCE)
-    padded = np.full(count * -(-len(progress) // count), 2.0, np.float32)
-    padded[: len(progress)] = progress
-    return padded.reshape(count, -1)
+    return padded(progress, count * -(-len(progress) // count), 2.0).reshape(count, -1)
 
 
 def _retimings(given: Paths, num_retimings: int, seed: int) -> Retimings:

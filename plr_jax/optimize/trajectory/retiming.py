@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import runs
 from plr_jax._problem import Problem, motion_costs
 from plr_jax.robots.motion import between, shorter_turn
 
@@ -12,36 +13,19 @@ _SHORTEST = 0.3  # share of the path's time in which a robot makes all its motio
 
 
 def subdivided(problem: Problem, path: Float[np.ndarray, "steps robots dof"], rows: int) -> Path:
-    """The same path, its costliest motions divided evenly until there are ``rows`` rows.
-
-    Args:
-        problem: The robots and their weights.
-        path: A path of at most ``rows`` rows.
-        rows: Rows wanted, at least 2.
-
-    Returns:
-        The path; the given rows are among its rows.
-    """
+    """The same path of as many rows as wanted, at least 2 and its own: its costliest motions are divided evenly."""
     path = path if len(path) > 1 else np.repeat(path, 2, axis=0)
     cost = motion_costs(problem, path[:-1], path[1:]).sum(axis=1)
     count = np.ones(len(cost), dtype=np.intp)
     for _ in range(rows - len(path)):
         count[np.argmax(cost / count)] += 1
-    motion = np.repeat(np.arange(len(cost)), count)
-    share = (np.arange(rows - 1) - np.repeat(np.cumsum(count) - count, count)) / count[motion]
-    return np.concatenate([between(path[motion], path[motion + 1], share[:, None, None]), path[-1:]])
+    motion, step = runs(count)
+    share = (step / count[motion])[:, None, None]
+    return np.concatenate([between(path[motion], path[motion + 1], share), path[-1:]])
 
 
 def retimed(path: Path, rng: np.random.Generator) -> Path:
-    """The same motions of each robot, begun and ended at random times; robots may collide.
-
-    Args:
-        path: The path.
-        rng: Where the times come from.
-
-    Returns:
-        A path of as many rows, the ends the same.
-    """
+    """The same motions of each robot, begun and ended at random times, in as many rows; robots may collide."""
     whole, last = unwrapped(path), len(path) - 1
     result = np.empty_like(path)
     for i in range(path.shape[1]):
@@ -57,10 +41,6 @@ def retimed(path: Path, rng: np.random.Generator) -> Path:
 
 def unwrapped(path: Path) -> Path:
     """The path with headings that do not jump by whole turns."""
-    return path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(_changes(path), axis=0)])
-
-
-def _changes(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "motions robots dof"]:
-    change = np.diff(path, axis=0)
-    change[..., 2:] = shorter_turn(path[:-1, :, 2:], path[1:, :, 2:])
-    return change
+    change = np.diff(path, axis=0, prepend=path[:1])
+    change[1:, :, 2:] = shorter_turn(path[:-1, :, 2:], path[1:, :, 2:])
+    return path[:1] + np.cumsum(change, axis=0)

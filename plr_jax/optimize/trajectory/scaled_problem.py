@@ -30,15 +30,10 @@ Path = Float[Array, "rows robots dof"]
 
 
 class ScaledProblem(NamedTuple):
-    """What paths are optimized in, in units of the workspace's extent.
+    """What paths are optimized in, in units of the workspace's extent, which is the ``scale`` in workspace units.
 
-    Args:
-        walls: The walls.
-        outlines: The robots' shapes.
-        rotation_weight: Cost of each robot's turn by one radian.
-        lever: Distance from each robot's center of what turns the farthest.
-        origin: Where, in workspace units, the coordinates have their origin.
-        scale: The extent in workspace units.
+    The ``origin`` of the coordinates is in workspace units; a robot's ``lever`` is how far from its reference point
+    what turns the farthest is.
     """
 
     walls: PaddedBoundary
@@ -50,12 +45,9 @@ class ScaledProblem(NamedTuple):
 
 
 class Aims(NamedTuple):
-    """What is asked of paths.
+    """What is asked of paths: a margin of clearance, in units of the extent, and a weight of squared bends.
 
-    Args:
-        margin: Clearance below which there is a penalty, in units of the workspace's extent.
-        smoothness: Weight of the squared second differences.
-        distance_fns: Distance of each robot to its goal, pytrees that are callable; or none.
+    ``distance_fns``, the distance of each robot to its goal, are pytrees that are callable; or there are none.
     """
 
     margin: Any
@@ -64,12 +56,7 @@ class Aims(NamedTuple):
 
 
 class DescentState(NamedTuple):
-    """How far the descent of each path of a batch has come.
-
-    Args:
-        weights: By how much each hat function moves the path, in shares of the extent.
-        moments: What Adam remembers.
-    """
+    """How far each path has come: by how much each hat function moves it, in shares of the extent; Adam's moments."""
 
     weights: Float[Array, "batch hats robots dof"]
     moments: Any
@@ -91,15 +78,8 @@ def advance(
 ) -> tuple[DescentState, Float[Array, "batch iterations"]]:
     """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
 
-    Args:
-        problem: Where.
-        paths: The paths as they were at first, headings unwrapped; their first and last rows stay.
-        aims: What is asked of them.
-        descent: How far the descents have come.
-        progress: Progress of each iteration, from 0 at the first of all to 1 at the last; beyond 1, nothing is done.
-
-    Returns:
-        How far they have come then, and the loss in every step.
+    The paths are those of the beginning, headings unwrapped; their first and last rows stay. Progress is 0 in the
+    first iteration of all and 1 in the last; beyond 1, nothing is done. Returns the loss in every step as well.
     """
     return jax.vmap(lambda path, descent: _advanced(problem, path, aims, descent, progress))(paths, descent)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from plr_jax.geometry.box import Box
-from plr_jax.oracles._local_planner import checked_is_free, checked_is_visible
+from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible
 
 LINE = Box([0.0], [10.0])
 
