@@ -3,6 +3,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import shape_checks
 
 # The experiments are not installed. At the end of the path, so that the package under test is the installed one.
 sys.path.append(str(Path(__file__).parent.parent))
@@ -20,6 +21,11 @@ _LONG = ("test_notebooks.py", "test_experiments.py", "test_benchmark_", "test_re
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long tests first; else the order of the files."""
     items.sort(key=lambda item: not item.path.name.startswith(_LONG))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _shapes_are_checked_in_first_calls():
+    shape_checks.begin_file()
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 
 from plr_jax import Euclidean, Roadmap, VisibilityGraph, Workspace, construct
+from plr_jax._arrays import padded
 from plr_jax._types import DimensionedFn, PiecewiseFunction
 
 ROOM = Workspace(((0, 0), (1, 1)))
@@ -26,3 +28,9 @@ def test_what_promises_nothing():
     for fn in (len, *ORACLES):
         assert not isinstance(fn, PiecewiseFunction)
     assert not isinstance(len, DimensionedFn) and not isinstance(ROOM.bounds, DimensionedFn)
+
+
+def test_a_wrong_shape_within_the_package_is_caught():
+    padded(np.zeros((2, 3)), 4)
+    with pytest.raises(TypeCheckError):
+        padded([0.0, 1.0], 4)
