@@ -28,15 +28,8 @@ _FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float, deadline: float) -> Path:
     """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
 
-    Args:
-        problem: The problem.
-        path: A path that solves it.
-        test: The team's motion test.
-        width: Distance of the pattern's configurations at first, in workspace units.
-        deadline: When to stop, on the clock of ``time.perf_counter``.
-
-    Returns:
-        A path of as many rows that solves the problem, never costlier.
+    The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
+    and is never costlier. It ends early at the deadline, on the clock of ``time.perf_counter``.
     """
     path, cost = path.copy(), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
@@ -44,7 +37,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
         for robots, rows in _groups(problem, path, width):
             if time.perf_counter() > deadline:
                 return path
-            path[rows] = _shortened(problem, path[rows], robots, test, _pattern(width, diagonal), width)
+            path[rows] = _shortened(problem, path[rows], robots, test, width, diagonal)
         diagonal = not diagonal
         before, cost = cost, path_cost(problem, path)
         if before - cost <= _GAIN * before:
@@ -64,22 +57,11 @@ def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[
                 yield (i, j), slice(max(rows[0] - _MARGIN, 0), rows[-1] + _MARGIN + 1)
 
 
-def _pattern(width: float, diagonal: bool) -> Float[np.ndarray, "5 2"]:
-    """The place itself, and four around it."""
-    turn = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
-    return width * _FIVE @ turn
-
-
 def _shortened(
-    problem: Problem,
-    path: Path,
-    robots: tuple[int, ...],
-    test: JointMotionTest,
-    pattern: Float[np.ndarray, "5 2"],
-    width: float,
+    problem: Problem, path: Path, robots: tuple[int, ...], test: JointMotionTest, width: float, diagonal: bool
 ) -> Path:
     """The robots' cheapest motions within their corridors, both ends as they are."""
-    corridors = [_corridor(problem, path[:, i], i, pattern, width) for i in robots]
+    corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     costs = [_costs(problem, path, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
     cost = costs[0]
     if len(robots) == 2:
@@ -93,12 +75,11 @@ def _shortened(
     return shortened
 
 
-def _corridor(
-    problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, pattern: Float[np.ndarray, "5 2"], width: float
-) -> Corridor:
+def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
     """Configurations about each row, the row itself first; at both ends nothing else."""
-    offsets = np.zeros((len(pattern), q.shape[1]))
-    offsets[:, :2] = pattern
+    axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    offsets = np.zeros((len(_FIVE), q.shape[1]))
+    offsets[:, :2] = width * _FIVE @ axes
     if problem.robots[i].dof == 3:
         turns = np.zeros((2, 3))
         turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
