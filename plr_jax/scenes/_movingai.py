@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._documents import errors_named, text_of
+from plr_jax.scenes._documents import errors_named, rings_of, text_of
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4
@@ -44,11 +44,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     path = Path(path)
     with errors_named(path):
         polygons = shapely.get_parts(_union_of_cells(_passable_cells(text_of(path).splitlines())))
-        components = [
-            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
-            for polygon in polygons
-        ]
-        return Workspace.from_polygons(components, squeeze=squeeze)
+        return Workspace.from_polygons([rings_of(polygon) for polygon in polygons], squeeze=squeeze)
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
@@ -86,10 +82,6 @@ def _union_of_cells(free: Bool[np.ndarray, "rows columns"]) -> shapely.Geometry:
     runs = shapely.box(first, row, last, row + 1)
     # Tolerance 0 drops the points that the union leaves where two rows meet on a straight wall.
     return shapely.simplify(shapely.union_all(runs), 0.0)
-
-
-def _ring(ring: shapely.LinearRing) -> Float[np.ndarray, "points 2"]:
-    return shapely.get_coordinates(ring)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
