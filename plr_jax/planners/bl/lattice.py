@@ -154,10 +154,8 @@ class _Recipe:
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
     """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
-    turns = max(2 * math.pi / _WIDEST_TURN, 2 * math.pi * robot.circumscribed_radius / step)
-    return math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist()) * (
-        turns if robot.dof == 3 else 1
-    )
+    turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
+    return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def num_bytes(problem: Problem, step: float, primitives: Sequence[Primitive]) -> float:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -65,8 +65,12 @@ def _shortened(
     costs = [_costs(problem, path, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
     cost = costs[0]
     if len(robots) == 2:
+        # From each two of their places to each two.
+        (i, j), (a, b) = robots, corridors
+        mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
+        theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
         cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        cost[~_apart(test, robots, corridors)] = np.inf
+        cost[~test.apart(i, *mine, j, *theirs)] = np.inf
         cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     shortened, rows = path.copy(), np.arange(len(path))
@@ -101,16 +105,6 @@ def _costs(
     free[row, first, last] = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
     cost[~free] = np.inf
     return cost
-
-
-def _apart(
-    test: JointMotionTest, robots: tuple[int, ...], corridors: list[Float[np.ndarray, "steps _ dof"]]
-) -> Bool[np.ndarray, "motions size_a size_b size_a size_b"]:
-    """Whether two robots keep clear of one another: from each two of their places to each two."""
-    (i, j), (a, b) = robots, corridors
-    mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
-    theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
-    return test.apart(i, *mine, j, *theirs)
 
 
 def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:
