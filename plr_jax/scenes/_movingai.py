@@ -20,11 +20,10 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace.
 
-    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing
-    downward as in the file (a picture with ``y`` up shows the map upside down), so an integer point is a
-    lattice corner. Free space is the closed union of the
-    passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost). Any other letter is an
-    obstacle.
+    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing downward as
+    in the file (a picture with ``y`` up shows the map upside down), so an integer point is a lattice corner. Free
+    space is the closed union of the passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost).
+    Any other letter is an obstacle.
 
     Args:
         path: The ``.map`` file.
