@@ -22,9 +22,9 @@ from plr_jax import (
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import sum_of_distances
-from plr_jax.planners.bl.joint_lattice import JointLattice
 from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
 from plr_jax.planners.bl.search import SearchBudget
+from plr_jax.planners.bl.successors import JointLattice
 
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))

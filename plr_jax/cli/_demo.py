@@ -25,11 +25,7 @@ _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames: they take longer to draw than t
 
 
 def run(output: Path) -> None:
-    """Build the maze's PLR, measure it beside its oracle, and draw it; plan for four robots, and animate the path.
-
-    Args:
-        output: Folder for the files; made where missing.
-    """
+    """Build the maze's PLR, measure it beside its oracle, and draw it; plan for four robots, and animate the path."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     _four_rooms(output)
@@ -61,8 +57,7 @@ def _maze(output: Path) -> None:
     typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points a second")
     typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
 
-    for path in _draw(plr, oracle, workspace, goal, output):
-        typer.echo(f"  wrote   {path}")
+    _draw(plr, oracle, workspace, goal, output)
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
 
 
@@ -71,16 +66,15 @@ def _four_rooms(output: Path) -> None:
     problem = scenes.four_rooms(4)
     typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
     phases = _planning.Phases(began)
-    checked = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
-    path, report = checked.solution.path, checked.report
-    if path is None or report is None or not report.valid:
+    solution, report = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
+    if report is None or not report.valid:
         fail("There is no valid path for the four rooms.", code=1)
-    animation = plot.animate(problem, path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
+    animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
     for file in (output / "four_rooms.html", output / "four_rooms.gif"):
         animation.save(file)
         typer.echo(f"  wrote      {file}")
     phases.end("writing")
-    _planning.say_seconds(phases, checked.solution)
+    _planning.say_seconds(phases, solution)
 
 
 def _device() -> str:
@@ -99,7 +93,7 @@ def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats
     return len(points) / statistics.median(seconds)
 
 
-def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, output: Path) -> list[Path]:
+def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, output: Path) -> None:
     distance = plot.plot_contours(plr, workspace=workspace, goal=goal)
     plot.plot_cells(plr, distance, color="white")
     pictures = {
@@ -107,8 +101,6 @@ def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, o
         "error": plot.plot_error(metrics.error_grid(plr, oracle, workspace), workspace),
         "surface": plot.plot_surface(plr, workspace=workspace),
     }
-    paths = []
     for name, ax in pictures.items():
-        paths.append(output / f"maze_{name}.png")
-        plot.save(ax, paths[-1])
-    return paths
+        plot.save(ax, path := output / f"maze_{name}.png")
+        typer.echo(f"  wrote   {path}")

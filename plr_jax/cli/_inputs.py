@@ -38,16 +38,8 @@ class Heuristic(StrEnum):
 def map_and_goal(name: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
     """The workspace that a MAP argument means, and its goal if it has one.
 
-    Args:
-        name: Name of a scene, or path of a scene file, a Moving AI grid or a polygon file.
-        goal: The goal as ``X,Y``; None for that of a scene with one robot.
-
-    Returns:
-        The workspace and the goal.
-
-    Raises:
-        ValueError: If it is none of these.
-        OSError: If the file cannot be read.
+    The goal is that given as ``X,Y``, or that of a scene with one robot. ``ValueError`` if MAP is neither the name of
+    a scene nor the path of a scene file, a Moving AI grid or a polygon file.
     """
     from plr_jax import scenes
 
@@ -69,18 +61,9 @@ def map_and_goal(name: str, goal: str | None) -> tuple["Workspace", Float[np.nda
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
-    """The problem that a SCENE argument means.
+    """The problem that a SCENE argument means: a scene, of its default size if it has several, or a file.
 
-    Args:
-        name: Name of a scene, or path of a scene file or a db-CBS problem.
-        num_robots: Number of robots of a scene that comes in several sizes; None for its default.
-
-    Returns:
-        The problem.
-
-    Raises:
-        ValueError: If it is none of these, has no such number of robots, or is impossible.
-        OSError: If the file cannot be read.
+    ``ValueError`` if it is none of these, has no such number of robots, or is impossible.
     """
     from plr_jax import scenes
 
@@ -101,15 +84,9 @@ def read_problem(name: str, num_robots: int | None) -> "Problem":
 
 
 def require_writable(path: Path | None, endings: Sequence[str] = ()) -> None:
-    """Refuse a file to be written before the work that it would hold is done.
+    """Refuse a file that cannot be written before the work that it would hold is done, or whose name ends otherwise.
 
-    Args:
-        path: The file; None is nothing to write.
-        endings: What its name may end in; anything where there are none.
-
-    Raises:
-        ValueError: If its name ends otherwise.
-        OSError: If it is a folder, lies in none, or must not be written.
+    None is nothing to write; where there are no endings, any will do.
     """
     if path is None:
         return
@@ -132,10 +109,7 @@ def require_writable(path: Path | None, endings: Sequence[str] = ()) -> None:
 
 def parse_goal(text: str) -> Float[np.ndarray, "2"]:
     """The point that ``X,Y`` means."""
-    try:
-        goal = np.array([float(field) for field in text.split(",")])
-    except ValueError:
-        goal = np.empty(0)
+    goal = np.array(_numbers(text))
     if goal.shape != (2,) or not np.isfinite(goal).all():
         raise ValueError(f"--goal must be two numbers X,Y, got {text!r}.")
     return goal
@@ -152,45 +126,30 @@ def read_text(source: str) -> tuple[str, str]:
 
 
 def parse_points(name: str, text: str, dim: int) -> Float[np.ndarray, "n dim"]:
-    """The points of a CSV text: ``dim`` numbers a line, after an optional header.
+    """The points of a CSV text: ``dim`` finite numbers a line, after an optional header.
 
-    Args:
-        name: What the text is called in errors.
-        text: The text.
-        dim: Numbers a line.
-
-    Returns:
-        The points.
-
-    Raises:
-        ValueError: If a line is blank, malformed or not finite, named by its number; or there is none.
+    ``ValueError`` if a line is blank or malformed, named by its number; or there is none.
     """
-    lines = text.rstrip().splitlines()
-    first = 1 if lines and _is_header(lines[0]) else 0
-    rows = [_row(name, number, line, dim) for number, line in enumerate(lines[first:], start=first + 1)]
-    if not rows:
+    lines, points = text.rstrip().splitlines(), []
+    for number, line in enumerate(lines, start=1):
+        if number == 1 and _is_header(line):
+            continue
+        points.append(_numbers(line))
+        if len(points[-1]) != dim or not np.isfinite(points[-1]).all():
+            raise ValueError(f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}.")
+    if not points:
         raise ValueError(f"{name} has no points: expected {dim} comma-separated numbers a line.")
-    return np.array(rows)
+    return np.array(points)
 
 
 def _is_header(line: str) -> bool:
     """Whether no field of the line is a number (a half-broken first line is an error, not a header)."""
-    return bool(line.strip()) and not any(_is_number(field) for field in line.split(","))
+    return bool(line.strip()) and not any(_numbers(field) for field in line.split(","))
 
 
-def _is_number(field: str) -> bool:
+def _numbers(line: str) -> list[float]:
+    """The comma-separated numbers of a line; none if a field is not one."""
     try:
-        float(field)
+        return [float(field) for field in line.split(",")]
     except ValueError:
-        return False
-    return True
-
-
-def _row(name: str, number: int, line: str, dim: int) -> list[float]:
-    try:
-        row = [float(field) for field in line.split(",")]
-    except ValueError:
-        row = []
-    if len(row) != dim or not all(map(np.isfinite, row)):
-        raise ValueError(f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}.")
-    return row
+        return []

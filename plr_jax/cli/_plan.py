@@ -13,7 +13,8 @@ from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, TEAM_SCENES, Heuristic,
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
-    from plr_jax.cli._planning import CheckedSolution
+    from plr_jax._validate import ValidationReport
+    from plr_jax.planners import Solution
 
 
 class _Default:
@@ -129,10 +130,14 @@ def plan(
     phases = _planning.Phases(began)
     phases.end("loading")
     typer.echo(scene)
-    checked = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
-    solution, report = checked.solution, checked.report
+    solution, report = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
     if report is not None and report.valid:
-        _write(problem, checked, output, animation, picture)
+        if output is not None:
+            _write_json(solution, report, output)
+        _draw(problem, solution, animation, picture)
+        for file in (output, animation, picture):
+            if file is not None:
+                typer.echo(f"  wrote      {file}")
         phases.end("writing")
     _planning.say_seconds(phases, solution)
     if report is not None and not report.valid:
@@ -144,31 +149,11 @@ def plan(
         fail(f"No path: {solution.status}.", code=1)
 
 
-def _write(
-    problem: "Problem", checked: "CheckedSolution", output: Path | None, animation: Path | None, picture: Path | None
-) -> None:
-    path = checked.solution.path
-    assert path is not None
-    if output is not None:
-        _write_json(checked, output)
-    if animation is not None or picture is not None:
-        from plr_jax import plot
-
-        if animation is not None:
-            plot.animate(problem, path).save(animation)
-        if picture is not None:
-            plot.save(plot.plot_path(problem, path), picture)
-    for file in (output, animation, picture):
-        if file is not None:
-            typer.echo(f"  wrote      {file}")
-
-
-def _write_json(checked: "CheckedSolution", output: Path) -> None:
+def _write_json(solution: "Solution", report: "ValidationReport", output: Path) -> None:
     """One object; numbers have as many digits as it takes to read the same float64 back."""
     from plr_jax._atomic import write_atomically
 
-    solution, report = checked.solution, checked.report
-    assert solution.path is not None and report is not None
+    assert solution.path is not None
     entry = {
         "status": solution.status.name,
         "cost": solution.cost,
@@ -178,3 +163,14 @@ def _write_json(checked: "CheckedSolution", output: Path) -> None:
         "path": solution.path.tolist(),
     }
     write_atomically(output, (json.dumps(entry) + "\n").encode())
+
+
+def _draw(problem: "Problem", solution: "Solution", animation: Path | None, picture: Path | None) -> None:
+    if animation is None and picture is None:
+        return
+    from plr_jax import plot
+
+    if animation is not None:
+        plot.animate(problem, solution.path).save(animation)
+    if picture is not None:
+        plot.save(plot.plot_path(problem, solution.path), picture)

@@ -4,7 +4,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import typer
@@ -20,14 +20,10 @@ from plr_jax.robots.robot import Robot
 
 
 class Phases:
-    """Wall-clock seconds of the phases of a command.
-
-    Args:
-        began: When the first one began, by ``time.perf_counter``.
-    """
+    """Wall-clock seconds of the phases of a command, the first of which began at a time of ``time.perf_counter``."""
 
     def __init__(self, began: float):
-        self.began = self._mark = began
+        self._mark = began
         self.seconds: dict[str, float] = {}
 
     def end(self, name: str) -> None:
@@ -35,43 +31,14 @@ class Phases:
         now = time.perf_counter()
         self.seconds[name], self._mark = now - self._mark, now
 
-    @property
-    def total(self) -> float:
-        """Seconds from the beginning of the first to the end of the last phase."""
-        return self._mark - self.began
-
-
-@dataclass(frozen=True)
-class CheckedSolution:
-    """A solution and what the independent check says about its path.
-
-    Args:
-        solution: What the planner returned.
-        report: The check; None if there is no path.
-    """
-
-    solution: Solution
-    report: ValidationReport | None
-
 
 def solve(
     problem: Problem, heuristic: Heuristic, options: BLOptions, max_bytes: int, seed: int, phases: Phases
-) -> CheckedSolution:
+) -> tuple[Solution, ValidationReport | None]:
     """Plan with a heuristic built on the way, check the path, and print what was built and found.
 
-    Args:
-        problem: What to plan.
-        heuristic: Which heuristic to build.
-        options: Of the search; its lower bound is replaced by :func:`lower_bound`.
-        max_bytes: Size of each PLR.
-        seed: Of the PLRs.
-        phases: Where the seconds are noted.
-
-    Returns:
-        The solution and its check.
-
-    Raises:
-        KeyboardInterrupt: On Ctrl-C before the search; later, the solution's status says so.
+    The options' lower bound is replaced by :func:`lower_bound`. Returns the solution, and what the independent check
+    says about its path if there is one. Ctrl-C before the search raises; later, the solution's status says so.
     """
     typer.echo(f"  robots     {describe(problem.robots)}")
     exact = robot_distance_fns(problem)
@@ -90,31 +57,20 @@ def solve(
     )
     if solution.path is None:
         typer.echo("  cost       none: no path was found")
-        return CheckedSolution(solution, None)
+        return solution, None
     ratio = f", {solution.cost / bound:.3f} times the lower bound of {bound:.4g}" if bound else ""
     typer.echo(f"  cost       {solution.cost:.4g}{ratio}")
     typer.echo(f"  makespan   {solution.makespan:.4g}")
     report = validate(problem, solution.path)
     phases.end("validation")
     typer.echo(f"  check      {report.message}")
-    return CheckedSolution(solution, report)
+    return solution, report
 
 
 def heuristic_of(
     heuristic: Heuristic, problem: Problem, exact: Sequence[VisibilityGraph], max_bytes: int, seed: int
 ) -> tuple[HeuristicFn, list[PLR]]:
-    """A heuristic by its name.
-
-    Args:
-        heuristic: Its name.
-        problem: The robots and their goals.
-        exact: Their oracles, as of :func:`plr_jax.robot_distance_fns`.
-        max_bytes: Size of each PLR.
-        seed: Of the PLRs.
-
-    Returns:
-        The heuristic, and the PLRs it reads, each once: robots of one size and one goal share theirs.
-    """
+    """A heuristic by its name, and the PLRs it reads, each once: robots of one size and one goal share theirs."""
     match heuristic:
         case Heuristic.none:
             return zero(), []
@@ -136,12 +92,7 @@ def heuristic_of(
 def lower_bound(problem: Problem, exact: Sequence[DistanceFn]) -> float:
     """A cost below which there is no path: each robot's, alone, of its way and of its shorter turn to the goal.
 
-    Args:
-        problem: The robots, starts and goals.
-        exact: Their oracles, never longer than their ways.
-
-    Returns:
-        The cost, in workspace units; that of the straight line for a robot whose oracle does not know its start.
+    The oracles must never answer more than the way; one that does not know its robot's start counts as straight.
     """
     starts, goals = problem.starts, problem.goals
     ways = np.array([oracle(start[None, :2])[0] for oracle, start in zip(exact, starts, strict=True)])
@@ -157,7 +108,7 @@ def describe(robots: Sequence[Robot]) -> str:
 
 def say_seconds(phases: Phases, solution: Solution) -> None:
     """Print the seconds of all phases, and those of the planner's own."""
-    typer.echo(f"  seconds    {phases.total:.1f} in all: {_listed(phases.seconds)}")
+    typer.echo(f"  seconds    {sum(phases.seconds.values()):.1f} in all: {_listed(phases.seconds)}")
     typer.echo(f"             planning: {_listed(solution.stats.seconds)}")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_distances, as_points, as_values
-from plr_jax._types import ArrayLike, DistanceFn, Distances, Points
+from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.workspace import Workspace
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
@@ -79,7 +79,27 @@ def error_map(
     if len(x) == 0:
         raise ValueError("An error needs points to be measured at, got none.")
     distance = as_distances("The distance function", distance_fn(x.copy()), x)
-    return _report(x, distance, as_values("The approximation", approximation(x.copy()), len(x)))
+    answer = as_values("The approximation", approximation(x.copy()), len(x))
+    reachable, answered = np.isfinite(distance), np.isfinite(answer)
+    both = reachable & answered
+    if not both.any():
+        raise ValueError(
+            f"No error is defined: of {len(x)} points the distance function is finite at "
+            f"{reachable.sum()}, and the approximation at none of those."
+        )
+    error = np.abs(answer[both] - distance[both])
+    worst = int(np.argmax(error))
+    return ErrorReport(
+        max=float(error[worst]),
+        mean=float(error.mean()),
+        quantiles={q: float(np.quantile(error, q)) for q in _QUANTILES},
+        max_at=tuple(map(float, x[both][worst])),
+        max_distance=float(distance[reachable].max()),
+        num_points=len(x),
+        num_unreachable=int((~reachable).sum()),
+        num_unanswered=int((reachable & ~answered).sum()),
+        num_invented=int((answered & ~reachable).sum()),
+    )
 
 
 def error_grid(
@@ -115,26 +135,3 @@ def error_grid(
     answer = as_values("The approximation", approximation(points[reachable]), int(reachable.sum()))
     error[reachable] = np.abs(np.where(np.isnan(answer), np.inf, answer) - distance[reachable])
     return error.reshape(centers.shape[:2])
-
-
-def _report(points: Points, distance: Distances, answer: Distances) -> ErrorReport:
-    reachable, answered = np.isfinite(distance), np.isfinite(answer)
-    both = reachable & answered
-    if not both.any():
-        raise ValueError(
-            f"No error is defined: of {len(points)} points the distance function is finite at "
-            f"{reachable.sum()}, and the approximation at none of those."
-        )
-    error = np.abs(answer[both] - distance[both])
-    worst = int(np.argmax(error))
-    return ErrorReport(
-        max=float(error[worst]),
-        mean=float(error.mean()),
-        quantiles={q: float(np.quantile(error, q)) for q in _QUANTILES},
-        max_at=tuple(map(float, points[both][worst])),
-        max_distance=float(distance[reachable].max()),
-        num_points=len(points),
-        num_unreachable=int((~reachable).sum()),
-        num_unanswered=int((reachable & ~answered).sum()),
-        num_invented=int((answered & ~reachable).sum()),
-    )

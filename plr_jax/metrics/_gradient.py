@@ -9,11 +9,15 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_finite_point, as_points
 from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.metrics._leaves import ValuesAndGradients, face_jumps, unit_vectors, walk_from_leaves
 
 _QUANTILES = (0.5, 0.9, 0.99)
+_POINTS_A_FACE = 8
+_ASIDE = 2.0**-20  # of the domain: eight times what a query in 32-bit floats resolves
+_STEPS_A_SIDE = 4
+_SIDES_WALKED = 4
 
 Directions = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
+ValuesAndGradients = Callable[[Float[np.ndarray, "n 2"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]]
 
 
 @dataclass(frozen=True)
@@ -209,8 +213,20 @@ def _share_reached(
 
 def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
     """Angles between vectors in degrees, precise for small ones and for those close to a half turn (Kahan)."""
-    u, v = unit_vectors(u), unit_vectors(v)
+    u, v = _unit_vectors(u), _unit_vectors(v)
     return np.degrees(2 * np.arctan2(np.linalg.norm(u - v, axis=1), np.linalg.norm(u + v, axis=1)))
+
+
+def _unit_vectors(v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Vectors of length one; NaN where there is no direction."""
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    usable = np.isfinite(length) & (length > 0)
+    return np.divide(v, length, out=np.full_like(v, np.nan), where=usable)
+
+
+def _corners(leaves: PiecewiseFunction) -> tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]:
+    lo, hi = leaves.leaf_boxes
+    return np.asarray(lo, np.float64), np.asarray(hi, np.float64)
 
 
 def _in_leaves_of(
@@ -218,7 +234,7 @@ def _in_leaves_of(
 ) -> Bool[np.ndarray, "n"]:
     """Whether points are in a closed leaf that holds the goal."""
     inside = np.zeros(len(x), bool)
-    lo, hi = (np.asarray(corner, np.float64) for corner in leaves.leaf_boxes)
+    lo, hi = _corners(leaves)
     for leaf in np.flatnonzero(((lo <= goal) & (goal <= hi)).all(axis=1)):
         inside |= ((lo[leaf] <= x) & (x <= hi[leaf])).all(axis=1)
     return inside
@@ -227,12 +243,35 @@ def _in_leaves_of(
 def _jump_report(
     leaves: PiecewiseFunction, evaluate: ValuesAndGradients, workspace: Workspace, seed: int
 ) -> JumpReport:
-    jumps, at = face_jumps(leaves, evaluate, workspace, seed)
+    """Differences of the values carried on to the faces by the gradients beside them, where both are finite."""
+    face, step = _free_faces(leaves, workspace, seed)
+    (below, slope_below), (above, slope_above) = evaluate(face - step), evaluate(face + step)
+    both = np.isfinite(below) & np.isfinite(above)
+    rise = (step * (slope_below + slope_above)).sum(axis=1)
+    jumps, at = np.abs(above[both] - below[both] - rise[both]), face[both]
     if len(jumps) == 0:
         return JumpReport(0.0, dict.fromkeys(_QUANTILES, 0.0), None, 0)
     worst = int(np.argmax(jumps))
     quantiles = {q: float(np.quantile(jumps, q)) for q in _QUANTILES}
     return JumpReport(float(jumps[worst]), quantiles, tuple(map(float, at[worst])), len(jumps))
+
+
+def _free_faces(
+    leaves: PiecewiseFunction, workspace: Workspace, seed: int
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Points drawn on the upper faces of each leaf, free on both sides, and small steps across."""
+    lo, hi = _corners(leaves)
+    rng, domain = np.random.default_rng(seed), leaves.domain
+    points, aside = [np.empty((0, 2))], [np.empty((0, 2))]
+    for axis in range(2):
+        inner = hi[:, axis] < domain.hi[axis]
+        share = rng.random((_POINTS_A_FACE, inner.sum(), 2))
+        share[..., axis] = 1.0
+        points.append((lo[inner] + share * (hi - lo)[inner]).reshape(-1, 2))
+        aside.append(np.tile(np.eye(2)[axis] * _ASIDE * domain.width[axis], (len(points[-1]), 1)))
+    face, step = np.concatenate(points), np.concatenate(aside)
+    free = workspace.is_visible(face - step, face + step)
+    return face[free], step[free]
 
 
 def _walk_report(
@@ -242,8 +281,19 @@ def _walk_report(
     goal: Float[np.ndarray, "2"],
     directions: Directions,
 ) -> WalkReport:
-    def has_way(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        return np.asarray(np.isfinite(_directions_at(directions, x)).all(axis=1))
-
-    walled, stalled = walk_from_leaves(leaves, evaluate, workspace, goal, has_way)
+    """Walk from the centers that have a way, until within a step of the goal or where a step leaves free space."""
+    lo, hi = _corners(leaves)
+    center, side = (lo + hi) / 2, (hi - lo).min(axis=1)
+    start = np.isfinite(_directions_at(directions, center)).all(axis=1)
+    center, side = center[start], side[start]
+    at, step = center.copy(), side[:, None] / _STEPS_A_SIDE
+    walled, home = np.zeros((2, len(center)), bool)
+    for _ in range(_STEPS_A_SIDE * _SIDES_WALKED):
+        home |= np.linalg.norm(at - goal, axis=1) <= step[:, 0]
+        onward = at + step * _unit_vectors(-evaluate(at)[1])
+        moves = ~home & ~walled & np.isfinite(onward).all(axis=1)
+        walled[moves] = ~workspace.is_visible(at[moves], onward[moves])
+        moves &= ~walled
+        at[moves] = onward[moves]
+    stalled = ~home & ~walled & (np.linalg.norm(at - center, axis=1) < side)
     return WalkReport(len(walled), int(walled.sum()), int(stalled.sum()))

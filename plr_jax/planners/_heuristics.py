@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_values, padded, padded_size, shortened
+from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import (
     ArrayLike,
@@ -112,7 +112,7 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
     if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
         evaluate = first.stack(distance_fns)
     else:
-        evaluate = _one_by_one(distance_fns)
+        evaluate = partial(_one_by_one, distance_fns)
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
@@ -132,18 +132,7 @@ def require_heuristic(heuristic: object) -> None:
 
 
 def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarray, "n"]:
-    """What a heuristic says of joint configurations, which it is shown in batches of few sizes.
-
-    Args:
-        heuristic: The heuristic.
-        q: Joint configurations, ``(n, robots, dof)``.
-
-    Returns:
-        Its estimates, ``(n,)``; 0 for negative ones.
-
-    Raises:
-        ValueError: If it returns NaN or another shape.
-    """
+    """What a heuristic says of joint configurations, which it is shown in batches of few sizes; 0 for negatives."""
     if not len(q):
         return np.zeros(0)
     batch = padded(q, padded_size(len(q)), q[-1])
@@ -152,10 +141,7 @@ def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarra
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     """What a heuristic returned, 0 for negative numbers, or ``ValueError`` if it is NaN or not of a shape."""
-    try:
-        numbers = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"A heuristic must return numbers, got {shortened(values)}.") from None
+    numbers = as_numbers("What a heuristic returns", values, "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
     if np.isnan(numbers).any():
@@ -163,30 +149,26 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
     return np.maximum(numbers, 0.0)  # planes that fit a distance near the goal may dip below 0
 
 
-def _one_by_one(distance_fns: Sequence[DistanceFn]) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
-    def evaluate(q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-        distances = np.empty(q.shape[:2])
-        for begin in range(0, len(q), _BATCH_SIZES[-1]):
-            part = q[begin : begin + _BATCH_SIZES[-1]]
-            batch = padded(part, padded_size(len(part), _BATCH_SIZES), part[-1])
-            for i, fn in enumerate(distance_fns):
-                distances[begin : begin + len(part), i] = _distances_of_robot(i, fn, batch[:, i])[: len(part)]
-        return distances
-
-    return evaluate
+def _one_by_one(distance_fns: Sequence[DistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
+    distances = np.empty(q.shape[:2])
+    for begin in range(0, len(q), _BATCH_SIZES[-1]):
+        part = q[begin : begin + _BATCH_SIZES[-1]]
+        batch = padded(part, padded_size(len(part), _BATCH_SIZES), part[-1])
+        for i, fn in enumerate(distance_fns):
+            distances[begin : begin + len(part), i] = _distances_of_robot(i, fn, batch[:, i])[: len(part)]
+    return distances
 
 
 def _distances_of_robot(i: int, fn: DistanceFn, q: Float[np.ndarray, "n dof"]) -> Distances:
     """What a robot's distance function says, shown the leading coordinates that it wants."""
     name, dof = f"The distance function of robot {i}", q.shape[1]
-    if isinstance(fn, DimensionedFn):
-        if fn.dim > dof:
-            raise ValueError(f"{name} takes {fn.dim} coordinates, configurations have {dof}.")
-        return as_values(name, fn(q[:, : fn.dim]), len(q))
+    dim = fn.dim if isinstance(fn, DimensionedFn) else None
+    if dim is not None and dim > dof:
+        raise ValueError(f"{name} takes {dim} coordinates, configurations have {dof}.")
     try:
-        return as_values(name, fn(q), len(q))
+        return as_values(name, fn(q[:, :dim]), len(q))
     except Exception as error:
-        if dof == 3:
+        if dim is None and dof == 3:
             error.add_note(
                 f"{name} was given (x, y, theta). If it is one of (x, y), give it an attribute `dim` of 2, as in "
                 "`fn.dim = 2`."
@@ -226,10 +208,7 @@ def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
 def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:
     """A batch of joint configurations on the host; any number of robots, and a dof of 2 or 3, where none is given."""
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
-    try:
-        q = np.asarray(q, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"Joint configurations must be numbers of {expected}, got {shortened(q)}.") from None
+    q = as_numbers("Joint configurations", q, f"numbers of {expected}")
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
         hint = " Use q[None] for a single one." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")

@@ -11,12 +11,12 @@ from jaxtyping import Float, Integer, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
+from plr_jax.plot._page import new_axes
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.plot._player import HOLD, embedded, page
 from plr_jax.plot._robots import (
@@ -32,7 +32,7 @@ from plr_jax.plot._robots import (
 from plr_jax.plot._timeline import Timeline, timeline
 from plr_jax.robots.motion import placed
 
-_PANEL, _MARGIN, _DPI = 4.2, 0.08, 120  # inches, inches, pixels an inch
+_MARGIN, _DPI = 0.08, 120  # inches, pixels an inch
 _LARGEST_RATE = 50.0  # frames a second that viewers of GIF keep up with
 _PACK = np.array([65536, 256, 1], dtype=np.uint32)  # three bytes of a color as one number
 _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
@@ -182,11 +182,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 
 def _stage(problem: Problem, motion: Timeline) -> Axes:
     """What stands still: the workspace, whole tracks as thin lines, goals as outlines."""
-    bounds = problem.workspace.bounds
-    width, height = _PANEL * bounds.width / bounds.width.max()
-    total = np.array([width, height]) + 2 * _MARGIN
-    figure = Figure(figsize=tuple(total), dpi=_DPI, facecolor="white")
-    ax = figure.add_axes((_MARGIN / total[0], _MARGIN / total[1], width / total[0], height / total[1]))
+    ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
     plot_workspace(problem.workspace, ax)
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for i in range(len(problem.robots)):

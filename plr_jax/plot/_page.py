@@ -59,7 +59,7 @@ def save(ax: Axes, path: str | os.PathLike[str]) -> None:
 
 def dressed_axes(ax: Axes | None, box: Box, *, room_for_colorbar: bool = True) -> Axes:
     """The axes, or new ones, set up to show a box: limits, labels, ink."""
-    ax = ax or _new_axes(box, room_for_colorbar)
+    ax = ax or new_axes(box, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
     ax.set_xlim(box.lo[0], box.hi[0])
     ax.set_ylim(box.lo[1], box.hi[1])
     ax.set_aspect("equal")
@@ -70,11 +70,12 @@ def dressed_axes(ax: Axes | None, box: Box, *, room_for_colorbar: bool = True) -
     return ax
 
 
-def _new_axes(box: Box, room_for_colorbar: bool) -> Axes:
-    width, height = _PANEL * box.width / box.width.max()
-    total = np.array([width + (1.6 if room_for_colorbar else 0.75), height + 0.8])
-    figure = Figure(figsize=tuple(total), dpi=_DPI, facecolor="white")
-    return figure.add_axes((0.6 / total[0], 0.5 / total[1], width / total[0], height / total[1]))
+def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = _DPI) -> Axes:
+    """Axes in a figure of their own, with margins in inches at the left and below, at the right and above."""
+    size = _PANEL * box.width / box.width.max()
+    total = size + np.add(before, after)
+    figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")
+    return figure.add_axes((*(before / total), *(size / total)))
 
 
 def new_axes_3d(box: Box) -> Axes3D:

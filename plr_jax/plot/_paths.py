@@ -104,7 +104,10 @@ def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -
     References:
         Putman et al., Section V, Fig. 4.
     """
-    samples = _as_samples(problem, samples)
+    shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
+    samples = as_numbers("Samples", samples, f"numbers of shape {shape}")
+    if samples.ndim != 3 or samples.shape[1:] != problem.starts.shape:
+        raise ValueError(f"Samples must have shape {shape}, got {samples.shape}.")
     ax = plot_problem(problem, ax)
     colors = np.array([color_of(i) for i in range(len(problem.robots))])
     # In one collection, so that no robot's points cover those of all robots before it.
@@ -125,11 +128,3 @@ def _add_faded(ax: Axes, problem: Problem, i: int, poses: Float[np.ndarray, "n d
             corners = outline(problem.robots[i], q, problem.workspace.bounds)
             ax.add_patch(Polygon(corners, facecolor=(color_of(i), 0.13), edgecolor=(color_of(i), 0.55),
                                  linewidth=0.6, zorder=_FADED))  # fmt: skip
-
-
-def _as_samples(problem: Problem, samples: ArrayLike) -> Float[np.ndarray, "n robots dof"]:
-    shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
-    array = as_numbers("Samples", samples, f"numbers of shape {shape}")
-    if array.ndim != 3 or array.shape[1:] != problem.starts.shape:
-        raise ValueError(f"Samples must have shape {shape}, got {array.shape}.")
-    return array

@@ -5,11 +5,13 @@ import shapely
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.image import AxesImage
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
 from plr_jax._types import ArrayLike, PiecewiseFunction
+from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
@@ -83,16 +85,7 @@ def plot_contours(
     if not shown.count():
         raise ValueError("There is nothing to draw: no point has an answer in free space.")
     largest = float(shown.max())
-    lo, hi = plr.domain.lo, plr.domain.hi
-    image = ax.imshow(
-        values,
-        origin="lower",
-        extent=(lo[0], hi[0], lo[1], hi[1]),
-        cmap=DISTANCE_COLORS,
-        vmin=0.0,
-        vmax=largest,
-        interpolation="nearest",
-    )
+    image = _add_image(ax, plr.domain, values, DISTANCE_COLORS, 0.0, largest)
     if min(values.shape) > 1:
         levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
         ax.contour(points[..., 0], points[..., 1], values, levels=levels, colors="white", linewidths=0.9)
@@ -162,26 +155,25 @@ def plot_error(
     if finite.size == 0:
         raise ValueError("There is nothing to draw: no error is finite.")
     ax = dressed_axes(ax, workspace.bounds)
-    lo, hi = workspace.bounds.lo, workspace.bounds.hi
-    extent = (lo[0], hi[0], lo[1], hi[1])
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    image = ax.imshow(
-        np.ma.masked_invalid(errors),
-        origin="lower",
-        extent=extent,
-        cmap=_ERROR_COLORS,
-        vmin=0.0,
-        vmax=largest or None,
-        interpolation="nearest",
-    )
+    image = _add_image(ax, workspace.bounds, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
-        ax.imshow(unanswered, origin="lower", extent=extent, cmap="autumn", vmin=1.0, vmax=2.0)
+        _add_image(ax, workspace.bounds, unanswered, "autumn", 1.0, 2.0)
     plot_workspace(workspace, ax)
     clipped = "max" if finite.max() > largest else "neither"
     add_colorbar(ax, image, "error $|L - V|$ (workspace units)", extend=clipped)
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
     return ax
+
+
+def _add_image(
+    ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str, lowest: float, largest: float | None
+) -> AxesImage:
+    """Show values at the cell centers of a grid over a box."""
+    extent = (box.lo[0], box.hi[0], box.lo[1], box.hi[1])
+    scale = {"cmap": colors, "vmin": lowest, "vmax": largest}
+    return ax.imshow(values, origin="lower", extent=extent, interpolation="nearest", **scale)
 
 
 def _outline(polygon: shapely.Polygon) -> Path:

@@ -97,18 +97,16 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
     return body, bar
 
 
-def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> Polygon:
+def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
     """Draw a robot as a dashed outline, as goals are; a white line under it parts it from bodies."""
     robot, bounds = problem.robots[i], problem.workspace.bounds
     corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
-    dashed = Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2)
-    ax.add_patch(dashed)
+    ax.add_patch(Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2))
     if robot.dof == 3:  # its front is a line without gaps
         ahead = placed(robot, front(robot, bounds), q)
         ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
-    return dashed
 
 
 def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:

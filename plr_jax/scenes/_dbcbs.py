@@ -87,15 +87,12 @@ def read_trajectories(path: str | os.PathLike[str]) -> Float[np.ndarray, "steps 
     path = Path(path)
     with errors_named(path):
         data = yaml_of(path)
-        tracks = [_track(entry) for entry in _list("result", _trajectories(data))]
+        result = data.get("result", [data]) if isinstance(data, dict) else [data]
+        tracks = [_track(entry) for entry in _list("result", result)]
         steps = max(map(len, tracks), default=0)
         if not 0 < steps * len(tracks) <= _MOST_CONFIGURATIONS:
             raise ValueError(f"{_EXPECTED}, at most {_MOST_CONFIGURATIONS:,} together, got {len(tracks)} x {steps}.")
         return np.stack([track[np.minimum(np.arange(steps), len(track) - 1)] for track in tracks], axis=1)
-
-
-def _trajectories(data: Any) -> Any:
-    return data.get("result", [data]) if isinstance(data, dict) else [data]
 
 
 def _track(entry: Any) -> Float[np.ndarray, "steps 3"]:

@@ -13,11 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 _MOST_BYTES = 2**24
 _MOST_NESTED = 32
 _LONGEST_WORD = 1000  # unquoted characters of YAML: what they mean may take the square of their number to find out
 _LARGEST_INTEGER = int(np.finfo(np.float64).max)
+
+
+def rings_of(polygon: shapely.Polygon) -> dict[str, Any]:
+    """A polygon as a document holds it: ``{"outer": ring, "holes": [ring, ...]}``."""
+    outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors))
+    return {"outer": outer, "holes": holes}
 
 
 @contextmanager
@@ -30,12 +37,7 @@ def errors_named(path: Path) -> Iterator[None]:
 
 
 def text_of(path: Path) -> str:
-    """The text of a file in UTF-8, with or without a byte-order mark.
-
-    Raises:
-        ValueError: If it is binary or too large.
-        OSError: If it cannot be read.
-    """
+    """The text of a file in UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:
@@ -47,12 +49,7 @@ def text_of(path: Path) -> str:
 
 
 def json_of(path: Path) -> Any:
-    """The value that a JSON file stands for.
-
-    Raises:
-        ValueError: If it is no JSON, or beyond the bounds above.
-        OSError: If it cannot be read.
-    """
+    """The value that a JSON file stands for; ``ValueError`` if it is no JSON, or beyond the bounds above."""
     text = text_of(path)
     try:
         value = json.loads(text)
@@ -63,12 +60,7 @@ def json_of(path: Path) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """The value that a YAML file stands for.
-
-    Raises:
-        ValueError: If it is no YAML of plain values, or beyond the bounds above.
-        OSError: If it cannot be read.
-    """
+    """The value that a YAML file stands for; ``ValueError`` if it is none of plain values, or beyond the bounds."""
     import yaml
 
     text, loader = text_of(path), _loader()

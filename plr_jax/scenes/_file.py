@@ -37,7 +37,7 @@ from plr_jax.robots.point import PointRobot
 from plr_jax.robots.polygon import PolygonRobot
 from plr_jax.robots.rectangle import RectangleRobot
 from plr_jax.robots.robot import Robot
-from plr_jax.scenes._documents import errors_named, json_of
+from plr_jax.scenes._documents import errors_named, json_of, rings_of
 
 _FORMAT = "plr_jax scene"
 _VERSION = 3
@@ -169,15 +169,8 @@ def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
     return {
         "bounds": [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()],
         "squeeze": workspace.squeeze,
-        "obstacles": [
-            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
-            for polygon in shapely.get_parts(workspace.obstacles)
-        ],
+        "obstacles": [rings_of(polygon) for polygon in shapely.get_parts(workspace.obstacles)],
     }
-
-
-def _ring(ring: shapely.LinearRing) -> list[list[float]]:
-    return shapely.get_coordinates(ring)[:-1].tolist()
 
 
 def _workspace(entry: Any) -> Workspace:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._documents import errors_named, text_of
+from plr_jax.scenes._documents import errors_named, rings_of, text_of
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4
@@ -20,11 +20,10 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace.
 
-    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing
-    downward as in the file (a picture with ``y`` up shows the map upside down), so an integer point is a
-    lattice corner. Free space is the closed union of the
-    passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost). Any other letter is an
-    obstacle.
+    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``, with ``y`` growing downward as
+    in the file (a picture with ``y`` up shows the map upside down), so an integer point is a lattice corner. Free
+    space is the closed union of the passable cells: ``.`` (ground), ``G`` (ground), ``S`` (swamp, at no extra cost).
+    Any other letter is an obstacle.
 
     Args:
         path: The ``.map`` file.
@@ -44,11 +43,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     path = Path(path)
     with errors_named(path):
         polygons = shapely.get_parts(_union_of_cells(_passable_cells(text_of(path).splitlines())))
-        components = [
-            {"outer": _ring(polygon.exterior), "holes": [_ring(hole) for hole in polygon.interiors]}
-            for polygon in polygons
-        ]
-        return Workspace.from_polygons(components, squeeze=squeeze)
+        return Workspace.from_polygons([rings_of(polygon) for polygon in polygons], squeeze=squeeze)
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
@@ -86,10 +81,6 @@ def _union_of_cells(free: Bool[np.ndarray, "rows columns"]) -> shapely.Geometry:
     runs = shapely.box(first, row, last, row + 1)
     # Tolerance 0 drops the points that the union leaves where two rows meet on a straight wall.
     return shapely.simplify(shapely.union_all(runs), 0.0)
-
-
-def _ring(ring: shapely.LinearRing) -> Float[np.ndarray, "points 2"]:
-    return shapely.get_coordinates(ring)[:-1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """Variants of a problem, to see how much a result owes to the starts and goals of one."""
 
+from contextlib import suppress
+
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax._problem import Problem
 
@@ -26,35 +27,20 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     if not (np.isfinite(distance) and distance > 0):
         raise ValueError(f"distance must be a positive finite number, got {distance!r}.")
     rng = np.random.default_rng(seed)
-    ends = np.stack([problem.starts, problem.goals])
     for i in range(len(problem.robots)):
         for end in range(2):
-            ends[end, i] = _moved(problem, ends, end, i, rng, distance)
-    return _with_ends(problem, ends)
+            problem = _moved(problem, end, i, rng, distance)
+    return problem
 
 
-def _moved(
-    problem: Problem,
-    ends: Float[np.ndarray, "2 robots dof"],
-    end: int,
-    i: int,
-    rng: np.random.Generator,
-    distance: float | int,
-) -> Float[np.ndarray, "dof"]:
-    """A free configuration near a robot's start or goal, the other robots where they are."""
+def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
+    """The problem with a robot's start or goal moved to a free configuration near it."""
     for _ in range(_ATTEMPTS):
-        trial = ends.copy()
+        ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
-        trial[end, i, :2] += radius * np.array([np.cos(angle), np.sin(angle)])
+        ends[end, i, :2] += radius * np.array([np.cos(angle), np.sin(angle)])
         if problem.robots[i].dof == 3:
-            trial[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
-        try:
-            _with_ends(problem, trial)
-        except ValueError:
-            continue
-        return trial[end, i]
+            ends[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
+        with suppress(ValueError):
+            return Problem(problem.workspace, problem.robots, ends[0], ends[1], problem.rotation_weight)
     raise ValueError(f"Robot {i} found no other free {('start', 'goal')[end]} within {distance:g}.")
-
-
-def _with_ends(problem: Problem, ends: Float[np.ndarray, "2 robots dof"]) -> Problem:
-    return Problem(problem.workspace, problem.robots, ends[0], ends[1], problem.rotation_weight)

@@ -35,19 +35,14 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
         return Workspace.from_polygons(_components(json_of(path)), squeeze=squeeze)
 
 
-def _components(data: Any) -> list[dict[str, Any]]:
-    if isinstance(data, dict):
-        if isinstance(data.get("components"), list):
-            return [_component(entry, "outer") for entry in data["components"]]
-        for outer in ("outer", "boundary"):
-            if outer in data:
-                return [_component(data, outer)]
+def _components(data: Any) -> list[Any]:
+    match data:
+        case {"components": list(components)}:
+            return components
+        case {"outer": _}:
+            return [data]
+        case {"boundary": ring}:
+            return [{**data, "outer": ring}]
     raise ValueError(
         'expected {"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}.'
     )
-
-
-def _component(entry: Any, outer: str) -> dict[str, Any]:
-    if not isinstance(entry, dict) or outer not in entry or not isinstance(entry.get("holes", []), list):
-        raise ValueError(f'expected every component to be {{"{outer}": ring, "holes": [ring, ...]}}.')
-    return {"outer": entry[outer], "holes": entry.get("holes", [])}

@@ -12,10 +12,10 @@ from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._heuristics import require_heuristic, straight_line
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.bl.heuristic_table import tabulate
-from plr_jax.planners.bl.joint_lattice import JointLattice
 from plr_jax.planners.bl.lattice import Lattice, build_lattices, num_bytes, num_configurations
 from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.bl.search import BestFirstSearch, SearchBudget
+from plr_jax.planners.bl.successors import JointLattice
 from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
@@ -181,7 +181,7 @@ class _Run:
             claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
             for lattice, robot in zip(lattices, self.problem.robots, strict=True)
         ]
-        return BestFirstSearch(joint, estimate, cells, options.batch, options.branching, options.width, self.budget)
+        return BestFirstSearch(joint, estimate, cells, options, self.budget)
 
     def _offer(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
         """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
@@ -189,22 +189,17 @@ class _Run:
         if not np.array_equal(path[0], problem.starts):  # a goal that is the start but for a whole turn
             path = np.concatenate([problem.starts[None], path])
         self._record(path)
-        for improved in (
-            lambda path: shorten(problem, path, test, deadline),
-            lambda path: (
-                shorten_in_corridors(problem, path, test, step / 2, deadline) if self._corridors_pay() else path
-            ),
-            lambda path: shorten(problem, halved(path), test, deadline),
-        ):
+        shortened = [lambda path: shorten(problem, path, test, deadline)]
+        # Shortcuts leave a lone robot little to gain.
+        if len(problem.robots) > 1 or self.options.cost_factor < float("inf"):
+            shortened.append(lambda path: shorten_in_corridors(problem, path, test, step / 2, deadline))
+        shortened.append(lambda path: shorten(problem, halved(path), test, deadline))
+        for cheaper in shortened:
             if np.isfinite(self.options.cost_factor) and self._is_good_enough():
                 return
-            path = improved(path)
+            path = cheaper(path)
             self._end_phase("shorten")
             self._record(path)
-
-    def _corridors_pay(self) -> bool:
-        # Shortcuts leave a lone robot little to gain.
-        return len(self.problem.robots) > 1 or self.options.cost_factor < float("inf")
 
     def _is_good_enough(self) -> bool:
         # A path of no cost is, whatever the factor: infinitely many times zero is no number.
@@ -224,15 +219,10 @@ class _Run:
 
 
 def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
-    """The cell of a robot's configuration space that each configuration of its lattice claims.
+    """The cell of a robot's configuration space that each configuration of its lattice claims: a number for each.
 
-    Args:
-        lattice: The lattice.
-        radius: How far the robot's corners are from its center.
-        cell_size: Side of the cells; None makes every configuration its own.
-
-    Returns:
-        A number for each cell. The goal has a cell of its own, so that nothing else claims it.
+    The robot's corners are ``radius`` from its center. Without a size of cells, every configuration is its own. The
+    goal has a cell of its own, so that nothing else claims it.
     """
     nodes = np.arange(len(lattice.q))
     if cell_size is None:

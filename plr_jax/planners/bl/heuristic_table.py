@@ -7,9 +7,7 @@ from jaxtyping import Float, UInt8
 
 from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._heuristics import estimates, require_estimates, straight_line
-from plr_jax.planners.bl.joint_lattice import JointLattice, State
-from plr_jax.planners.bl.lattice import Lattice
-from plr_jax.planners.bl.successors import Successors
+from plr_jax.planners.bl.successors import JointLattice, State, Successors
 
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 
@@ -22,12 +20,9 @@ class HeuristicTable(NamedTuple):
     A separable heuristic is evaluated once a configuration of a robot, before the search. Of any other, each joint
     child is evaluated; straight lines then choose which children are worth it where there are too many.
 
-    Args:
-        weight: Factor of the heuristic.
-        tables: Each robot's unweighted term; of a heuristic that has none, its straight line's.
-        terms: For each robot, cost and weighted term of each configuration's primitives.
-        plain: The heuristic if it has no terms.
-        farthest: The least that stands for an infinite joint estimate.
+    The ``tables`` hold each robot's unweighted terms (of a ``plain`` heuristic, which has none, those of straight
+    lines), ``terms`` cost and weighted term of each configuration's primitives; ``farthest`` is the least that stands
+    for an infinite joint estimate.
     """
 
     weight: float
@@ -60,19 +55,10 @@ class HeuristicTable(NamedTuple):
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, weight: float) -> HeuristicTable:
-    """Evaluate a heuristic over the robots' lattices.
+    """Evaluate a heuristic over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
 
-    Args:
-        joint: The robots' lattices.
-        heuristic: Function of joint configurations; its ``per_robot`` is used where it has one. An infinite
-            estimate never prunes: it counts as farther than all finite ones. A negative one counts as 0.
-        weight: Factor of the heuristic.
-
-    Returns:
-        The table.
-
-    Raises:
-        ValueError: If the heuristic returns NaN or another shape.
+    Its ``per_robot`` is used where it has one. An infinite estimate never prunes: it counts as farther than all
+    finite ones. A negative one counts as 0.
     """
     separable = heuristic if isinstance(heuristic, SeparableHeuristic) else None
     size = max(len(lattice.q) for lattice in joint.lattices)
@@ -83,13 +69,12 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, weight: float) -> Heur
     tables = tuple(
         _finite(column[: len(lattice.q)]) for column, lattice in zip(values.T, joint.lattices, strict=True)
     )
-    terms = tuple(_terms(lattice, table, weight) for lattice, table in zip(joint.lattices, tables, strict=True))
+    terms = tuple(
+        (lattice.cost + weight * table[lattice.child]).astype(np.float32)
+        for lattice, table in zip(joint.lattices, tables, strict=True)
+    )
     farthest = float(2 * sum(table.max() for table in tables))
     return HeuristicTable(weight, tables, terms, None if separable else heuristic, farthest)
-
-
-def _terms(lattice: Lattice, table: Table, weight: float) -> Float[np.ndarray, "nodes primitives"]:
-    return (lattice.cost + weight * table[lattice.child]).astype(np.float32)
 
 
 def _finite(values: Table) -> Table:

@@ -43,15 +43,8 @@ _BYTES = 80  # what a motion takes, in its lattice and while that is built
 class Lattice:
     """One robot's configurations and its motions between them.
 
-    The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own
-    configuration at infinite cost.
-
-    Args:
-        q: Configurations, the representatives of their cells.
-        child: Where each primitive leads.
-        cost: What it costs, in workspace units; ``inf`` where it is blocked.
-        start: Index of the start.
-        goal: Index of the goal.
+    The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own configuration at
+    infinite cost. Configurations represent their cells; ``start`` and ``goal`` are indices.
     """
 
     q: Float[np.ndarray, "nodes dof"]
@@ -161,10 +154,8 @@ class _Recipe:
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
     """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
-    turns = max(2 * math.pi / _WIDEST_TURN, 2 * math.pi * robot.circumscribed_radius / step)
-    return math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist()) * (
-        turns if robot.dof == 3 else 1
-    )
+    turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
+    return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def num_bytes(problem: Problem, step: float, primitives: Sequence[Primitive]) -> float:
@@ -178,19 +169,11 @@ def build_lattices(
 ) -> list[Lattice]:
     """The lattice of every robot.
 
-    Robots of one kind share their motions, which are kept for the next problem in the same workspace.
-
-    Args:
-        problem: The problem.
-        step: Largest side of a cell, in workspace units; turning by one cell takes a robot's corners as far.
-        primitives: Motions besides staying; turns are for robots that have a heading.
-        deadline: When to give up, on the clock of ``time.perf_counter``.
-
-    Returns:
-        One lattice a robot, of its free configurations.
+    Robots of one kind share their motions, which are kept for the next problem in the same workspace. Cells are at
+    most ``step`` wide; turning by one takes a robot's corners as far. Robots without a heading have no turns.
 
     Raises:
-        TimeoutError: If the deadline passes first.
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
     lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
     for i, robot in enumerate(problem.robots):

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Float, Int, Shaped
 from tqdm import tqdm
 
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import HeuristicTable
-from plr_jax.planners.bl.joint_lattice import JointLattice, State
-from plr_jax.planners.bl.successors import best_successors
+from plr_jax.planners.bl.options import BLOptions
+from plr_jax.planners.bl.successors import JointLattice, State, best_successors
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
 _KEPT = 16  # one of so many joint children that are found is kept
@@ -22,13 +22,7 @@ _WIDEST = 1 << 16
 
 @dataclass
 class SearchBudget:
-    """What a planner may still do, and what it has done.
-
-    Args:
-        deadline: When to stop, on the clock of ``time.perf_counter``.
-        max_expansions: Most expansions, never exceeded.
-        max_memory: Most bytes of lattices, nodes and children.
-    """
+    """What a planner may still do, until a time of ``time.perf_counter``, and what it has done."""
 
     deadline: float
     max_expansions: float | int
@@ -86,14 +80,8 @@ class SearchTree:
 class SuccessorList:
     """The best successors of an expanded node, best first, and how far they have been looked at.
 
-    Args:
-        score: Cost-to-come and weighted heuristic.
-        cost: Cost-to-come.
-        state: Where they are.
-        cell: The joint cell of each, as bytes.
-        width: How wide they were sought.
-        whole: Whether the node has no others.
-        at: The first that has not been looked at.
+    Their scores are cost-to-come and weighted heuristic, their joint cells bytes. ``width`` says how wide they were
+    sought, ``whole`` whether the node has no others, ``at`` which is the first that has not been looked at.
     """
 
     score: Float[np.ndarray, "m"]
@@ -116,14 +104,7 @@ class BestFirstSearch:
     A node adds only a few children at a time, and returns to the frontier with the score of its next one
     (partial expansion). Several nodes are expanded at once while the search makes no progress.
 
-    Args:
-        joint: The robots' lattices.
-        estimate: The weighted heuristic.
-        cells: Of each robot, the claimed cell that each configuration belongs to.
-        batch: Most nodes expanded at once.
-        branching: Children that a node adds at a time.
-        width: Joint children kept while a product is assembled.
-        budget: Limits, and what has been done.
+    The ``cells`` are each robot's: the claimed cell that each configuration of its lattice belongs to.
     """
 
     def __init__(
@@ -131,13 +112,10 @@ class BestFirstSearch:
         joint: JointLattice,
         estimate: HeuristicTable,
         cells: Sequence[Int[np.ndarray, "_"]],
-        batch: int,
-        branching: int,
-        width: int,
+        options: BLOptions,
         budget: SearchBudget,
     ):
-        self.joint, self.estimate, self.cells, self.budget = joint, estimate, cells, budget
-        self.batch, self.branching, self.width = batch, branching, width
+        self.joint, self.estimate, self.cells, self.options, self.budget = joint, estimate, cells, options, budget
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         self.tree = SearchTree.of(start)
@@ -152,14 +130,9 @@ class BestFirstSearch:
         budget.num_nodes += 1
 
     def run(self, num_expansions: int, progress: tqdm | None = None) -> Status | None:
-        """Search on until the goals are reached, the frontier is empty, a limit is reached, or so much is done.
+        """Search on until the goals are reached, the frontier is empty, or a limit is reached, and say which.
 
-        Args:
-            num_expansions: Expansions of this search, those of earlier runs included, after which to pause.
-            progress: Told of every expansion.
-
-        Returns:
-            SOLVED, EXHAUSTED or the limit; None for a pause.
+        None for a pause: after so many expansions of this search, those of earlier runs included.
         """
         while self.found is None and self.frontier and self.num_expansions < num_expansions:
             limit = self.budget.exceeded()
@@ -173,7 +146,7 @@ class BestFirstSearch:
                 self._add_children(node)
             if progress is not None:
                 progress.update(self.num_expansions - before)
-            self.size = 1 if self.nearest < nearest else min(2 * self.size, self.batch)
+            self.size = 1 if self.nearest < nearest else min(2 * self.size, self.options.batch)
         if self.found is not None:
             return Status.SOLVED
         return None if self.frontier else Status.EXHAUSTED
@@ -194,38 +167,29 @@ class BestFirstSearch:
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
-                by_width.setdefault(self.wider.get(node, self.width), []).append(node)
+                by_width.setdefault(self.wider.get(node, self.options.width), []).append(node)
         for width, alike in by_width.items():
-            state = self.tree.state[alike]
-            children = best_successors(self.joint, self.estimate.terms, state, width)
-            score, primitive = self.estimate.rescored(self.joint, state, children)
-            num_valid = np.isfinite(score).sum(axis=1)
-            num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.branching)))
-            whole = children.whole & (num_kept == num_valid)
-            self._keep(alike, score, primitive, num_kept, whole, width)
+            self._find_successors(alike, width)
             self.num_expansions += len(alike)
             self.budget.num_expansions += len(alike)
-            self.budget.num_children_scored += children.num_scored
-            self.budget.num_children_valid += children.num_valid
 
-    def _keep(
-        self,
-        nodes: list[int],
-        score: Float[np.ndarray, "n m"],
-        primitive: UInt8[np.ndarray, "n m robots"],
-        num_kept: Int[np.ndarray, "n"],
-        whole: Bool[np.ndarray, "n"],
-        width: int,
-    ) -> None:
-        """Keep the first children of each node."""
-        row = np.repeat(np.arange(len(nodes)), num_kept)
-        last = np.cumsum(num_kept)
+    def _find_successors(self, nodes: list[int], width: int) -> None:
+        """Find the best children of nodes, and keep the first of each."""
+        state, cost = self.tree.state[nodes], self.tree.cost[nodes]
+        children = best_successors(self.joint, self.estimate.terms, state, width)
+        score, primitive = self.estimate.rescored(self.joint, state, children)
+        num_valid = np.isfinite(score).sum(axis=1)
+        num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.options.branching)))
+        whole = children.whole & (num_kept == num_valid)
+        row, last = np.repeat(np.arange(len(nodes)), num_kept), np.cumsum(num_kept)
         column = np.arange(len(row)) - (last - num_kept)[row]
-        parent, primitive = np.array(nodes)[row], primitive[row, column]
-        cost = self.tree.cost[parent] + self.joint.move_costs(self.tree.state[parent], primitive)
-        score = self.tree.cost[parent] + score[row, column]
-        state = self.joint.move(self.tree.state[parent], primitive)
+        state, cost, primitive = state[row], cost[row], primitive[row, column]
+        score = cost + score[row, column]
+        cost = cost + self.joint.move_costs(state, primitive)
+        state = self.joint.move(state, primitive)
         cell = self._cells_of(state)
+        self.budget.num_children_scored += children.num_scored
+        self.budget.num_children_valid += children.num_valid
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
             self.successors[node] = SuccessorList(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
@@ -239,7 +203,7 @@ class BestFirstSearch:
 
     def _add_children(self, node: int) -> None:
         """Claim the cells of a node's next children, and return it to the frontier by the score of the one after."""
-        successors, missing = self.successors[node], self.branching
+        successors, missing = self.successors[node], self.options.branching
         while (child := self._next_unclaimed(successors)) is not None and missing:
             self.claimed.add(successors.cell[child].tobytes())
             self._push(successors, child, node)

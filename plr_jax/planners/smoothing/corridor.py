@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -28,15 +28,8 @@ _FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float, deadline: float) -> Path:
     """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
 
-    Args:
-        problem: The problem.
-        path: A path that solves it.
-        test: The team's motion test.
-        width: Distance of the pattern's configurations at first, in workspace units.
-        deadline: When to stop, on the clock of ``time.perf_counter``.
-
-    Returns:
-        A path of as many rows that solves the problem, never costlier.
+    The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
+    and is never costlier. It ends early at the deadline, on the clock of ``time.perf_counter``.
     """
     path, cost = path.copy(), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
@@ -44,7 +37,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
         for robots, rows in _groups(problem, path, width):
             if time.perf_counter() > deadline:
                 return path
-            path[rows] = _shortened(problem, path[rows], robots, test, _pattern(width, diagonal), width)
+            path[rows] = _shortened(problem, path[rows], robots, test, width, diagonal)
         diagonal = not diagonal
         before, cost = cost, path_cost(problem, path)
         if before - cost <= _GAIN * before:
@@ -64,27 +57,20 @@ def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[
                 yield (i, j), slice(max(rows[0] - _MARGIN, 0), rows[-1] + _MARGIN + 1)
 
 
-def _pattern(width: float, diagonal: bool) -> Float[np.ndarray, "5 2"]:
-    """The place itself, and four around it."""
-    turn = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
-    return width * _FIVE @ turn
-
-
 def _shortened(
-    problem: Problem,
-    path: Path,
-    robots: tuple[int, ...],
-    test: JointMotionTest,
-    pattern: Float[np.ndarray, "5 2"],
-    width: float,
+    problem: Problem, path: Path, robots: tuple[int, ...], test: JointMotionTest, width: float, diagonal: bool
 ) -> Path:
     """The robots' cheapest motions within their corridors, both ends as they are."""
-    corridors = [_corridor(problem, path[:, i], i, pattern, width) for i in robots]
+    corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     costs = [_costs(problem, path, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
     cost = costs[0]
     if len(robots) == 2:
+        # From each two of their places to each two.
+        (i, j), (a, b) = robots, corridors
+        mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
+        theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
         cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        cost[~_apart(test, robots, corridors)] = np.inf
+        cost[~test.apart(i, *mine, j, *theirs)] = np.inf
         cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     shortened, rows = path.copy(), np.arange(len(path))
@@ -93,12 +79,11 @@ def _shortened(
     return shortened
 
 
-def _corridor(
-    problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, pattern: Float[np.ndarray, "5 2"], width: float
-) -> Corridor:
+def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
     """Configurations about each row, the row itself first; at both ends nothing else."""
-    offsets = np.zeros((len(pattern), q.shape[1]))
-    offsets[:, :2] = pattern
+    axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    offsets = np.zeros((len(_FIVE), q.shape[1]))
+    offsets[:, :2] = width * _FIVE @ axes
     if problem.robots[i].dof == 3:
         turns = np.zeros((2, 3))
         turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
@@ -120,16 +105,6 @@ def _costs(
     free[row, first, last] = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
     cost[~free] = np.inf
     return cost
-
-
-def _apart(
-    test: JointMotionTest, robots: tuple[int, ...], corridors: list[Float[np.ndarray, "steps _ dof"]]
-) -> Bool[np.ndarray, "motions size_a size_b size_a size_b"]:
-    """Whether two robots keep clear of one another: from each two of their places to each two."""
-    (i, j), (a, b) = robots, corridors
-    mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
-    theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
-    return test.apart(i, *mine, j, *theirs)
 
 
 def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:

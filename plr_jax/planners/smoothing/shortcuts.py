@@ -4,7 +4,9 @@ import time
 from itertools import pairwise
 
 import numpy as np
+import scipy.sparse
 from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -20,14 +22,8 @@ def shorten(
 ) -> Float[np.ndarray, "steps robots dof"]:
     """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
 
-    Args:
-        problem: The problem.
-        path: A path that solves it.
-        test: The team's motion test.
-        deadline: When to stop, on the clock of ``time.perf_counter``.
-
-    Returns:
-        A path of as many rows that solves the problem, never costlier.
+    The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline, on
+    the clock of ``time.perf_counter``.
     """
     path, cost = path.copy(), path_cost(problem, path)
     while True:
@@ -73,15 +69,8 @@ def _shortest(
     begin: Int[np.ndarray, "m"], end: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"], steps: int
 ) -> list[int]:
     """Rows on the shortest way from the first to the last, all edges leading forward."""
-    order = np.argsort(end, kind="stable")
-    begin, cost = begin[order], cost[order]
-    first = np.searchsorted(end[order], np.arange(steps + 1))
-    distance, previous = np.zeros(steps), np.zeros(steps, dtype=np.intp)
-    for row in range(1, steps):
-        edges = slice(first[row], first[row + 1])
-        through = distance[begin[edges]] + cost[edges]
-        best = int(np.argmin(through))
-        distance[row], previous[row] = through[best], begin[edges][best]
+    graph = scipy.sparse.csr_array((cost, (begin, end)), shape=(steps, steps))  # an entry of 0 is an edge of no cost
+    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
     rows = [steps - 1]
     while rows[-1] > 0:
         rows.append(int(previous[rows[-1]]))

@@ -8,7 +8,7 @@ import shapely
 from planner_helpers import FOUR_NEIGHBORS, apart, exact, graph_of, hallway, joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
-from plr_jax.planners import Status, straight_line, zero
+from plr_jax.planners import BLOptions, Status, straight_line, zero
 from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.lattice import PRIMITIVES
 from plr_jax.planners.bl.search import BestFirstSearch, SearchTree
@@ -28,13 +28,7 @@ def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, 
     joint = joint_lattice_of(problem, step, primitives)
     estimate = tabulate(joint, heuristic or straight_line(problem), weight)
     cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
-    return BestFirstSearch(
-        joint,
-        estimate,
-        cells,
-        **{"batch": 1, "branching": 1, "width": 1024, **options},
-        budget=limits or search_budget(),
-    )
+    return BestFirstSearch(joint, estimate, cells, BLOptions(**{"batch": 1, **options}), limits or search_budget())
 
 
 def run_on(search):
@@ -218,9 +212,8 @@ def test_larger_cells_are_claimed_once():
     cells = [
         np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in joint.lattices
     ]
-    search = BestFirstSearch(
-        joint, tabulate(joint, zero(), 0.0), cells, 16, 1, 1024, search_budget(max_expansions=300)
-    )
+    limits = search_budget(max_expansions=300)
+    search = BestFirstSearch(joint, tabulate(joint, zero(), 0.0), cells, BLOptions(), limits)
     search.run(10_000)
     claimed = [tuple(cell[s] for cell, s in zip(cells, state, strict=True)) for state in search.state]
     assert len(set(claimed)) == len(claimed) > 40
