@@ -4,8 +4,10 @@ In an error, values are called by their ``name``. NaN and infinity are let throu
 array of float64 is passed on as it is, and what has another shape or holds no real numbers raises ``ValueError``.
 """
 
+import math
 import reprlib
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -85,8 +87,20 @@ def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> 
 
 def require_integer(name: str, value: object, least: int) -> None:
     """Raise ``ValueError`` if a value is not an integer that is large enough."""
-    if not (isinstance(value, int | np.integer) and value >= least):
-        raise ValueError(f"{name} must be an integer >= {least}, got {value!r}.")
+    if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least):
+        raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.")
+
+
+def as_finite(name: str, value: object, *, positive: bool = False) -> float:
+    """A finite number of at least 0, or above it."""
+    number = math.nan
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        with suppress(OverflowError):
+            number = float(value)
+    if not (0 < number < math.inf or (number == 0 and not positive)):
+        expected = "positive finite number" if positive else "finite number of at least 0"
+        raise ValueError(f"{name} must be a {expected}, got {shortened(value)}.")
+    return number
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:

@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import as_numbers
+from plr_jax._arrays import as_finite, as_numbers
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.motion import footprint, shorter_turn, team_dof
@@ -62,9 +62,7 @@ class Problem:
             check_body(f"Robot {i}", robot)
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
-        if rotation_weight is not None and not (np.isfinite(rotation_weight) and rotation_weight >= 0):
-            raise ValueError(f"rotation_weight must be a finite number of at least 0, got {rotation_weight!r}.")
-        weight = None if rotation_weight is None else float(rotation_weight)
+        weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
         vars(self).update(workspace=workspace, robots=robots, rotation_weight=weight)
         given = {"starts": starts, "goals": goals}
         vars(self).update({name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})

@@ -3,6 +3,7 @@ import pytest
 
 from plr_jax._arrays import (
     as_distances,
+    as_finite,
     as_finite_point,
     as_point,
     as_points,
@@ -153,3 +154,20 @@ def test_the_text_of_a_value_whose_lists_share_their_parts_is_never_built():
     for _ in range(60):  # 2**60 entries
         value = [value, value]
     assert len(shortened(value)) <= 200
+
+
+@pytest.mark.parametrize("value", [-1, np.nan, np.inf, "1", None, True, 1j, 10**400, [1.0]])
+def test_a_number_that_is_not_finite_or_too_small_is_named(value):
+    with pytest.raises(ValueError, match="radius must be a finite number of at least 0, got "):
+        as_finite("radius", value)
+
+
+def test_a_finite_number_is_a_float():
+    assert as_finite("radius", np.float32(0.5)) == 0.5 and as_finite("radius", 0) == 0.0
+    with pytest.raises(ValueError, match="positive finite number, got 0"):
+        as_finite("radius", 0, positive=True)
+
+
+def test_a_truth_value_is_no_integer():
+    with pytest.raises(ValueError, match="seed must be an integer >= 0, got True"):
+        require_integer("seed", True, 0)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite_point, as_points, shortened
+from plr_jax._arrays import as_finite_point, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 
 
@@ -98,8 +98,7 @@ class Box:
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of two dimensions, got {self.dim}.")
-        if resolution < 1:
-            raise ValueError(f"The grid needs a resolution of at least 1, got {resolution}.")
+        require_integer("resolution", resolution, 1)
         columns, rows = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
         x = self.lo[0] + self.width[0] * (np.arange(columns) + 0.5) / columns
         y = self.lo[1] + self.width[1] * (np.arange(rows) + 0.5) / rows

@@ -85,12 +85,12 @@ def as_components(
     """
     outers, holes = [], []
     for i, part in enumerate(components):
-        if not (isinstance(part, Mapping) and "outer" in part and isinstance(part.get("holes", ()), Iterable)):
+        rings = part.get("holes", ()) if isinstance(part, Mapping) and "outer" in part else None
+        if not isinstance(rings, list | tuple | np.ndarray):
             raise ValueError(
                 f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {shortened(part)}."
             )
         outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
-        rings = part.get("holes", ())
         holes.append([as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)])
     if not outers:
         raise ValueError("Free space needs at least one component, got none.")

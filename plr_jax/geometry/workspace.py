@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_points
+from plr_jax._arrays import as_finite, as_points, require_integer
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
@@ -224,9 +224,7 @@ class Workspace:
         Raises:
             ValueError: If the radius is negative or not finite, or leaves no free space.
         """
-        if not (np.isfinite(radius) and radius >= 0):
-            raise ValueError(f"Inflating needs a finite radius of at least 0, got {radius!r}.")
-        if radius == 0:
+        if as_finite("radius", radius) == 0:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
@@ -265,8 +263,7 @@ class Workspace:
         Raises:
             ValueError: If ``n`` is negative.
         """
-        if n < 0:
-            raise ValueError(f"The number of points must be at least 0, got {n}.")
+        require_integer("n", n, 0)
         # From triangles and not by rejection, which would take forever where free space is a sliver.
         corner, first, second = self._triangles.transpose(1, 0, 2)
         first, second = first - corner, second - corner

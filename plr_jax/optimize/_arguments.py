@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from plr_jax._arrays import as_numbers, require_integer
+from plr_jax._arrays import as_finite, as_numbers, require_integer
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike, DimensionedFn
 
@@ -84,7 +84,6 @@ def check_options(
         ("seed", seed, 0),
     ):
         require_integer(name, value, least)
-    if margin is not None and not (np.isfinite(margin) and margin > 0):
-        raise ValueError(f"margin must be positive and finite, got {margin!r}.")
-    if not (np.isfinite(smoothness) and smoothness >= 0):
-        raise ValueError(f"smoothness must be finite and at least 0, got {smoothness!r}.")
+    if margin is not None:
+        as_finite("margin", margin, positive=True)
+    as_finite("smoothness", smoothness)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._arrays import runs
+from plr_jax._arrays import as_finite, runs
 from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.box import Box
 
@@ -79,8 +79,7 @@ def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
 def checked_is_visible(is_free: IsFree, is_visible: IsVisible | None, resolution: float | None) -> IsVisible:
     """The user's test, its answers checked, or one that samples motions at a resolution."""
     if is_visible is None and resolution is not None:
-        if not (resolution > 0 and math.isfinite(resolution)):
-            raise ValueError(f"resolution must be a positive length, got {resolution}.")
+        as_finite("resolution", resolution, positive=True)
         return lambda a, b: _is_visible_sampled(is_free, resolution, a, b)
     if is_visible is None or resolution is not None:
         raise ValueError(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
@@ -93,8 +93,7 @@ class Roadmap:
         is_visible: IsVisible | None = None,
         resolution: float | None = None,
     ):
-        if not isinstance(num_samples, int | np.integer) or num_samples < 1:
-            raise ValueError(f"num_samples must be a whole number of at least 1, got {num_samples!r}.")
+        require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
         is_free = checked_is_free(domain, is_free)
         is_visible = checked_is_visible(is_free, is_visible, resolution)

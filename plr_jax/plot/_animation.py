@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial import KDTree
 
+from plr_jax._arrays import as_finite
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
@@ -109,8 +110,7 @@ def animate(
         ValueError: If the path has a wrong shape, is not finite, or nothing moves, or seconds or frames per
             second are out of range.
     """
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise ValueError(f"seconds must be a positive finite number, got {seconds!r}.")
+    as_finite("seconds", seconds, positive=True)
     if not 0 < frames_per_second <= _LARGEST_RATE:
         raise ValueError(
             f"frames_per_second must be above 0 and at most {_LARGEST_RATE:g}, got {frames_per_second!r}."

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.robots.robot import Robot, as_size
+from plr_jax._arrays import as_finite
+from plr_jax.robots.robot import Robot
 
 
 @dataclass(frozen=True, init=False)
@@ -24,7 +25,7 @@ class DiscRobot(Robot):
     dof = 2
 
     def __init__(self, radius: Any):
-        object.__setattr__(self, "radius", as_size("DiscRobot radius", radius))
+        object.__setattr__(self, "radius", as_finite("DiscRobot radius", radius, positive=True))
         object.__setattr__(self, "rounding", self.radius)
 
     @property

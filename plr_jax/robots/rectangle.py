@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.robots.robot import Robot, as_size
+from plr_jax._arrays import as_finite
+from plr_jax.robots.robot import Robot
 
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 
@@ -33,8 +34,8 @@ class RectangleRobot(Robot):
     dof = 3
 
     def __init__(self, length: Any, width: Any):
-        object.__setattr__(self, "length", as_size("RectangleRobot length", length))
-        object.__setattr__(self, "width", as_size("RectangleRobot width", width))
+        object.__setattr__(self, "length", as_finite("RectangleRobot length", length, positive=True))
+        object.__setattr__(self, "width", as_finite("RectangleRobot width", width, positive=True))
 
     @cached_property
     def core(self) -> Float[np.ndarray, "4 2"]:

@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -83,17 +82,6 @@ def check_body(name: str, robot: Robot) -> None:
             f"{name} must have its reference point, the origin of its vertices, within it or on its boundary; it is "
             f"{-robot.inscribed_radius:.3g} outside. Shift the vertices {core.tolist()}."
         )
-
-
-def as_size(name: str, value: Any) -> float:
-    """A size of a robot as a float; ``ValueError`` if it is not a positive finite number."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = float("nan")
-    if not (np.isfinite(number) and number > 0):
-        raise ValueError(f"{name} must be a positive finite number, got {value!r:.200}.")
-    return number
 
 
 def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:

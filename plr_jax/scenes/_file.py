@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from plr_jax._arrays import as_points, shortened
+from plr_jax._arrays import as_finite, as_points, shortened
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
@@ -97,7 +97,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
         scene = json_of(path)
         _check_header(scene)
         robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
-        weight = _rotation_weight(scene)
+        weight = scene.get("rotation_weight") if scene["version"] > 1 else None
+        weight = None if weight is None else as_finite("rotation_weight", weight)
         return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
@@ -134,13 +135,6 @@ def _check_header(scene: Any) -> None:
     robots = scene["robots"]
     if not isinstance(robots, list):
         raise ValueError(f'expected "robots" to be a list, got {shortened(robots)}.')
-
-
-def _rotation_weight(scene: dict[str, Any]) -> float | None:
-    weight = scene.get("rotation_weight") if scene["version"] > 1 else None
-    if weight is not None and (isinstance(weight, bool) or not isinstance(weight, int | float)):
-        raise ValueError(f'expected "rotation_weight" to be a number, got {shortened(weight)}.')
-    return None if weight is None else float(weight)
 
 
 def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from plr_jax._arrays import as_finite
 from plr_jax._problem import Problem
 
 _ATTEMPTS = 1000
@@ -24,8 +25,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     Raises:
         ValueError: If the distance is not positive and finite, or no variant is found that is free.
     """
-    if not (np.isfinite(distance) and distance > 0):
-        raise ValueError(f"distance must be a positive finite number, got {distance!r}.")
+    as_finite("distance", distance, positive=True)
     rng = np.random.default_rng(seed)
     for i in range(len(problem.robots)):
         for end in range(2):

@@ -69,7 +69,7 @@ def test_a_grid_fills_the_box_with_square_cells():
     assert centers.shape == (2, 4, 2)
     # A sliver keeps one row.
     assert Box((0, 0), (100, 1)).grid(10).shape == (1, 10, 2)
-    with pytest.raises(ValueError, match="at least 1"):
+    with pytest.raises(ValueError, match="integer >= 1"):
         Box((0, 0), (1, 1)).grid(0)
     with pytest.raises(ValueError, match="two dimensions, got 3"):
         Box((0, 0, 0), (1, 1, 1)).grid(4)

@@ -235,7 +235,14 @@ def test_bounds_whose_area_is_no_number_are_refused():
             lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": None}]),
             "Component 0 must be a mapping with an 'outer' ring and a list of 'holes'",
         ),
-        (lambda: BLOCK.sample_free(-1, 0), "number of points must be at least 0, got -1"),
+        *(
+            (
+                lambda bad=bad: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": bad}]),
+                "list of 'holes'",
+            )
+            for bad in ("", {}, 3)
+        ),
+        (lambda: BLOCK.sample_free(-1, 0), "n must be an integer >= 0, got -1"),
         (lambda: BLOCK.inflate(-1.0), "at least 0"),
         (lambda: BLOCK.inflate(math.nan), "at least 0"),
         (lambda: BLOCK.inflate(5.0), "leaves no free space"),

@@ -172,7 +172,10 @@ def with_obstacles(obstacles):
         ),
         (scene_dict(version=3, robots=[{"shape": "polygon", "vertices": SQUARE}]), "robot 0: PolygonRobot vertices"),
         (scene_dict(version=3, robots=[{"shape": "polygon", "vertices": "x"}]), "robot 0: PolygonRobot vertices"),
-        (scene_dict(version=2, rotation_weight="x"), '"rotation_weight" to be a number'),
+        (
+            scene_dict(version=2, rotation_weight="x"),
+            "rotation_weight must be a finite number of at least 0, got 'x'",
+        ),
         (scene_dict(version=2, rotation_weight=-1), "rotation_weight must be a finite number"),
         (scene_dict(robots={}), '"robots" to be a list'),
         (scene_dict(goals=[[0.9, 2.0]]), "Robot 0 has its goal outside the bounds"),
