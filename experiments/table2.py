@@ -55,7 +55,7 @@ PAPER: dict[str, dict[str, Any]] = {
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     names = ["single door", "four rooms 2"] if smoke else list(SCENES)
-    seeds = list(range(seed, seed + (2 if smoke else NUM_STARTS)))
+    seeds = list(range(seed, seed + (1 if smoke else NUM_STARTS)))
     seeds_none, limit_none = (seeds[:1], 0.3) if smoke else (seeds[:NUM_STARTS_NONE], TIME_LIMIT_NONE)
     plr_bytes = SMOKE_BYTES if smoke else PLR_BYTES
     return {

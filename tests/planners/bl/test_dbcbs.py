@@ -21,7 +21,7 @@ from plr_jax.planners import Status
         "swap2_unicycle",
         "swap2_unicycle_sphere",
         "gen_p10_n4_0_unicycle_sphere",
-        "gen_p10_n16_0_unicycle_sphere",
+        "gen_p10_n8_0_unicycle_sphere",
         "swap3_unicycle_sphere",
         "swap4_unicycle_sphere",
         "wall",
