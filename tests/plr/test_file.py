@@ -18,6 +18,7 @@ from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.tree_bits import read_leaves, tree_bits, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane.codec import StoredPlanes
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 
 MODELS = ("plane", "continuous", "smooth")
@@ -216,10 +217,10 @@ def test_values_beyond_floats_are_refused():
 MEGABYTES = 50 * 2**20
 
 
-def refused_for_little(data):
+def refused_for_little(data, why=r"too deep for a query's tables|a query resolves 23"):
     """Whether a file is refused before much memory is allocated for it."""
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"too deep for a query's tables|a query resolves 23"):
+    with pytest.raises(ValueError, match=why):
         from_bytes(data)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -255,6 +256,33 @@ def test_the_smallest_of_such_files():
         data = encode(Contents(domain, Plane(), cells, planes), levels_of(cells)[0])
         assert len(data) < size
         assert refused_for_little(data)
+
+
+def crossed_halves(dim, axes_of_halves):
+    """The halves of a box along the first axis, each with all its leaves split along one axis after another."""
+    halves = Cells.root(dim).split(np.array([0]))
+    parts = [halves[[0]], halves[[1]]]
+    for side, axes in enumerate(axes_of_halves):
+        for axis in axes:
+            parts[side] = parts[side].split(np.full(len(parts[side]), axis))
+    return parts[0].append(parts[1])
+
+
+def all_tied(cells):
+    """A file of continuous leaves, all tied, without the values that no reader should get to."""
+    return with_body("continuous", cells.dim, cells, lambda body: sets(body, [0, 0])).to_bytes()
+
+
+def test_continuous_leaves_that_share_too_many_faces_are_refused_before_they_are_listed():
+    data = all_tied(crossed_halves(3, [[1] * 10, [2] * 10]))
+    assert len(data) < 1500
+    assert refused_for_little(data, "its 2048 leaves share more than 262144 faces")
+
+
+def test_continuous_leaves_that_hang_on_one_another_too_often_are_refused_before_that_is_worked_out():
+    data = all_tied(crossed_halves(6, [[1, 2, 3, 1, 2, 3], [4, 5, 4, 5, 4, 5]]))
+    assert len(data) < 300
+    assert refused_for_little(data, "its tied leaves hang on one another by")
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 8])

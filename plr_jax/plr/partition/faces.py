@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
+_MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
+
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces:
@@ -35,7 +37,11 @@ def shared_faces(tree: Tree) -> SharedFaces:
 
     The halves of a split share a face. A pair of nodes that do is replaced by pairs of a node and a child that do,
     until both are leaves.
+
+    Raises:
+        ValueError: If they are too many to be listed, as where many slabs meet many that lie across them.
     """
+    most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     found = []
@@ -45,6 +51,8 @@ def shared_faces(tree: Tree) -> SharedFaces:
         lower = _descend(tree, pairs[:, inner[0]], 0)
         upper = _descend(tree, pairs[:, inner[1] & ~inner[0]], 1)
         pairs = np.concatenate([lower, upper], axis=1)
+        if pairs.shape[1] > most:
+            raise ValueError(f"its {len(tree.node_of_leaf)} leaves share more than {most} faces; build it of fewer")
     leaf_of_node = np.full(len(tree.child), -1)
     leaf_of_node[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
     lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _ZERO = 1e-9  # of combinations of weights that are multiples of small powers of two
+# Weights in the equations of a space: in all, or for every leaf where that is more. Trees that split random leaves
+# have 2,000 a leaf in 6 dimensions and 50 in 3. Solving the equations may make several times as many.
+_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF, _GROWTH = 2**20, 2**8, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,26 +77,28 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
         tree: The partition.
         tied: Faces across which the functions are continuous.
         unreachable: Leaves without a function; none has a tied face.
+
+    Raises:
+        ValueError: If the leaves hang on one another in so many ways that working them out would take too long.
     """
     from scipy.sparse import csr_array
 
+    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(unreachable))
+    _require_few(len(tied) * 2 ** (tree.cells.dim - 1), most)
     agreement = _agreement(tree, tied)
     group = _united(tree, agreement)
     hanging, on_leaf, at = _hanging(group, agreement)
     num_groups = int(group.max()) + 1
-    corners = 2**tree.cells.dim
-    depends = group.reshape(-1, corners)[on_leaf]
     is_free = np.ones(num_groups)
     is_free[hanging] = 0
-    step = csr_array(
-        (multilinear(at).ravel(), (np.repeat(hanging, corners), depends.ravel())), (num_groups, num_groups)
-    )
-    of_groups = resolve(step, is_free)
+    of_groups = resolve(_interpolation(group, on_leaf, at, hanging, (num_groups, num_groups)), is_free)
     present = np.zeros(num_groups, bool)
-    present[group.reshape(-1, corners)[~unreachable]] = True
+    present[group.reshape(len(unreachable), -1)[~unreachable]] = True
     level = _levels(tree, group, num_groups)
     if tree.cells.dim > 2:  # where a corner may hang on two leaves of which neither implies the other
-        of_groups = of_groups @ _eliminated(_disagreement(group, agreement, corners) @ of_groups, level)
+        rows = _disagreement(group, agreement, most)
+        _require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
+        of_groups = of_groups @ _eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
     is_master = present.copy()
     is_master[hanging] = False
     is_master &= of_groups.diagonal() == 1
@@ -210,35 +215,55 @@ def _prediction(
     return csr_array(mean @ values)
 
 
-def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, corners: int) -> "csr_array":
-    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups."""
+def _interpolation(
+    group: Int[np.ndarray, "nodes"],
+    leaf: Int[np.ndarray, "n"],
+    t: Float[np.ndarray, "n dim"],
+    row: Int[np.ndarray, "n"],
+    shape: tuple[int, int],
+) -> "csr_array":
+    """Maps values of the groups to values at points ``t`` of leaves, each in a row of the result."""
     from scipy.sparse import csr_array
 
-    num_points = agreement.leaf.shape[1]
-    rows = np.repeat(np.arange(num_points), corners)
-    parts = [
-        csr_array(
-            (
-                multilinear(agreement.t[side]).ravel(),
-                (rows, group.reshape(-1, corners)[agreement.leaf[side]].ravel()),
-            ),
-            (num_points, int(group.max()) + 1),
-        )
-        for side in range(2)
-    ]
-    return csr_array(parts[0] - parts[1])
+    point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
+    for axis in range(t.shape[1]):  # where a point is at an end, the other one counts nothing
+        along = t[point, axis]
+        lower, upper = along < 1, along > 0
+        weight = np.append((weight * (1 - along))[lower], (weight * along)[upper])
+        corner = np.append(2 * corner[lower], 2 * corner[upper] + 1)
+        point = np.append(point[lower], point[upper])
+    return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_array":
+def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: int) -> "csr_array":
+    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups.
+
+    Points that are corners of both leaves are left out: there the two values are one.
+    """
+    is_end = (agreement.t == 0) | (agreement.t == 1)
+    hangs = np.flatnonzero(~is_end.all(axis=(0, 2)))
+    _require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
+    rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
+    below, above = (
+        _interpolation(group, leaf, t, rows, shape)
+        for leaf, t in zip(agreement.leaf[:, hangs], agreement.t[:, hangs], strict=True)
+    )
+    return below - above
+
+
+def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
     """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
+    rows.data[np.abs(rows.data) <= _ZERO] = 0
+    rows.eliminate_zeros()
+    work = 0
     for start, end in zip(rows.indptr[:-1], rows.indptr[1:], strict=True):
         row: dict[int, float] = {}
         for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
-            if abs(weight) > _ZERO:
-                _add(row, weight, solved.get(index, {index: 1.0}))
+            work += _add(row, weight, solved.get(index, {index: 1.0}))
+        _require_few(work, most)
         if not row:
             continue
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
@@ -246,7 +271,7 @@ def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_arr
         solution = {index: -weight / scale for index, weight in row.items()}
         for other in solved.values():
             if pivot in other:
-                _add(other, other.pop(pivot), solution)
+                work += _add(other, other.pop(pivot), solution)
         solved[pivot] = solution
     table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
     group, index, weight = np.array(table).reshape(-1, 3).T
@@ -255,10 +280,20 @@ def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_arr
     return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
 
 
-def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> None:
+def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
+    """Add a multiple of another row; how many weights it has."""
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > _ZERO:
             row[index] = total
         else:
             row.pop(index, None)
+    return len(other)
+
+
+def _require_few(number: int | float, most: int) -> None:
+    if number > most:
+        raise ValueError(
+            f"its tied leaves hang on one another by {number:.3g} weights or more; {most} are allowed. Build it of "
+            "fewer leaves or in fewer dimensions, or of planes, which are not tied"
+        )
