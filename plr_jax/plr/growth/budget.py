@@ -1,7 +1,7 @@
 """Spending a budget of bytes: the best tree among prefixes of the splits, and the bits its numbers are worth."""
 
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Int
@@ -13,22 +13,19 @@ _BYTES_SLACK = 1.15  # leaves grown beyond the budget, so that fewer bits for mo
 _ROUNDING_SHARE = 0.2  # of the error of the fit, that of rounding when bytes do not matter much
 
 
-@runtime_checkable
-class Encoding(Protocol):
-    """How a model whose leaves are fitted one by one stores them, with a choice of how many bits."""
+@dataclass(frozen=True)
+class Encoding:
+    """How a model whose leaves are fitted one by one stores them, with a choice of how many bits.
 
-    @property
-    def choices(self) -> Sequence[int]:
-        """Bits that construction chooses from."""
-        ...
+    Attributes:
+        choices: Bits that construction chooses from.
+        size: Bytes of the file of these leaves, in so many bits.
+        rounding_error: Root mean square, over the cells, of what rounding to so many bits changes.
+    """
 
-    def size(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-        """Bytes of the file of these leaves."""
-        ...
-
-    def rounding_error(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-        """Root mean square, over the cells, of what rounding to so many bits changes."""
-        ...
+    choices: Sequence[int]
+    size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
+    rounding_error: Callable[[Nodes, Int[np.ndarray, "leaves"], int], float]
 
 
 def splits_allowed(nodes: Nodes, order: Int[np.ndarray, "splits"], limits: Limits, encoding: Encoding) -> int:

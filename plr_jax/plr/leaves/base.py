@@ -1,7 +1,7 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,6 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -29,11 +28,8 @@ class Rules:
 class Parameters:
     """The free numbers of the leaves' functions: all coefficients are a linear map of them.
 
-    Attributes:
-        values: The parameters.
-        row: Of every entry of the map the coefficient, numbered leaf by leaf.
-        column: Its parameter.
-        weight: What the parameter is multiplied with.
+    Every entry of the map adds to a coefficient (``row``, numbered leaf by leaf) a parameter (``column``) times a
+    ``weight``.
     """
 
     values: Float[np.ndarray, "parameters"]
@@ -45,10 +41,6 @@ class Parameters:
     def is_leafwise(self) -> bool:
         """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
         return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
-
-    def moved(self, change: Float[np.ndarray, "parameters"]) -> "Parameters":
-        """The same map of other values."""
-        return replace(self, values=self.values + change)
 
 
 @runtime_checkable
@@ -83,8 +75,8 @@ class LeafModel(Protocol):
         """Samples of a cell that determine its function, at the least."""
         ...
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, Any]:
-        """Grow a partition: its tree, its leaves in the order of the tree's traversal, and what is stored of them."""
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
+        """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
         ...
 
     def write(self, body: BitWriter, cells: Cells, stored: Any) -> None:
@@ -113,7 +105,7 @@ class LeafModel(Protocol):
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
         ...
 
-    def parameters(self, cells: Cells, stored: Any) -> "Parameters":
+    def parameters(self, cells: Cells, stored: Any) -> Parameters:
         """The free numbers of the leaves' functions, which a refinement may change."""
         ...
 

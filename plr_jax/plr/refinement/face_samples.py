@@ -10,7 +10,7 @@ from plr_jax._types import DistanceFn
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import tree_of
-from plr_jax.plr.sampling.oracle import call_oracle
+from plr_jax.plr.sampling.cell_fit import call_oracle
 
 _SAME = 1e-6  # of a leaf's width
 

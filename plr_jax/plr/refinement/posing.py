@@ -12,7 +12,7 @@ adds up their gradients. Three things make a few hundred steps enough, whatever 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,7 +89,7 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
     if not parameters.is_leafwise:
         normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
-    parameters = parameters.moved(-_least_squares(parameters, normal, moments))
+    parameters = replace(parameters, values=parameters.values - _least_squares(parameters, normal, moments))
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
     center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)

@@ -102,6 +102,8 @@ def read_values(body: BitReader, cells: Cells) -> StoredValues:
 
 def _read_partition(body: BitReader, cells: Cells) -> TiedPartition:
     tree = tree_of(cells)
+    if (np.diff(tree.order) < 0).any():
+        raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
     faces = shared_faces(tree)
     partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
     may_be_tied = partition.between_reachable()

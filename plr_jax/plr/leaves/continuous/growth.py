@@ -7,13 +7,13 @@ from jaxtyping import Float, Int
 
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.file.tree_bits import tree_bits
 from plr_jax.plr.growth.limits import Limits, check_memory
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
 from plr_jax.plr.growth.rounds import grow
 from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
-from plr_jax.plr.leaves.continuous.fit import fit_values, residuals
+from plr_jax.plr.leaves.continuous.space import NodalSpace
 from plr_jax.plr.partition.faces import shared_faces
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, weights_of_fit
@@ -26,16 +26,17 @@ _VOLUME_POWER = 0.25
 # Values are rounded to multiples of this times the mean error: bits for leaves rather than for digits.
 _STEP_PER_MEAN_ERROR = 1.0
 _SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
+# How much a value that differs from what coarser ones predict counts beside a cell's samples: it decides only where
+# samples do not, in a wall.
+_PREDICTION_WEIGHT = 1e-7
+_UNPREDICTED = 1e-3  # of that, for the corners of the domain, which only differ from the mean
 
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
     """A partition with its continuous function; as long as it has leaves.
 
-    Attributes:
-        fit: Samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
-        stored: The function's values.
-        num_bytes: Size of its file.
+    ``fit`` has the samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
     """
 
     fit: CellFit
@@ -125,8 +126,7 @@ class _Rounds:
         stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
         body = BitWriter()
         write_values(body, stored)
-        dim = fit.cells.dim
-        num_bytes = container_size(dim, tree_bits(len(fit), dim) + body.num_bits)
+        num_bytes = container_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
 
 
@@ -141,3 +141,42 @@ def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[n
     mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
     step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
     return max(step, float(np.finfo(np.float32).tiny))
+
+
+def fit_values(
+    order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
+) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves terms"]]:
+    """Values of the masters with which the function of the given order errs least at the leaves' samples.
+
+    With them come the numbers of all leaves, see :func:`numbers_of_leaves`.
+    """
+    from scipy.sparse import bsr_array, csc_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    numbers = numbers_of_leaves(order, space)
+    functions = design(order, (fit.pattern.u + 1) / 2)
+    terms, leaves = functions.shape[1], len(fit)
+    products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
+    gram = bsr_array(
+        ((weight @ products).reshape(-1, terms, terms), np.arange(leaves), np.arange(leaves + 1)),
+        (leaves * terms, leaves * terms),
+    )
+    is_predicted = np.diff(space.prediction.indptr) > 0
+    surprise = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    normal = numbers.T @ (gram @ numbers) + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
+    mean = np.sum(weight * fit.value) / np.sum(weight)
+    moments = ((weight * (fit.value - mean)) @ functions).ravel()
+    # The matrix is symmetric and positive definite: without pivoting, its factors fill in a quarter as much.
+    factors = splu(
+        csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+    values = mean + factors.solve(numbers.T @ moments)
+    return values, (numbers @ values).reshape(leaves, terms)
+
+
+def residuals(
+    order: int, numbers: Float[np.ndarray, "leaves terms"], fit: CellFit, weight: Float[np.ndarray, "leaves k"]
+) -> Float[np.ndarray, "leaves k"]:
+    """Sampled distance minus function; 0 where the goal cannot be reached or no weight is given."""
+    functions = design(order, (fit.pattern.u + 1) / 2)
+    return np.where(weight > 0, fit.value - numbers @ functions.T, 0.0)
