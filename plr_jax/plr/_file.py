@@ -12,8 +12,8 @@ from plr_jax.plr.file.container import Container, read_tree, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, cells_of
-from plr_jax.plr.query.tables import check_depth
+from plr_jax.plr.partition.tree import Level, tree_of_levels
+from plr_jax.plr.query.tables import FRACTION_BITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,9 @@ def decode(data: bytes) -> Contents:
     leaf.check_dim(dim)
     body = BitReader(container.body)
     levels = read_tree(body, dim, container.num_leaves)
-    cells = cells_of(levels, dim)
-    check_depth(cells)
+    cells = tree_of_levels(levels, dim).leaves
+    if (deepest := cells.depth.max()) > FRACTION_BITS:
+        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
     stored = leaf.read(body, cells)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
@@ -54,4 +55,4 @@ def decode_cells(data: bytes) -> Cells:
     """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
     container = Container.from_bytes(data)
     dim = container.domain.dim
-    return cells_of(read_tree(BitReader(container.body), dim, container.num_leaves), dim)
+    return tree_of_levels(read_tree(BitReader(container.body), dim, container.num_leaves), dim).leaves

@@ -84,8 +84,7 @@ class PLR:
         Returns:
             The values in double precision, ``inf`` for leaves that answer ``inf``.
         """
-        lo, hi = self.leaf_boxes
-        basis = self.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+        basis = self.leaf.basis(local_coordinates(self, leaf, x))
         coefficients = self._coefficients[leaf]
         is_inf = np.isinf(coefficients[:, 0])
         return np.where(is_inf, np.inf, np.sum(np.where(is_inf[:, None], 0.0, coefficients) * basis, axis=1))
@@ -314,6 +313,14 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     _require_real(x)  # which JAX cannot even be shown
     return x
+
+
+def local_coordinates(
+    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
+) -> Float[np.ndarray, "*batch dim"]:
+    """Coordinates of each point in a given leaf; ``[-1, 1]`` spans it along every axis."""
+    lo, hi = plr.leaf_boxes
+    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

@@ -19,7 +19,7 @@ from plr_jax.plr.file.container import Container, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, cells_of, levels_of
+from plr_jax.plr.partition.tree import Level, levels_of, tree_of_levels
 
 MODELS = ("plane", "continuous", "smooth")
 
@@ -122,7 +122,7 @@ def quarters_in_another_order():
         Level(inner, np.array([0, 0])),
         Level(np.zeros(4, bool), np.zeros(0, int)),
     ]
-    return levels, cells_of(levels, 2)
+    return levels, tree_of_levels(levels, 2).leaves
 
 
 def test_planes_of_a_tree_that_splits_in_another_order_stay_in_their_leaves():

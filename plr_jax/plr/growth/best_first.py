@@ -27,14 +27,7 @@ def grow_best_first(
 ) -> tuple[Nodes, Int[np.ndarray, "leaves"], int]:
     """Split until every node that belongs to the final tree has been split.
 
-    Args:
-        root: The domain as one node.
-        fit_nodes: Fits the nodes of a round.
-        limits: When to stop.
-        encoding: What leaves cost in bytes.
-
-    Returns:
-        All nodes, which of them are the leaves of the tree, and the bits to store them with.
+    Returns all nodes, which of them are the leaves of the tree, and the bits to store them with.
     """
 
     def split_some(nodes: Nodes) -> Nodes | None:

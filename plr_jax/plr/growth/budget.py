@@ -1,5 +1,6 @@
 """Spending a budget of bytes: the best tree among prefixes of the splits, and the bits its numbers are worth."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -64,12 +65,12 @@ def _leaves_within(
     """Leaves of the largest tree of the given order that fits into so many bytes; none if not even the root does."""
     if np.isinf(max_bytes):
         return nodes.leaves_after(order)
-    enough, too_many = -1, len(order) + 1
-    while too_many - enough > 1:
-        middle = (enough + too_many) // 2
-        fits = encoding.size(nodes, nodes.leaves_after(order[:middle]), bits) <= max_bytes
-        enough, too_many = (middle, too_many) if fits else (enough, middle)
-    return nodes.leaves_after(order[:enough]) if enough >= 0 else np.empty(0, np.int64)
+
+    def size(num_splits: int) -> int:
+        return encoding.size(nodes, nodes.leaves_after(order[:num_splits]), bits)
+
+    enough = bisect_right(range(len(order) + 1), max_bytes, key=size)
+    return nodes.leaves_after(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
 
 def _expected_error(nodes: Nodes, encoding: Encoding, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:

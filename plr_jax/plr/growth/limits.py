@@ -17,12 +17,7 @@ _BYTES_A_NODE = 200
 class Limits:
     """When to stop: see :func:`construct`.
 
-    Attributes:
-        max_depth: Largest number of splits between the root and a leaf.
-        max_axis_depth: How often a cell may be halved along one axis, so that the tables of a query fit their class.
-        max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
-        tolerance: Largest priority of a cell that is not split.
+    No cell is halved more than ``max_axis_depth`` times along one axis, so that a query's tables fit their class.
     """
 
     max_depth: int
@@ -40,16 +35,7 @@ def check_limits(
     max_bytes: int | None,
     tolerance: int | float | None,
 ) -> Limits:
-    """Limits with every None replaced, after checking their ranges.
-
-    Args:
-        dim: Number of axes.
-        least_bytes: Bytes that a leaf takes at the least.
-        max_depth: As for :func:`construct`, and so are the others.
-        max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
-        tolerance: Largest priority of a cell that is not split.
-    """
+    """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),
@@ -63,25 +49,22 @@ def check_limits(
         raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance!r}.")
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    table_class = _table_class(least_bytes, max_leaves, max_bytes)
+    # Of the largest file that the limits allow; None if they allow any.
+    sizes = (max_bytes, None if max_leaves is None else 2 * least_bytes * max_leaves)
+    table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
     most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
     if max_bytes is not None:
         most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), least_bytes))
+    max_depth = MAX_DEPTH if max_depth is None else int(max_depth)
     if tolerance is None:
-        check_memory(2.0 * min(float(most_leaves), 2.0 ** (MAX_DEPTH if max_depth is None else max_depth)))
+        check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
     return Limits(
-        max_depth=MAX_DEPTH if max_depth is None else int(max_depth),
+        max_depth=max_depth,
         max_axis_depth=max_axis_depth(dim, table_class),
         max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),
     )
-
-
-def _table_class(least_bytes: int, max_leaves: int | None, max_bytes: int | None) -> int | None:
-    """Byte class of the largest file that the limits allow; None if they allow any."""
-    sizes = [max_bytes, None if max_leaves is None else 2 * least_bytes * max_leaves]
-    return min((byte_class(size) for size in sizes if size is not None), default=None)
 
 
 def check_memory(num_nodes: float) -> None:

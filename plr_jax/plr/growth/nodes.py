@@ -80,13 +80,8 @@ def nodes_of_fit(
 ) -> Nodes:
     """Leaves of a round: their fits, and whether and when each may be split.
 
-    Args:
-        fit: Samples of the round's cells, with the residuals of the fitted functions.
-        coefficients: Those functions.
-        bound: Key of each cell's parent, above which its own may not rise.
-        priority: What the ``should_split`` rule says.
-        axis: What the ``split`` rule says.
-        limits: Limits on depth and error.
+    The key of a cell's parent is the ``bound`` above which its own may not rise; ``priority`` and ``axis`` are what
+    the rules say.
     """
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight

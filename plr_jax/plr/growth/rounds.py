@@ -17,15 +17,10 @@ class ConstructionInterrupted(UserWarning):
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
-    """Split in rounds until no leaf is left to be split.
+    """Split in rounds, from the root alone, until ``split_some`` gives None instead of a larger tree.
 
-    Args:
-        tree: The root alone.
-        split_some: One round: a larger tree, or None at the end. An interrupt loses the round, never the tree.
-        limits: What the progress bar counts towards, if they state a number of leaves.
-
-    Returns:
-        The last tree. If interrupted (Ctrl-C), the one so far, with a ``ConstructionInterrupted`` warning.
+    Returns the last tree. An interrupt (Ctrl-C) loses the round, never the tree so far, which then comes with a
+    ``ConstructionInterrupted`` warning.
     """
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
     with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:

@@ -14,13 +14,7 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf wher
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces:
-    """Pieces of faces that two leaves share: what they have in common of the upper face of one, the lower of another.
-
-    Attributes:
-        lower: The leaf below the face.
-        upper: The leaf above it.
-        axis: The axis that the face is perpendicular to.
-    """
+    """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common."""
 
     lower: Int[np.ndarray, "faces"]
     upper: Int[np.ndarray, "faces"]
@@ -103,14 +97,14 @@ def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"],
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)
-    for split in tree.splits():
+    for split in tree.splits:
         for half in range(2):
             stays = (bits == half)[:, tree.axis[split]].T
             origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
     leaf_at = np.empty_like(origin)
     leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
     corners = np.arange(len(bits))
-    for split in reversed(tree.splits()):
+    for split in reversed(tree.splits):
         leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
     made_by = origin[tree.node_of_leaf]
     across = weight[tree.axis[made_by]]

@@ -126,17 +126,9 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Tables of a partition: leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
+    """Tables of a partition whose leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
 
-    Args:
-        domain: The box that the cells divide.
-        cells: The leaves.
-        numbers: What the leaf model reads of each.
-        leaf: The leaf model.
-        num_bytes: Size of the file, which fixes the size of the tables and bounds it.
-
-    Raises:
-        ValueError: If the leaves are too deep for a file of that size.
+    The size of the file fixes that of the tables and bounds it: raises ``ValueError`` if the leaves are too deep.
     """
     bits = cells.depth.max(axis=0)
     of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
@@ -159,12 +151,6 @@ def build_tables(
         numbers=jnp.asarray(_lay_out(numbers, rows)),
         leaf=leaf,
     )
-
-
-def check_depth(cells: Cells) -> None:
-    """Raise ``ValueError`` if a cell is smaller than what a query resolves."""
-    if (deepest := cells.depth.max()) > FRACTION_BITS:
-        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
 
 
 def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:

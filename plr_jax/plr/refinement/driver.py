@@ -162,10 +162,9 @@ def _check_points(
             f"A distance must be a number, or inf where the goal cannot be reached, got {distance[bad][0]} at "
             f"{x[bad][0].tolist()}."
         )
-    if not (np.isfinite(weight).all() and (weight >= 0).all()):
-        raise ValueError(
-            f"A weight must be finite and >= 0, got {weight[~(np.isfinite(weight) & (weight >= 0))][0]}."
-        )
+    bad = ~(np.isfinite(weight) & (weight >= 0))
+    if bad.any():
+        raise ValueError(f"A weight must be finite and >= 0, got {weight[bad][0]}.")
     finite = np.flatnonzero(distance < np.inf)
     return WeightedPoints(x, distance, weight).take(finite), len(x) - len(finite)
 

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, local_coordinates
 from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import call_oracle
@@ -51,7 +51,7 @@ class Faces:
             return False
         if plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] != self.basis.shape[2]:
             return False
-        return bool((np.abs(_local(plr, self.x, self.leaves) - self.u) < _SAME).all())
+        return bool((np.abs(local_coordinates(plr, self.leaves, self.x[:, None]) - self.u) < _SAME).all())
 
 
 def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:
@@ -84,12 +84,6 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
-    u = _local(plr, x, leaves)
+    u = local_coordinates(plr, leaves, x[:, None])
     basis = plr.leaf.basis(u.reshape(-1, plr.dim))
     return Faces(x, leaves, u, basis.reshape(len(x), 2, basis.shape[1]))
-
-
-def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:
-    """Coordinates of each point in both of its leaves."""
-    lo, hi = plr.leaf_boxes
-    return (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]

@@ -14,6 +14,8 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.pattern import Pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares, masked_cells
 
+_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
+
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 
@@ -83,21 +85,11 @@ class CellFit:
 _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
 
 
-_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
-
-
 @dataclass(frozen=True, eq=False)
 class Sampler:
     """How cells are sampled and fitted: what stays the same throughout a construction.
 
-    Attributes:
-        distance_fn: What is sampled.
-        domain: The box that the cells divide.
-        weight_fn: Weight of the error at points; None: 1.
-        pattern: Where cells are sampled.
-        dense_pattern: Where those are sampled again of which too little was seen.
-        max_axis_depth: How often a cell may be halved along one axis.
-        compute_coefficients: Fits the planes.
+    Cells of which too little was seen are sampled again with the dense pattern.
     """
 
     distance_fn: DistanceFn

@@ -10,7 +10,7 @@ from plr_helpers import chain, random_partition, sealed, three_leaves
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import HEADER_SIZE, Container, container_size, file_size, read_tree, write_tree
-from plr_jax.plr.partition.tree import cells_of, levels_of
+from plr_jax.plr.partition.tree import levels_of, tree_of_levels
 
 CONTAINER = Container(Box((-1, 0), (1, 3)), 2, 77, b"body")
 
@@ -101,7 +101,7 @@ def test_the_tree_that_is_read_is_what_was_written(seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
     body = written(cells)
     assert len(body.to_bytes()) == container_size(dim, num_splits + 1, 0) - container_size(dim, 1, -1)
-    found = cells_of(read_tree(BitReader(body.to_bytes()), dim, num_splits + 1), dim)
+    found = tree_of_levels(read_tree(BitReader(body.to_bytes()), dim, num_splits + 1), dim).leaves
     order = levels_of(cells)[1]
     np.testing.assert_array_equal(found.depth, cells.depth[order])
     np.testing.assert_array_equal(found.position, cells.position[order])

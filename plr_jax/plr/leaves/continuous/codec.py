@@ -29,14 +29,7 @@ from plr_jax.plr.query.tables import LARGEST
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """The leaves, and what of them hangs together.
-
-    Attributes:
-        tree: The tree over the leaves.
-        unreachable: Leaves without a function; none has a tied face.
-        faces: Faces that two leaves share.
-        tied: Faces across which functions are continuous.
-    """
+    """Leaves, the faces they share, and across which of them functions are continuous: none of unreachable ones."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -81,7 +74,7 @@ def write_values(body: BitWriter, stored: StoredValues) -> None:
     body.write_floats(np.array([stored.offset, stored.step]))
     body.write_set(partition.unreachable)
     body.write_set(~partition.tied[partition.between_reachable()])
-    surprise = stored.code - _rounded(space.prediction @ stored.code.astype(float))
+    surprise = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
     for level in _level_slices(space.level):
         body.write_coded(_unsigned(surprise[level]))
 
@@ -96,7 +89,7 @@ def read_values(body: BitReader, cells: Cells) -> StoredValues:
     code = np.zeros(len(space.masters), np.int64)
     for level in _level_slices(space.level):
         surprise = _signed(body.read_coded(level.stop - level.start))
-        code[level] = surprise + _rounded(space.prediction[level] @ code.astype(float))
+        code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
     return StoredValues(partition, offset, step, code)
 
 
@@ -115,10 +108,6 @@ def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:
     """Runs of masters of one level, which depend on earlier ones alone."""
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
-
-
-def _rounded(prediction: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    return np.rint(prediction).astype(np.int64)
 
 
 def _unsigned(values: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -10,7 +10,7 @@ from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.limits import Limits, check_memory
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
 from plr_jax.plr.growth.rounds import grow
-from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.base import Rules, solve_sparse, weighted_squares
 from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
 from plr_jax.plr.leaves.continuous.space import NodalSpace
@@ -150,27 +150,19 @@ def fit_values(
 
     With them come the numbers of all leaves, see :func:`numbers_of_leaves`.
     """
-    from scipy.sparse import bsr_array, csc_array, diags_array
-    from scipy.sparse.linalg import splu
+    from scipy.sparse import diags_array
 
     numbers = numbers_of_leaves(order, space)
     functions = design(order, (fit.pattern.u + 1) / 2)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
-    gram = bsr_array(
-        ((weight @ products).reshape(-1, terms, terms), np.arange(leaves), np.arange(leaves + 1)),
-        (leaves * terms, leaves * terms),
-    )
+    squares = weighted_squares(numbers, (weight @ products).reshape(-1, terms, terms))
     is_predicted = np.diff(space.prediction.indptr) > 0
     surprise = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
-    normal = numbers.T @ (gram @ numbers) + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
+    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
-    # The matrix is symmetric and positive definite: without pivoting, its factors fill in a quarter as much.
-    factors = splu(
-        csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    values = mean + factors.solve(numbers.T @ moments)
+    values = mean + solve_sparse(normal, numbers.T @ moments)
     return values, (numbers @ values).reshape(leaves, terms)
 
 

@@ -8,7 +8,7 @@ nothing: a mesh point in a wall has several nodes.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -57,29 +57,17 @@ class NodalSpace:
         return self.tree.cells.dim
 
 
-@dataclass(frozen=True, eq=False)
-class _Agreement:
-    """Points at which the functions of two leaves must agree: corners of what the leaves share of a face.
-
-    Attributes:
-        leaf: The lower and the upper leaf.
-        t: The point in the coordinates of each, from 0 to 1.
-    """
+class _Agreement(NamedTuple):
+    """Points, in the coordinates of two leaves, where their functions agree: corners of what they share of a face."""
 
     leaf: Int[np.ndarray, "2 points"]
     t: Float[np.ndarray, "2 points dim"]
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """The continuous functions on a partition.
+    """The functions that are continuous across the tied faces; unreachable leaves, of which none has one, hold none.
 
-    Args:
-        tree: The partition.
-        tied: Faces across which the functions are continuous.
-        unreachable: Leaves without a function; none has a tied face.
-
-    Raises:
-        ValueError: If the leaves hang on one another in so many ways that working them out would take too long.
+    Raises ``ValueError`` if the leaves hang on one another so often that working that out would take too long.
     """
     from scipy.sparse import csr_array
 
@@ -107,15 +95,6 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     values = csr_array(of_groups[group][:, masters])
     prediction = _prediction(tree, unreachable, group, masters, values)
     return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
-
-
-def multilinear(t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n corners"]:
-    """Weights of a cell's corners in the multilinear interpolation at points ``t``, from 0 to 1 along each axis."""
-    weights = np.ones((len(t), 1))
-    for axis in range(t.shape[1]):
-        along = np.stack([1 - t[:, axis], t[:, axis]], axis=1)
-        weights = (weights[:, :, None] * along[:, None, :]).reshape(len(t), 2 ** (axis + 1))
-    return weights
 
 
 def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
@@ -149,7 +128,7 @@ def _united(tree: Tree, agreement: _Agreement) -> Int[np.ndarray, "nodes"]:
 
     corners = 2**tree.cells.dim
     num_nodes = len(tree.node_of_leaf) * corners
-    both = _is_corner(agreement.t).all(axis=0)
+    both = _is_end(agreement.t).all(axis=(0, 2))
     first, second = _node(agreement.leaf[:, both], agreement.t[:, both])
     graph = coo_array((np.ones(len(first)), (first, second)), (num_nodes, num_nodes))
     _, label = connected_components(graph, directed=False)
@@ -162,7 +141,7 @@ def _hanging(
 ) -> tuple[Int[np.ndarray, "hanging"], Int[np.ndarray, "hanging"], Float[np.ndarray, "hanging dim"]]:
     """Groups that hang, the leaf that each hangs on (the first of several), and where."""
     hangs, on_leaf, at = [], [], []
-    is_corner = _is_corner(agreement.t)
+    is_corner = _is_end(agreement.t).all(axis=2)
     for side in range(2):
         here = is_corner[side] & ~is_corner[1 - side]
         hangs.append(group[_node(agreement.leaf[side, here], agreement.t[side, here])])
@@ -172,8 +151,8 @@ def _hanging(
     return hanging, np.concatenate(on_leaf)[first], np.concatenate(at)[first]
 
 
-def _is_corner(t: Float[np.ndarray, "*n dim"]) -> Bool[np.ndarray, "*n"]:
-    return np.all((t == 0) | (t == 1), axis=-1)
+def _is_end(t: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+    return (t == 0) | (t == 1)
 
 
 def _node(leaf: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Int[np.ndarray, "*n"]:
@@ -240,7 +219,7 @@ def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: 
 
     Points that are corners of both leaves are left out: there the two values are one.
     """
-    is_end = (agreement.t == 0) | (agreement.t == 1)
+    is_end = _is_end(agreement.t)
     hangs = np.flatnonzero(~is_end.all(axis=(0, 2)))
     _require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
     rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
