@@ -55,7 +55,14 @@ class Container:
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-        _check_start(data)
+        if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
+            raise ValueError("it does not start like a PLR file")
+        if len(data) < HEADER_SIZE + _CRC.size:
+            raise ValueError("the data end too early")
+        version = data[4]
+        if version != VERSION:
+            remedy = "update plr_jax" if version > VERSION else "build it again"
+            raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
         _, _, dim, leaf_code, _, num_leaves, size = _HEADER.unpack_from(data)
         if len(data) != size:
             raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
@@ -67,18 +74,6 @@ class Container:
             raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
         corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64)
         return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :])
-
-
-def _check_start(data: bytes) -> None:
-    if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
-        raise ValueError("it does not start like a PLR file")
-    if len(data) < HEADER_SIZE + _CRC.size:
-        raise ValueError("the data end too early")
-    version = data[4]
-    if version > VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; update plr_jax")
-    if version < VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; build it again")
 
 
 def container_size(dim: int, num_leaves: int, num_bits: int) -> int:

@@ -1,9 +1,13 @@
-"""The limits of a construction: how deep, how many, how large, how exact."""
+"""Growing in rounds, with progress and a way to stop early, up to limits of depth, number, size and error."""
 
 import os
+import warnings
+from collections.abc import Callable, Sized
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from tqdm import tqdm
 
 from plr_jax._arrays import require_integer
 from plr_jax.plr.partition.tree import MAX_DEPTH
@@ -11,6 +15,13 @@ from plr_jax.plr.query.sizes import byte_class, max_axis_depth, rows_of_class
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200
+
+GrowingTree = TypeVar("GrowingTree", bound=Sized)
+"""A partition under construction; its length is its number of leaves."""
+
+
+class ConstructionInterrupted(UserWarning):
+    """Ctrl-C ended a construction early; what it returns is the PLR built so far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +81,27 @@ def check_limits(
 def check_memory(num_nodes: float) -> None:
     """Raise ``ValueError`` if a tree of so many nodes does not fit into this machine's memory."""
     needed = num_nodes * _BYTES_A_NODE
-    if needed > _machine_bytes():
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
+    if needed > memory:
         raise ValueError(
             f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {_machine_bytes() / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes "
-            "or a tolerance."
+            f"this machine has {memory / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes or a tolerance."
         )
 
 
-def _machine_bytes() -> float:
-    """Physical memory; unlimited where the system does not say."""
-    if not hasattr(os, "sysconf"):
-        return np.inf
-    return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
+    """Split in rounds, from the root alone, until ``split_some`` gives None instead of a larger tree.
+
+    Returns the last tree. An interrupt (Ctrl-C) loses the round, never the tree so far, which then comes with a
+    ``ConstructionInterrupted`` warning.
+    """
+    total = limits.max_leaves if limits.max_leaves < 1e9 else None
+    with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
+        try:
+            while (larger := split_some(tree)) is not None:
+                progress.update(len(larger) - len(tree))
+                tree = larger
+        except KeyboardInterrupt:
+            message = f"Interrupted at {len(tree)} leaves: the PLR is the one built so far."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=4)
+    return tree

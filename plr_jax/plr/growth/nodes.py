@@ -18,11 +18,8 @@ class Nodes:
     """All nodes of the growing tree, parents before children; as long as it has leaves.
 
     Attributes:
-        cells: Their cells.
-        coefficients: What the leaf model fitted to each.
         error: Mean error over the reachable samples.
         share: Share of the domain's volume that a node's reachable samples stand for.
-        axis: Axis along which the node is or would be split.
         key: Rank of the node's split: its priority, but never above its parent's; ``-inf`` if it may not be split.
         child: Index of the lower child, the upper one following it; -1 for a leaf.
     """

@@ -42,12 +42,7 @@ class Blocks:
     A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
     each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
     first word has no room come in further words. One word is read with one gather, which is what a query costs.
-
-    Attributes:
-        words: For every word its value in each block.
-        shift: Bits of a point's place below its block, along each axis.
-        axes: For every word the number of axes it describes.
-        width: Bits of an axis in a word.
+    Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
     """
 
     words: tuple[UInt32[Array, "blocks"], ...]
@@ -139,6 +134,7 @@ def build_tables(
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
     rows = rows_of_class(of_class, leaf.least_bytes)
+    table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
     top = bits if flat else block_bits
     below = FRACTION_BITS - top
@@ -148,7 +144,7 @@ def build_tables(
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
-        numbers=jnp.asarray(_lay_out(numbers, rows)),
+        numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
     )
 
@@ -163,14 +159,6 @@ def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
-
-
-def _lay_out(
-    numbers: Float[np.ndarray, "leaves count"], rows: int
-) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
-    """What a query reads of every leaf as ``Tables.numbers`` describes, padded with zeros."""
-    table = padded(numbers.astype(np.float32), rows)
-    return table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)
 
 
 def _pack_blocks(

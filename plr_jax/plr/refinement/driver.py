@@ -97,7 +97,7 @@ def refine(
     if steps_taken < num_steps:
         message = f"Interrupted after {steps_taken} of {num_steps} steps: the PLR is the best found so far."
         warnings.warn(message, RefinementInterrupted, stacklevel=2)
-    refined, shift = _restored(plr, refinable.corrected(z), max_bytes), 0.0
+    refined, shift = _restored(plr, refinable.at(z), max_bytes), 0.0
     if share is not None:
         shift = _conformal_shift(refined, calibration, share)
         refined = with_stored(plr, plr.leaf.raised(refined.stored, shift))

@@ -40,18 +40,12 @@ class Faces:
         Raises:
             ValueError: If the PLR has another partition, or leaves of another kind.
         """
-        if not self._fit(plr):
+        is_here = self.leaves.max(initial=0) < plr.num_leaves and self.x.shape[1] == plr.dim
+        is_here = is_here and plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] == self.basis.shape[2]
+        if not (is_here and (np.abs(local_coordinates(plr, self.leaves, self.x[:, None]) - self.u) < _SAME).all()):
             raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
         below, above = (plr.values_in_leaves(leaf, self.x) for leaf in self.leaves.T)
         return above - below
-
-    def _fit(self, plr: PLR) -> bool:
-        """Whether the points are where the PLR's leaves say that they are."""
-        if self.leaves.max(initial=0) >= plr.num_leaves or self.x.shape[1] != plr.dim:
-            return False
-        if plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] != self.basis.shape[2]:
-            return False
-        return bool((np.abs(local_coordinates(plr, self.leaves, self.x[:, None]) - self.u) < _SAME).all())
 
 
 def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:

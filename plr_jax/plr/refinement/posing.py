@@ -49,19 +49,15 @@ class WeightedPoints(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Refinable:
-    """The parameters of least squared error, and an objective whose variables are mapped to corrections of them.
+    """The objective, the parameters of least squared error, and those at given variables, in double precision.
 
     ``has_enough`` says which leaves have enough points to be fitted to.
     """
 
     objective: Objective
     values: Float[np.ndarray, "parameters"]
-    to_parameters: Callable[[Float[np.ndarray, "variables"]], Float[np.ndarray, "parameters"]]
+    at: Callable[[Float[np.ndarray, "padded"]], Float[np.ndarray, "parameters"]]
     has_enough: Bool[np.ndarray, "leaves"]
-
-    def corrected(self, z: Float[np.ndarray, "padded"]) -> Float[np.ndarray, "parameters"]:
-        """The parameters at given variables."""
-        return self.values + self.to_parameters(np.asarray(z, np.float64)[: len(self.values)])
 
 
 def pose(plr: PLR, points: WeightedPoints) -> Refinable:
@@ -104,7 +100,8 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     rows |= {"row": scaled.row, "column": scaled.column, "entry": scaled.weight}
     filled_up = {name: padded(column, padded_size(len(column))) for name, column in rows.items()}
     objective = Objective(center=center, half=half.T, **filled_up)
-    return Refinable(objective, parameters.values, to_parameters, has_enough)
+    values = parameters.values
+    return Refinable(objective, values, lambda z: values + to_parameters(z[: len(values)]), has_enough)
 
 
 def _normalized(weight: Float[np.ndarray, "n"], plr: PLR, num_points: int) -> Float[np.ndarray, "n"]:

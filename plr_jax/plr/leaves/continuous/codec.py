@@ -84,16 +84,6 @@ def read_values(body: BitReader, cells: Cells) -> StoredValues:
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
-    partition = _read_partition(body, cells)
-    space = partition.space
-    code = np.zeros(len(space.masters), np.int64)
-    for level in _level_slices(space.level):
-        surprise = _signed(body.read_coded(level.stop - level.start))
-        code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
-    return StoredValues(partition, offset, step, code)
-
-
-def _read_partition(body: BitReader, cells: Cells) -> TiedPartition:
     tree = tree_of(cells)
     if (np.diff(tree.order) < 0).any():
         raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
@@ -101,7 +91,12 @@ def _read_partition(body: BitReader, cells: Cells) -> TiedPartition:
     partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
     may_be_tied = partition.between_reachable()
     partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))
-    return partition
+    space = partition.space
+    code = np.zeros(len(space.masters), np.int64)
+    for level in _level_slices(space.level):
+        surprise = _signed(body.read_coded(level.stop - level.start))
+        code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
+    return StoredValues(partition, offset, step, code)
 
 
 def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:

@@ -7,9 +7,8 @@ from jaxtyping import Float, Int
 
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.growth.limits import Limits, check_memory
+from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
-from plr_jax.plr.growth.rounds import grow
 from plr_jax.plr.leaves.base import Rules, solve_sparse, weighted_squares
 from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
@@ -121,8 +120,7 @@ class _Rounds:
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
         weight = _volume_weights(fit)
-        values, numbers = fit_values(self._order, partition.space, fit, weight)
-        residual = residuals(self._order, numbers, fit, weight)
+        values, residual = fit_values(self._order, partition.space, fit, weight)
         stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
         body = BitWriter()
         write_values(body, stored)
@@ -145,10 +143,10 @@ def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[n
 
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves terms"]]:
+) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves k"]]:
     """Values of the masters with which the function of the given order errs least at the leaves' samples.
 
-    With them come the numbers of all leaves, see :func:`numbers_of_leaves`.
+    With them come the errors, sampled distance minus function; 0 where a sample has no weight.
     """
     from scipy.sparse import diags_array
 
@@ -163,12 +161,5 @@ def fit_values(
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
     values = mean + solve_sparse(normal, numbers.T @ moments)
-    return values, (numbers @ values).reshape(leaves, terms)
-
-
-def residuals(
-    order: int, numbers: Float[np.ndarray, "leaves terms"], fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> Float[np.ndarray, "leaves k"]:
-    """Sampled distance minus function; 0 where the goal cannot be reached or no weight is given."""
-    functions = design(order, (fit.pattern.u + 1) / 2)
-    return np.where(weight > 0, fit.value - numbers @ functions.T, 0.0)
+    errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
+    return values, np.where(weight > 0, errors, 0.0)

@@ -10,8 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.growth.best_first import grow_best_first
-from plr_jax.plr.growth.budget import Encoding
+from plr_jax.plr.growth.best_first import Encoding, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
