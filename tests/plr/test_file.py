@@ -291,6 +291,13 @@ def test_the_smallest_of_such_files():
         assert refused_for_little(data)
 
 
+def test_cells_too_deep_for_a_query_are_refused():
+    at_most, too_deep = (encode(random_contents(0, 1, "plane", chain([0] * depth))) for depth in (23, 24))
+    assert decode(at_most).cells.depth.max() == 23
+    with pytest.raises(ValueError, match="a cell is split 24 times along one axis; a query resolves 23"):
+        decode(too_deep)
+
+
 def crossed_halves(dim, axes_of_halves):
     """The halves of a box along the first axis, each with all its leaves split along one axis after another."""
     halves = Cells.root(dim).split(np.array([0]))

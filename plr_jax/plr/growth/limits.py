@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import require_integer
 from plr_jax.plr.partition.tree import MAX_DEPTH
-from plr_jax.plr.query.sizes import byte_class, max_axis_depth, rows_of_class
+from plr_jax.plr.query.tables import byte_class, max_axis_depth, rows_of_class
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200

@@ -57,57 +57,73 @@ class LeafModel(Protocol):
     @property
     def name(self) -> str:
         """What ``construct(leaf=...)`` calls it."""
+        ...
 
     @property
     def num_samples(self) -> int:
         """Samples of a cell, unless others are asked for."""
+        ...
 
     @property
     def least_bytes(self) -> int:
         """Bytes of a file that a leaf takes at the least, a power of two."""
+        ...
 
     def check_dim(self, dim: int) -> None:
         """Raise ``ValueError`` if the model is not for so many axes."""
+        ...
 
     def least_samples(self, dim: int) -> int:
         """Samples of a cell that determine its function, at the least."""
+        ...
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
         """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
+        ...
 
     def write(self, body: BitWriter, cells: Cells, stored: Any) -> None:
         """Append what a file keeps of the leaves."""
+        ...
 
     def read(self, body: BitReader, cells: Cells) -> Any:
         """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
+        ...
 
     def unreachable(self, stored: Any) -> Bool[np.ndarray, "leaves"]:
         """Which leaves have no function of their own, as nothing of them reaches the goal."""
+        ...
 
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients of every leaf's function, finite."""
+        ...
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
+        ...
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
+        ...
 
     def parameters(self, cells: Cells, stored: Any) -> Parameters:
         """The free numbers of the leaves' functions, which a refinement may change."""
+        ...
 
     def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
         """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
+        ...
 
     def raised(self, stored: Any, shift: float) -> Any:
         """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
+        ...
 
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
+        ...
 
     def evaluate(
         self,
@@ -117,6 +133,7 @@ class LeafModel(Protocol):
         outside: Bool[Array, "*batch"],
     ) -> Float[Array, "*batch"]:
         """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
+        ...
 
 
 def values_at_centers(

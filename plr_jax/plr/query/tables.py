@@ -5,6 +5,10 @@ of its cell's position: its *slot*. A *flat* table has one entry a slot of the f
 with ``bits[a]`` the deepest split along axis ``a``. A deep tree would make that table huge although only a few of its
 leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *blocks*, and each block has a little table
 of its own, just as fine along each axis as its own leaves need.
+
+How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
+PLRs of one class share compiled code. It fixes how many leaves there is room for and, in the plane and on a line, how
+many slots; what is left of them is padding, which is never read.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,17 +23,15 @@ from jaxtyping import Array, Float, Int, UInt16, UInt32
 from plr_jax._arrays import padded
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.sizes import (
-    MAX_FLAT_BITS,
-    byte_class,
-    max_entries,
-    rows_of_class,
-    slot_bits_of_class,
-)
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
+MIN_CLASS = 8
+_SLOT_BITS = ((11, 14), (13, 16), (15, 18))  # up to a class, bits of a flat table
+MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
+_DEEP_BITS = 28  # of a point's place in all, beyond the classes above
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_BLOCK_BITS = 16
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
@@ -147,6 +149,37 @@ def build_tables(
         numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
     )
+
+
+def byte_class(num_bytes: int) -> int:
+    """The smallest exponent of a power of two that is at least so many bytes."""
+    return max(MIN_CLASS, (num_bytes - 1).bit_length())
+
+
+def rows_of_class(of_class: int, least_bytes: int) -> int:
+    """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
+    return (1 << of_class) // least_bytes
+
+
+def slot_bits_of_class(of_class: int, needed: int) -> int:
+    """Bits of a class's flat table; as many as are needed, where that is more."""
+    return max(needed, next((bits for last, bits in _SLOT_BITS if of_class <= last), MAX_FLAT_BITS))
+
+
+def max_axis_depth(dim: int, of_class: int | None) -> int:
+    """How often a cell may be halved along one axis, for a class of files or for any.
+
+    In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
+    """
+    if of_class is None or of_class > _SLOT_BITS[-1][0] or dim > 2:
+        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
+    return slot_bits_of_class(of_class, 0) // dim
+
+
+def max_entries(num_bytes: int) -> int:
+    """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
+    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
+    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
 def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:

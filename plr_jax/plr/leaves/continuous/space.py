@@ -128,7 +128,7 @@ def _united(tree: Tree, agreement: _Agreement) -> Int[np.ndarray, "nodes"]:
 
     corners = 2**tree.cells.dim
     num_nodes = len(tree.node_of_leaf) * corners
-    both = _is_end(agreement.t).all(axis=(0, 2))
+    both = np.all(_is_end(agreement.t), axis=(0, 2))
     first, second = _node(agreement.leaf[:, both], agreement.t[:, both])
     graph = coo_array((np.ones(len(first)), (first, second)), (num_nodes, num_nodes))
     _, label = connected_components(graph, directed=False)
@@ -141,7 +141,7 @@ def _hanging(
 ) -> tuple[Int[np.ndarray, "hanging"], Int[np.ndarray, "hanging"], Float[np.ndarray, "hanging dim"]]:
     """Groups that hang, the leaf that each hangs on (the first of several), and where."""
     hangs, on_leaf, at = [], [], []
-    is_corner = _is_end(agreement.t).all(axis=2)
+    is_corner = np.all(_is_end(agreement.t), axis=2)
     for side in range(2):
         here = is_corner[side] & ~is_corner[1 - side]
         hangs.append(group[_node(agreement.leaf[side, here], agreement.t[side, here])])
@@ -220,7 +220,7 @@ def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: 
     Points that are corners of both leaves are left out: there the two values are one.
     """
     is_end = _is_end(agreement.t)
-    hangs = np.flatnonzero(~is_end.all(axis=(0, 2)))
+    hangs = np.flatnonzero(~np.all(is_end, axis=(0, 2)))
     _require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
     rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
     below, above = (
