@@ -11,8 +11,8 @@ from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.oracle import WeightFn
+from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
@@ -97,6 +97,6 @@ def construct(
         sample_pattern(domain.dim, n * int(num_samples), float(margin), int(seed)) for n in (1, _DENSER)
     )
     sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
-    levels, cells, stored = model.construct(sampler, Rules(should_split, split), limits)
+    cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
-    return plr_of_leaves(Contents(domain, as_loaded, cells, stored), levels)
+    return plr_of_leaves(Contents(domain, as_loaded, levels_of(cells)[0], cells, stored))

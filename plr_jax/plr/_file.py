@@ -8,36 +8,29 @@ from typing import Any
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import Container
-from plr_jax.plr.file.tree_bits import read_leaves, write_tree
+from plr_jax.plr.file.container import Container, read_tree, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level
-from plr_jax.plr.query.tables import check_depth
+from plr_jax.plr.partition.tree import Level, tree_of_levels
+from plr_jax.plr.query.tables import FRACTION_BITS
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a file holds.
-
-    Attributes:
-        domain: The box that is covered.
-        leaf: The leaf model.
-        cells: The leaves, in the order of the tree's traversal.
-        stored: What the model stores of them.
-    """
+    """What a file holds: the levels of a tree, and its leaves in the order of its traversal."""
 
     domain: Box
     leaf: LeafModel
+    levels: list[Level]
     cells: Cells
     stored: Any
 
 
-def encode(contents: Contents, levels: list[Level]) -> bytes:
-    """The bytes of the file that holds these leaves, whose tree has these levels."""
+def encode(contents: Contents) -> bytes:
+    """The bytes of the file that holds these leaves."""
     body = BitWriter()
-    write_tree(body, levels, contents.domain.dim)
+    write_tree(body, contents.levels, contents.domain.dim)
     contents.leaf.write(body, contents.cells, contents.stored)
     return Container(contents.domain, code_of_leaf(contents.leaf), len(contents.cells), body.to_bytes()).to_bytes()
 
@@ -48,15 +41,18 @@ def decode(data: bytes) -> Contents:
     leaf, dim = leaf_of_code(container.leaf_code), container.domain.dim
     leaf.check_dim(dim)
     body = BitReader(container.body)
-    cells = read_leaves(body, dim, container.num_leaves)
-    check_depth(cells)
+    levels = read_tree(body, dim, container.num_leaves)
+    cells = tree_of_levels(levels, dim).leaves
+    if (deepest := cells.depth.max()) > FRACTION_BITS:
+        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
     stored = leaf.read(body, cells)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.domain, leaf, cells, stored)
+    return Contents(container.domain, leaf, levels, cells, stored)
 
 
 def decode_cells(data: bytes) -> Cells:
     """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
     container = Container.from_bytes(data)
-    return read_leaves(BitReader(container.body), container.domain.dim, container.num_leaves)
+    dim = container.domain.dim
+    return tree_of_levels(read_tree(BitReader(container.body), dim, container.num_leaves), dim).leaves

@@ -4,20 +4,7 @@ import os
 from pathlib import Path
 
 from plr_jax._atomic import write_atomically
-from plr_jax.plr._plr import PLR, plr_from_bytes
-
-
-def from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold.
-
-    Args:
-        data: What :meth:`PLR.to_bytes` gave.
-
-    Raises:
-        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
-            beyond 32-bit floats, or its tables would be larger than a file of its size may make them.
-    """
-    return plr_from_bytes(data)
+from plr_jax.plr._plr import PLR, from_bytes
 
 
 def save(plr: PLR, path: str | os.PathLike) -> None:

@@ -18,8 +18,7 @@ from plr_jax.plr._file import Contents, decode, decode_cells, encode
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, values_at_centers
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.neighbors import neighbor_of_largest_contact
-from plr_jax.plr.partition.tree import Level, levels_of
+from plr_jax.plr.partition.faces import neighbor_of_largest_contact
 from plr_jax.plr.query.lookup import evaluate_tables, lookup
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
@@ -85,8 +84,7 @@ class PLR:
         Returns:
             The values in double precision, ``inf`` for leaves that answer ``inf``.
         """
-        lo, hi = self.leaf_boxes
-        basis = self.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+        basis = self.leaf.basis(local_coordinates(self, leaf, x))
         coefficients = self._coefficients[leaf]
         is_inf = np.isinf(coefficients[:, 0])
         return np.where(is_inf, np.inf, np.sum(np.where(is_inf[:, None], 0.0, coefficients) * basis, axis=1))
@@ -210,18 +208,25 @@ class PLR:
         return self.tables.from_corner(self.domain)
 
 
-def plr_from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+def from_bytes(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold.
+
+    Args:
+        data: What :meth:`PLR.to_bytes` gave.
+
+    Raises:
+        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
+            beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
+    """
     return _assemble(data, decode(data))
 
 
-def plr_of_leaves(contents: Contents, levels: list[Level]) -> PLR:
+def plr_of_leaves(contents: Contents) -> PLR:
     """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
-    return _assemble(encode(contents, levels), contents)
+    return _assemble(encode(contents), contents)
 
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
-    """Every PLR comes into being here."""
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
     numbers = leaf.numbers(domain, cells, _filled_coefficients(contents))
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
@@ -255,7 +260,7 @@ def _filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"
 
 def with_stored(plr: PLR, stored: Any) -> PLR:
     """A PLR of the same partition and model that stores something else."""
-    return plr_of_leaves(replace(plr._contents, stored=stored), levels_of(plr.cells)[0])
+    return plr_of_leaves(replace(plr._contents, stored=stored))
 
 
 def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -308,6 +313,14 @@ def as_array(x: ArrayLike) -> np.ndarray:
         return x.astype(np.float64)
     _require_real(x)  # which JAX cannot even be shown
     return x
+
+
+def local_coordinates(
+    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
+) -> Float[np.ndarray, "*batch dim"]:
+    """Coordinates of each point in a given leaf; ``[-1, 1]`` spans it along every axis."""
+    lo, hi = plr.leaf_boxes
+    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

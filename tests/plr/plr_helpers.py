@@ -89,7 +89,7 @@ def chain(axes):
 
 
 def random_contents(seed, dim, leaf, cells=None):
-    """Leaves of a random partition, or of given cells, with random numbers, and the levels of their tree."""
+    """Leaves of a random partition, or of given cells, with random numbers."""
     rng = np.random.default_rng(seed)
     tree = tree_of(random_partition(seed, dim, 20) if cells is None else cells)
     cells, model = tree.leaves, leaf_model(leaf)
@@ -104,10 +104,15 @@ def random_contents(seed, dim, leaf, cells=None):
         partition.tied[~partition.between_reachable()] = False
         stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
     domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5)
-    return Contents(domain, model, cells, stored), levels_of(cells)[0]
+    return Contents(domain, model, levels_of(cells)[0], cells, stored)
 
 
 def sealed(content):
     """The bytes of a file but for its checksum, with the size and checksum that they ought to have."""
     content = content[:12] + struct.pack("<I", len(content) + 4) + content[16:]
     return content + struct.pack("<I", zlib.crc32(content))
+
+
+def contents_of_planes(cells, planes, domain=UNIT):
+    """What a file of planes holds."""
+    return Contents(domain, leaf_model("plane"), levels_of(cells)[0], cells, planes)

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import chain, random_contents, random_partition, sealed, three_leaves, walled
+from plr_helpers import chain, contents_of_planes, random_contents, sealed, three_leaves, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct, from_bytes
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
-from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import Container
-from plr_jax.plr.file.tree_bits import read_leaves, tree_bits, write_tree
+from plr_jax.plr._plr import with_stored
+from plr_jax.plr.file.bits import BitWriter
+from plr_jax.plr.file.container import Container, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
-from plr_jax.plr.leaves.plane.codec import StoredPlanes
-from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Level, levels_of, tree_of_levels
 
 MODELS = ("plane", "continuous", "smooth")
 
@@ -26,8 +27,8 @@ MODELS = ("plane", "continuous", "smooth")
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3), leaf=st.sampled_from(MODELS))
 def test_what_is_read_is_what_was_written(seed, dim, leaf):
-    contents, levels = random_contents(seed, min(dim, 2) if leaf == "smooth" else dim, leaf)
-    data = encode(contents, levels)
+    contents = random_contents(seed, min(dim, 2) if leaf == "smooth" else dim, leaf)
+    data = encode(contents)
     again = decode(data)
     assert again.domain == contents.domain and again.leaf.name == leaf
     np.testing.assert_array_equal(again.cells.depth, contents.cells.depth)
@@ -35,7 +36,7 @@ def test_what_is_read_is_what_was_written(seed, dim, leaf):
     np.testing.assert_array_equal(again.leaf.unreachable(again.stored), contents.leaf.unreachable(contents.stored))
     expected = contents.leaf.coefficients(contents.cells, contents.stored)
     np.testing.assert_array_equal(again.leaf.coefficients(again.cells, again.stored), expected)
-    assert encode(again, levels) == data
+    assert encode(again) == data
     np.testing.assert_array_equal(decode_cells(data).position, contents.cells.position)
 
 
@@ -43,7 +44,7 @@ def test_a_file_of_planes_by_hand():
     """8-bit centers; the widths of half-differences of depths 0 and 1 along each axis."""
     planes = StoredPlanes(8, 0.5, 0.25, np.array([7, 255, 2]), np.array([[3, -2], [0, 0], [-5, 1]]))
     domain, cells = Box((-1, 0), (1, 3)), three_leaves()
-    fields = [(1, 1), (0, 1), (0, 1), (1, 1), (1, 1), (0, 1), (0, 1)]  # the tree: see test_tree_bits.py
+    fields = [(1, 1), (0, 1), (0, 1), (1, 1), (1, 1), (0, 1), (0, 1)]  # the tree: see test_container.py
     fields += [(8, 6), *((int(bits), 32) for bits in np.array([0.5, 0.25], np.float32).view(np.uint32))]
     # Along x all leaves are of depth 1: 3 and -5 take 4 bits. Along y the lower one is of depth 0: -2 takes 3 bits,
     # the uppermost of depth 1: 1 takes 2 bits.
@@ -53,7 +54,7 @@ def test_a_file_of_planes_by_hand():
     body = np.packbits([int(bit) for bit in bits], bitorder="little").tobytes()
     header = b"PLR\n" + bytes([2, 2, 0, 0]) + struct.pack("<II", 3, 0)
     expected = sealed(header + struct.pack("<4d", -1, 0, 1, 3) + body)
-    assert encode(Contents(domain, Plane(), cells, planes), levels_of(cells)[0]) == expected
+    assert encode(contents_of_planes(cells, planes, domain)) == expected
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -106,11 +107,44 @@ def test_a_model_that_is_not_known_or_not_for_so_many_axes_is_refused(data):
 
 @pytest.mark.parametrize("leaf", MODELS)
 def test_a_number_of_leaves_that_the_tree_has_not_is_refused(leaf):
-    contents, levels = random_contents(0, 2, leaf)
-    data = encode(contents, levels)
+    contents = random_contents(0, 2, leaf)
+    data = encode(contents)
     for num_leaves in (0, 1, 2**32 - 1):
         with pytest.raises(ValueError, match=f"its header states {num_leaves}"):
             from_bytes(sealed(data[:8] + struct.pack("<I", num_leaves) + data[12:-4]))
+
+
+def quarters_in_another_order():
+    """Quarters of a square, first split along axis 1, in the order of that tree, and its levels."""
+    inner = np.array([True, True])
+    levels = [
+        Level(inner[:1], np.array([1])),
+        Level(inner, np.array([0, 0])),
+        Level(np.zeros(4, bool), np.zeros(0, int)),
+    ]
+    return levels, tree_of_levels(levels, 2).leaves
+
+
+def test_planes_of_a_tree_that_splits_in_another_order_stay_in_their_leaves():
+    levels, cells = quarters_in_another_order()
+    contents = Contents(
+        Box((0, 0), (1, 1)), Plane(), levels, cells, encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
+    )
+    plr = from_bytes(encode(contents))
+    again = with_stored(plr, plr.stored)
+    assert again.to_bytes() == plr.to_bytes()
+    for each in (plr, again, from_bytes(again.to_bytes())):
+        assert each(np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]])).tolist() == [0, 1, 2, 3]
+
+
+def test_continuous_leaves_of_a_tree_that_splits_in_another_order_are_refused():
+    body = BitWriter()
+    write_tree(body, quarters_in_another_order()[0], 2)
+    sets(body, [0, 0])
+    with pytest.raises(ValueError, match="splits its leaves along other axes first"):
+        from_bytes(
+            Container(Box((0, 0), (1, 1)), code_of_leaf(leaf_model("continuous")), 4, body.to_bytes()).to_bytes()
+        )
 
 
 def with_body(leaf, dim, cells, write):
@@ -151,7 +185,7 @@ def test_float_planes_that_are_not_finite_are_refused(number, where):
     center, half = (bits, zeros) if where == "center" else (zeros, bits)
     planes = StoredPlanes(32, 0.0, 1.0, center, np.stack([half, zeros], axis=1))
     cells = three_leaves()
-    data = encode(Contents(Box((0, 0), (1, 1)), Plane(), cells, planes), levels_of(cells)[0])
+    data = encode(contents_of_planes(cells, planes))
     with pytest.raises(ValueError, match="too large for 32-bit floats"):
         from_bytes(data)
 
@@ -216,10 +250,10 @@ def test_values_beyond_floats_are_refused():
 MEGABYTES = 50 * 2**20
 
 
-def refused_for_little(data):
+def refused_for_little(data, why=r"too deep for a query's tables|a query resolves 23"):
     """Whether a file is refused before much memory is allocated for it."""
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"too deep for a query's tables|a query resolves 23"):
+    with pytest.raises(ValueError, match=why):
         from_bytes(data)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -242,8 +276,8 @@ def refused_for_little(data):
     ],
 )
 def test_small_files_of_huge_tables_are_refused_before_they_are_built(leaf, axes):
-    contents, levels = random_contents(0, max(axes) + 1, leaf, chain(axes))
-    assert refused_for_little(encode(contents, levels))
+    contents = random_contents(0, max(axes) + 1, leaf, chain(axes))
+    assert refused_for_little(encode(contents))
 
 
 def test_the_smallest_of_such_files():
@@ -252,9 +286,43 @@ def test_the_smallest_of_such_files():
         cells = chain(axes)
         planes = StoredPlanes(4, 0.0, 1.0, np.r_[0, np.full(len(cells) - 1, 15)], np.zeros(cells.depth.shape, int))
         domain = Box(np.zeros(cells.dim), np.ones(cells.dim))
-        data = encode(Contents(domain, Plane(), cells, planes), levels_of(cells)[0])
+        data = encode(contents_of_planes(cells, planes, domain))
         assert len(data) < size
         assert refused_for_little(data)
+
+
+def test_cells_too_deep_for_a_query_are_refused():
+    at_most, too_deep = (encode(random_contents(0, 1, "plane", chain([0] * depth))) for depth in (23, 24))
+    assert decode(at_most).cells.depth.max() == 23
+    with pytest.raises(ValueError, match="a cell is split 24 times along one axis; a query resolves 23"):
+        decode(too_deep)
+
+
+def crossed_halves(dim, axes_of_halves):
+    """The halves of a box along the first axis, each with all its leaves split along one axis after another."""
+    halves = Cells.root(dim).split(np.array([0]))
+    parts = [halves[[0]], halves[[1]]]
+    for side, axes in enumerate(axes_of_halves):
+        for axis in axes:
+            parts[side] = parts[side].split(np.full(len(parts[side]), axis))
+    return parts[0].append(parts[1])
+
+
+def all_tied(cells):
+    """A file of continuous leaves, all tied, without the values that no reader should get to."""
+    return with_body("continuous", cells.dim, cells, lambda body: sets(body, [0, 0])).to_bytes()
+
+
+def test_continuous_leaves_that_share_too_many_faces_are_refused_before_they_are_listed():
+    data = all_tied(crossed_halves(3, [[1] * 10, [2] * 10]))
+    assert len(data) < 1500
+    assert refused_for_little(data, "its 2048 leaves share more than 262144 faces")
+
+
+def test_continuous_leaves_that_hang_on_one_another_too_often_are_refused_before_that_is_worked_out():
+    data = all_tied(crossed_halves(6, [[1, 2, 3, 1, 2, 3], [4, 5, 4, 5, 4, 5]]))
+    assert len(data) < 300
+    assert refused_for_little(data, "its tied leaves hang on one another by")
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 8])
@@ -283,11 +351,3 @@ def test_every_file_that_construct_writes_can_be_read(dim, max_leaves, grow):
     again = from_bytes(plr.to_bytes())
     assert again.num_leaves == plr.num_leaves > 15
     np.testing.assert_array_equal(again.tables.leaf_of_slot, plr.tables.leaf_of_slot)
-
-
-def test_a_tree_alone_can_be_read():
-    cells = random_partition(3, 2, 30)
-    body = BitWriter()
-    write_tree(body, levels_of(cells)[0], 2)
-    assert body.num_bits == tree_bits(31, 2)
-    np.testing.assert_array_equal(read_leaves(BitReader(body.to_bytes()), 2, 31).depth, cells.depth)

@@ -1,4 +1,4 @@
-r"""The container of a PLR file: a header, the domain, a bit stream, and a checksum.
+r"""The container of a PLR file: a header, the domain, a bit stream that begins with the tree, and a checksum.
 
 All numbers are little-endian. Layout of version 2:
 
@@ -11,7 +11,8 @@ All numbers are little-endian. Layout of version 2:
     u32     size of the whole file in bytes
     f64     lower corner of the domain, one number an axis; then the upper corner
     ...     bit stream, least significant bit first, the last byte filled up with zeros:
-              the tree (see ``tree_bits.py``)
+              the tree over the leaves, whose boxes follow from the splits: level by level from the root, for every
+                node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
               what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
                 lower half first
     u32     CRC-32 of all bytes before
@@ -24,6 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
 VERSION = 2
 _MAGIC = b"PLR\n"
@@ -35,14 +38,7 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Container:
-    """What every PLR file has.
-
-    Attributes:
-        domain: The box that is covered.
-        leaf_code: Which leaf model it is.
-        num_leaves: How many leaves.
-        body: The bit stream.
-    """
+    """What every PLR file has; its body is the bit stream."""
 
     domain: Box
     leaf_code: int
@@ -59,7 +55,14 @@ class Container:
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-        _check_start(data)
+        if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
+            raise ValueError("it does not start like a PLR file")
+        if len(data) < HEADER_SIZE + _CRC.size:
+            raise ValueError("the data end too early")
+        version = data[4]
+        if version != VERSION:
+            remedy = "update plr_jax" if version > VERSION else "build it again"
+            raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
         _, _, dim, leaf_code, _, num_leaves, size = _HEADER.unpack_from(data)
         if len(data) != size:
             raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
@@ -73,23 +76,41 @@ class Container:
         return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :])
 
 
-def _check_start(data: bytes) -> None:
-    if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
-        raise ValueError("it does not start like a PLR file")
-    if len(data) < HEADER_SIZE + _CRC.size:
-        raise ValueError("the data end too early")
-    version = data[4]
-    if version > VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; update plr_jax")
-    if version < VERSION:
-        raise ValueError(f"it has format version {version}, this release reads version {VERSION}; build it again")
-
-
-def container_size(dim: int, num_bits: int) -> int:
-    """Size of a file whose bit stream is so long."""
-    return int(HEADER_SIZE + 16 * dim - (-num_bits // 8) + _CRC.size)
+def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
+    """Size of a file of so many leaves, of which the model keeps so many bits."""
+    tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
+    return int(HEADER_SIZE + 16 * dim - (-(tree_bits + num_bits) // 8) + _CRC.size)
 
 
 def file_size(header: bytes) -> int:
     """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
     return _HEADER.unpack_from(header)[-1]
+
+
+def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
+    """Append a tree."""
+    for level in levels:
+        body.write(level.inner.astype(np.int64), 1)
+        body.write(level.axis, _axis_bits(dim))
+
+
+def read_tree(body: BitReader, dim: int, num_leaves: int) -> list[Level]:
+    """The tree that comes next; raises ``ValueError`` if it is none with so many leaves."""
+    levels, num_nodes = [], 1
+    while num_nodes:
+        if len(levels) > MAX_DEPTH:
+            raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
+        inner = body.read_alike(num_nodes, 1) == 1
+        axis = body.read_alike(int(np.count_nonzero(inner)), _axis_bits(dim))
+        if (axis >= dim).any():
+            raise ValueError(f"it splits axis {axis.max()} of {dim}")
+        levels.append(Level(inner, axis))
+        num_nodes = 2 * len(axis)
+    found = 1 + sum(len(level.axis) for level in levels)
+    if found != num_leaves:
+        raise ValueError(f"its tree has {found} leaves, its header states {num_leaves}")
+    return levels
+
+
+def _axis_bits(dim: int) -> int:
+    return (dim - 1).bit_length()

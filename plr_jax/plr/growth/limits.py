@@ -1,28 +1,34 @@
-"""The limits of a construction: how deep, how many, how large, how exact."""
+"""Growing in rounds, with progress and a way to stop early, up to limits of depth, number, size and error."""
 
 import os
+import warnings
+from collections.abc import Callable, Sized
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from tqdm import tqdm
 
 from plr_jax._arrays import require_integer
 from plr_jax.plr.partition.tree import MAX_DEPTH
-from plr_jax.plr.query.sizes import byte_class, max_axis_depth, rows_of_class
+from plr_jax.plr.query.tables import byte_class, max_axis_depth, rows_of_class
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200
+
+GrowingTree = TypeVar("GrowingTree", bound=Sized)
+"""A partition under construction; its length is its number of leaves."""
+
+
+class ConstructionInterrupted(UserWarning):
+    """Ctrl-C ended a construction early; what it returns is the PLR built so far."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
     """When to stop: see :func:`construct`.
 
-    Attributes:
-        max_depth: Largest number of splits between the root and a leaf.
-        max_axis_depth: How often a cell may be halved along one axis, so that the tables of a query fit their class.
-        max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
-        tolerance: Largest priority of a cell that is not split.
+    No cell is halved more than ``max_axis_depth`` times along one axis, so that a query's tables fit their class.
     """
 
     max_depth: int
@@ -40,16 +46,7 @@ def check_limits(
     max_bytes: int | None,
     tolerance: int | float | None,
 ) -> Limits:
-    """Limits with every None replaced, after checking their ranges.
-
-    Args:
-        dim: Number of axes.
-        least_bytes: Bytes that a leaf takes at the least.
-        max_depth: As for :func:`construct`, and so are the others.
-        max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file.
-        tolerance: Largest priority of a cell that is not split.
-    """
+    """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),
@@ -63,14 +60,17 @@ def check_limits(
         raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance!r}.")
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    table_class = _table_class(least_bytes, max_leaves, max_bytes)
+    # Of the largest file that the limits allow; None if they allow any.
+    sizes = (max_bytes, None if max_leaves is None else 2 * least_bytes * max_leaves)
+    table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
     most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
     if max_bytes is not None:
         most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), least_bytes))
+    max_depth = MAX_DEPTH if max_depth is None else int(max_depth)
     if tolerance is None:
-        check_memory(2.0 * min(float(most_leaves), 2.0 ** (MAX_DEPTH if max_depth is None else max_depth)))
+        check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
     return Limits(
-        max_depth=MAX_DEPTH if max_depth is None else int(max_depth),
+        max_depth=max_depth,
         max_axis_depth=max_axis_depth(dim, table_class),
         max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
@@ -78,25 +78,30 @@ def check_limits(
     )
 
 
-def _table_class(least_bytes: int, max_leaves: int | None, max_bytes: int | None) -> int | None:
-    """Byte class of the largest file that the limits allow; None if they allow any."""
-    sizes = [max_bytes, None if max_leaves is None else 2 * least_bytes * max_leaves]
-    return min((byte_class(size) for size in sizes if size is not None), default=None)
-
-
 def check_memory(num_nodes: float) -> None:
     """Raise ``ValueError`` if a tree of so many nodes does not fit into this machine's memory."""
     needed = num_nodes * _BYTES_A_NODE
-    if needed > _machine_bytes():
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
+    if needed > memory:
         raise ValueError(
             f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {_machine_bytes() / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes "
-            "or a tolerance."
+            f"this machine has {memory / 2**30:.3g}. Give a smaller max_depth, max_leaves, max_bytes or a tolerance."
         )
 
 
-def _machine_bytes() -> float:
-    """Physical memory; unlimited where the system does not say."""
-    if not hasattr(os, "sysconf"):
-        return np.inf
-    return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
+    """Split in rounds, from the root alone, until ``split_some`` gives None instead of a larger tree.
+
+    Returns the last tree. An interrupt (Ctrl-C) loses the round, never the tree so far, which then comes with a
+    ``ConstructionInterrupted`` warning.
+    """
+    total = limits.max_leaves if limits.max_leaves < 1e9 else None
+    with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
+        try:
+            while (larger := split_some(tree)) is not None:
+                progress.update(len(larger) - len(tree))
+                tree = larger
+        except KeyboardInterrupt:
+            message = f"Interrupted at {len(tree)} leaves: the PLR is the one built so far."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=4)
+    return tree

@@ -18,11 +18,8 @@ class Nodes:
     """All nodes of the growing tree, parents before children; as long as it has leaves.
 
     Attributes:
-        cells: Their cells.
-        coefficients: What the leaf model fitted to each.
         error: Mean error over the reachable samples.
         share: Share of the domain's volume that a node's reachable samples stand for.
-        axis: Axis along which the node is or would be split.
         key: Rank of the node's split: its priority, but never above its parent's; ``-inf`` if it may not be split.
         child: Index of the lower child, the upper one following it; -1 for a leaf.
     """
@@ -80,13 +77,8 @@ def nodes_of_fit(
 ) -> Nodes:
     """Leaves of a round: their fits, and whether and when each may be split.
 
-    Args:
-        fit: Samples of the round's cells, with the residuals of the fitted functions.
-        coefficients: Those functions.
-        bound: Key of each cell's parent, above which its own may not rise.
-        priority: What the ``should_split`` rule says.
-        axis: What the ``split`` rule says.
-        limits: Limits on depth and error.
+    The key of a cell's parent is the ``bound`` above which its own may not rise; ``priority`` and ``axis`` are what
+    the rules say.
     """
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight

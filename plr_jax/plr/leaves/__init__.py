@@ -10,14 +10,13 @@ _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
     """The leaf model that is meant; raises ``ValueError`` if there is none of that name."""
-    if not isinstance(leaf, str):
-        if isinstance(leaf, tuple(map(type, _MODELS))):
-            return leaf
-        raise ValueError(f"leaf must be a leaf model or its name, one of {_names()}, got {shortened(leaf)}.")
+    if isinstance(leaf, Plane | Continuous):
+        return leaf
     for model in _MODELS:
-        if model.name == leaf:
+        if isinstance(leaf, str) and model.name == leaf:
             return model
-    raise ValueError(f"leaf must be one of {_names()}, got {shortened(leaf)}.")
+    names = ", ".join(repr(model.name) for model in _MODELS)
+    raise ValueError(f"leaf must be a leaf model or its name, one of {names}, got {shortened(leaf)}.")
 
 
 def code_of_leaf(leaf: LeafModel) -> int:
@@ -30,7 +29,3 @@ def leaf_of_code(code: int) -> LeafModel:
     if code >= len(_MODELS):
         raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
     return _MODELS[code]
-
-
-def _names() -> str:
-    return ", ".join(repr(model.name) for model in _MODELS)

@@ -1,8 +1,8 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
@@ -12,13 +12,14 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array, csr_array
 
-@dataclass(frozen=True)
-class Rules:
+
+class Rules(NamedTuple):
     """SHOULDSPLIT and SPLIT of Algorithm 1."""
 
     should_split: ShouldSplitRule
@@ -29,11 +30,8 @@ class Rules:
 class Parameters:
     """The free numbers of the leaves' functions: all coefficients are a linear map of them.
 
-    Attributes:
-        values: The parameters.
-        row: Of every entry of the map the coefficient, numbered leaf by leaf.
-        column: Its parameter.
-        weight: What the parameter is multiplied with.
+    Every entry of the map adds to a coefficient (``row``, numbered leaf by leaf) a parameter (``column``) times a
+    ``weight``.
     """
 
     values: Float[np.ndarray, "parameters"]
@@ -45,10 +43,6 @@ class Parameters:
     def is_leafwise(self) -> bool:
         """Whether the parameters are the coefficients themselves, so that no two leaves share one."""
         return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
-
-    def moved(self, change: Float[np.ndarray, "parameters"]) -> "Parameters":
-        """The same map of other values."""
-        return replace(self, values=self.values + change)
 
 
 @runtime_checkable
@@ -83,8 +77,8 @@ class LeafModel(Protocol):
         """Samples of a cell that determine its function, at the least."""
         ...
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, Any]:
-        """Grow a partition: its tree, its leaves in the order of the tree's traversal, and what is stored of them."""
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
+        """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
         ...
 
     def write(self, body: BitWriter, cells: Cells, stored: Any) -> None:
@@ -113,7 +107,7 @@ class LeafModel(Protocol):
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
         ...
 
-    def parameters(self, cells: Cells, stored: Any) -> "Parameters":
+    def parameters(self, cells: Cells, stored: Any) -> Parameters:
         """The free numbers of the leaves' functions, which a refinement may change."""
         ...
 
@@ -155,3 +149,24 @@ def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """The nearest 32-bit floats that are not above, in double precision."""
     rounded = values.astype(np.float32)
     return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)
+
+
+def weighted_squares(
+    of_parameters: "csr_array | csc_array", normal: Float[np.ndarray, "leaves terms terms"]
+) -> "csr_array":
+    """The normal matrix of parameters that are mapped to all coefficients, from those of the leaves' coefficients."""
+    from scipy.sparse import bsr_array
+
+    each = np.arange(len(normal) + 1)
+    return of_parameters.T @ (bsr_array((normal, each[:-1], each)) @ of_parameters)
+
+
+def solve_sparse(normal: "csr_array", moments: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Solve equations whose matrix is symmetric and positive definite."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    # Without pivoting, the factors of such a matrix fill in a quarter as much.
+    options = {"SymmetricMode": True}
+    factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return factors.solve(moments)

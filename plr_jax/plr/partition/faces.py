@@ -1,4 +1,4 @@
-"""Which leaves share a face, and between which corners a split put another."""
+"""Which leaves share faces, which one the most of them, and between which corners a split put another."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,13 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
+_PAIRS_AT_ONCE = 4_000_000
+_MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
+
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces:
-    """Pieces of faces that two leaves share: what they have in common of the upper face of one, the lower of another.
-
-    Attributes:
-        lower: The leaf below the face.
-        upper: The leaf above it.
-        axis: The axis that the face is perpendicular to.
-    """
+    """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common."""
 
     lower: Int[np.ndarray, "faces"]
     upper: Int[np.ndarray, "faces"]
@@ -35,7 +32,11 @@ def shared_faces(tree: Tree) -> SharedFaces:
 
     The halves of a split share a face. A pair of nodes that do is replaced by pairs of a node and a child that do,
     until both are leaves.
+
+    Raises:
+        ValueError: If they are too many to be listed, as where many slabs meet many that lie across them.
     """
+    most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     found = []
@@ -45,6 +46,8 @@ def shared_faces(tree: Tree) -> SharedFaces:
         lower = _descend(tree, pairs[:, inner[0]], 0)
         upper = _descend(tree, pairs[:, inner[1] & ~inner[0]], 1)
         pairs = np.concatenate([lower, upper], axis=1)
+        if pairs.shape[1] > most:
+            raise ValueError(f"its {len(tree.node_of_leaf)} leaves share more than {most} faces; build it of fewer")
     leaf_of_node = np.full(len(tree.child), -1)
     leaf_of_node[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
     lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)
@@ -94,16 +97,43 @@ def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"],
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)
-    for split in tree.splits():
+    for split in tree.splits:
         for half in range(2):
             stays = (bits == half)[:, tree.axis[split]].T
             origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
     leaf_at = np.empty_like(origin)
     leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
     corners = np.arange(len(bits))
-    for split in reversed(tree.splits()):
+    for split in reversed(tree.splits):
         leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
     made_by = origin[tree.node_of_leaf]
     across = weight[tree.axis[made_by]]
     ends = np.stack([corners & ~across, corners | across], axis=-1)
     return leaf_at[made_by[..., None], ends] * len(bits) + ends, made_by >= 0
+
+
+def neighbor_of_largest_contact(
+    cells: Cells, unreachable: Int[np.ndarray, "unreachable"], reachable: Int[np.ndarray, "reachable"]
+) -> Int[np.ndarray, "unreachable"]:
+    """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
+
+    -1 where it touches none.
+    """
+    finest = cells.depth.max(axis=0)
+    lo = cells.position << (finest - cells.depth)
+    hi = (cells.position + 1) << (finest - cells.depth)
+    donor = np.full(len(unreachable), -1)
+    rows = max(1, _PAIRS_AT_ONCE // max(len(reachable), 1))
+    for start in range(0, len(unreachable) if len(reachable) else 0, rows):
+        chunk = unreachable[start : start + rows]
+        contact = np.ones((len(chunk), len(reachable)))
+        for axis in range(cells.dim):
+            low = np.maximum(lo[chunk, axis, None], lo[reachable, axis])
+            high = np.minimum(hi[chunk, axis, None], hi[reachable, axis])
+            # Touching in a point along this axis counts far less than an overlap of the finest slot.
+            overlap = np.where(high == low, 2.0**-20, np.maximum(high - low, 0))
+            contact *= overlap / 2.0 ** finest[axis]
+        best = np.argmax(contact, axis=1)
+        found = contact[np.arange(len(chunk)), best] > 0
+        donor[start : start + rows][found] = reachable[best[found]]
+    return donor

@@ -1,6 +1,6 @@
 """The tree over a partition's leaves: level by level, as a file stores it, and as a table of nodes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,12 +13,7 @@ MAX_DEPTH = 60  # a leaf's path, one bit a split, fits a 64-bit integer
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The nodes of one depth, left to right.
-
-    Attributes:
-        inner: Which nodes are split.
-        axis: The axis of each split node.
-    """
+    """The nodes of one depth, left to right: which are split, and the axis of each of those."""
 
     inner: Bool[np.ndarray, "nodes"]
     axis: Int[np.ndarray, "splits"]
@@ -28,31 +23,22 @@ class Level:
 class Tree:
     """The nodes of a tree, level by level from the root.
 
-    Attributes:
-        cells: Cell of each node.
-        axis: Axis along which each node is split; 0 for a leaf.
-        child: Lower child of each node, the upper one following it; -1 for a leaf.
-        node_of_leaf: Node of each leaf, leaves in the order of the tree's traversal.
-        level_start: First node of each level, and the number of nodes.
-        order: Index of each leaf among the cells that the tree was made for.
+    A leaf's ``axis`` is 0 and its ``child`` -1; of another node ``child`` is the lower one, the upper one follows it.
+    Leaves stand in the order of the tree's traversal, ``order`` is their index among the cells the tree was made for;
+    ``splits`` are the split nodes of each level.
     """
 
     cells: Cells
     axis: Int[np.ndarray, "nodes"]
     child: Int[np.ndarray, "nodes"]
     node_of_leaf: Int[np.ndarray, "leaves"]
-    level_start: Int[np.ndarray, "levels_plus_one"]
+    splits: list[Int[np.ndarray, "_"]]
     order: Int[np.ndarray, "leaves"]
 
     @property
     def leaves(self) -> Cells:
         """Cells of the leaves, in the order of the tree's traversal."""
         return self.cells[self.node_of_leaf]
-
-    def splits(self) -> list[Int[np.ndarray, "splits"]]:
-        """The split nodes, level by level."""
-        levels = [np.arange(*ends) for ends in zip(self.level_start[:-1], self.level_start[1:], strict=True)]
-        return [nodes[self.child[nodes] >= 0] for nodes in levels]
 
 
 def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
@@ -84,19 +70,6 @@ def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
     return levels, np.argsort(path, kind="stable")
 
 
-def cells_of(levels: list[Level], dim: int) -> Cells:
-    """Leaves of a tree given by its levels, in order of its traversal."""
-    nodes, path = Cells.root(dim), np.zeros(1, np.int64)
-    leaves, paths = Cells.root(dim)[:0], []
-    for depth, level in enumerate(levels):
-        leaves = leaves.append(nodes[~level.inner])
-        paths.append(path[~level.inner])
-        nodes = nodes[level.inner].split(level.axis)
-        path = np.repeat(path[level.inner], 2)
-        path[1::2] |= 1 << (MAX_DEPTH - depth)
-    return leaves[np.argsort(np.concatenate(paths), kind="stable")]
-
-
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
     """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
     return np.array(list(product((0, 1), repeat=dim)))
@@ -105,25 +78,24 @@ def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
 def tree_of(cells: Cells) -> Tree:
     """The tree whose leaves are the given cells, in any order."""
     levels, order = levels_of(cells)
-    sizes = np.array([len(level.inner) for level in levels])
-    level_start = np.concatenate([[0], np.cumsum(sizes)])
-    nodes, parts = Cells.root(cells.dim), []
-    axis, child = np.zeros(level_start[-1], np.int64), np.full(level_start[-1], -1)
-    for level, start in zip(levels, level_start[:-1], strict=True):
-        parts.append(nodes)
-        split = start + np.flatnonzero(level.inner)
+    return replace(tree_of_levels(levels, cells.dim), order=order)
+
+
+def tree_of_levels(levels: list[Level], dim: int) -> Tree:
+    """The tree of given levels."""
+    num_nodes = sum(len(level.inner) for level in levels)
+    axis, child, path = np.zeros(num_nodes, np.int64), np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
+    nodes, parts, splits, first = Cells.root(dim), [], [], 0
+    for depth, level in enumerate(levels):
+        split = first + np.flatnonzero(level.inner)
+        first += len(level.inner)
         axis[split] = level.axis
-        child[split] = start + len(level.inner) + 2 * np.arange(len(split))
+        child[split] = first + 2 * np.arange(len(split))
+        path[child[split]] = path[split]
+        path[child[split] + 1] = path[split] | (1 << (MAX_DEPTH - depth))
+        parts.append(nodes)
+        splits.append(split)
         nodes = nodes[level.inner].split(level.axis)
-    all_cells = parts[0].append(*parts[1:])
-    return Tree(all_cells, axis, child, _nodes_of(all_cells, child, cells[order]), level_start, order)
-
-
-def _nodes_of(nodes: Cells, child: Int[np.ndarray, "nodes"], leaves: Cells) -> Int[np.ndarray, "leaves"]:
-    """Node of each leaf: both lists sorted alike."""
-    leaf_nodes = np.flatnonzero(child < 0)
-    of_node = np.lexsort((*nodes.depth[leaf_nodes].T, *nodes.position[leaf_nodes].T))
-    of_leaf = np.lexsort((*leaves.depth.T, *leaves.position.T))
-    found = np.empty(len(leaves), np.int64)
-    found[of_leaf] = leaf_nodes[of_node]
-    return found
+    leaves = np.flatnonzero(child < 0)
+    node_of_leaf = leaves[np.argsort(path[leaves])]
+    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))

@@ -18,29 +18,16 @@ _CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """The tables of several PLRs, one a robot.
+    """The tables of several PLRs, one a robot, and the corners far from the origin from which some count coordinates.
 
-    Args:
-        tables: The tables, in the order of the robots.
-        far_corners: For each, where it counts coordinates from a corner far from the origin, that corner.
+    See :meth:`PLR.stack`.
     """
 
     tables: tuple[Tables, ...]
     far_corners: tuple[Float[np.ndarray, "_"] | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Distance of every robot in every joint configuration.
-
-        Args:
-            q: Joint configurations, ``(n, robots, dof)``. A PLR of fewer than ``dof`` dimensions sees the leading
-                coordinates.
-
-        Returns:
-            What each robot's PLR answers, bit for bit, ``(n, robots)``.
-
-        Raises:
-            ValueError: If there are more or fewer robots than PLRs, or fewer coordinates than a PLR has.
-        """
+        """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
         self._require_fit(q.shape)
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)

@@ -5,6 +5,10 @@ of its cell's position: its *slot*. A *flat* table has one entry a slot of the f
 with ``bits[a]`` the deepest split along axis ``a``. A deep tree would make that table huge although only a few of its
 leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *blocks*, and each block has a little table
 of its own, just as fine along each axis as its own leaves need.
+
+How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
+PLRs of one class share compiled code. It fixes how many leaves there is room for and, in the plane and on a line, how
+many slots; what is left of them is padding, which is never read.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,17 +23,15 @@ from jaxtyping import Array, Float, Int, UInt16, UInt32
 from plr_jax._arrays import padded
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.sizes import (
-    MAX_FLAT_BITS,
-    byte_class,
-    max_entries,
-    rows_of_class,
-    slot_bits_of_class,
-)
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
+MIN_CLASS = 8
+_SLOT_BITS = ((11, 14), (13, 16), (15, 18))  # up to a class, bits of a flat table
+MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
+_DEEP_BITS = 28  # of a point's place in all, beyond the classes above
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_BLOCK_BITS = 16
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
@@ -42,12 +44,7 @@ class Blocks:
     A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
     each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
     first word has no room come in further words. One word is read with one gather, which is what a query costs.
-
-    Attributes:
-        words: For every word its value in each block.
-        shift: Bits of a point's place below its block, along each axis.
-        axes: For every word the number of axes it describes.
-        width: Bits of an axis in a word.
+    Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
     """
 
     words: tuple[UInt32[Array, "blocks"], ...]
@@ -126,17 +123,9 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Tables of a partition: leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
+    """Tables of a partition whose leaf ``i`` is ``cells[i]`` and has ``numbers[i]``.
 
-    Args:
-        domain: The box that the cells divide.
-        cells: The leaves.
-        numbers: What the leaf model reads of each.
-        leaf: The leaf model.
-        num_bytes: Size of the file, which fixes the size of the tables and bounds it.
-
-    Raises:
-        ValueError: If the leaves are too deep for a file of that size.
+    The size of the file fixes that of the tables and bounds it: raises ``ValueError`` if the leaves are too deep.
     """
     bits = cells.depth.max(axis=0)
     of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
@@ -147,6 +136,7 @@ def build_tables(
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
     rows = rows_of_class(of_class, leaf.least_bytes)
+    table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
     top = bits if flat else block_bits
     below = FRACTION_BITS - top
@@ -156,15 +146,40 @@ def build_tables(
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
-        numbers=jnp.asarray(_lay_out(numbers, rows)),
+        numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
     )
 
 
-def check_depth(cells: Cells) -> None:
-    """Raise ``ValueError`` if a cell is smaller than what a query resolves."""
-    if (deepest := cells.depth.max()) > FRACTION_BITS:
-        raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
+def byte_class(num_bytes: int) -> int:
+    """The smallest exponent of a power of two that is at least so many bytes."""
+    return max(MIN_CLASS, (num_bytes - 1).bit_length())
+
+
+def rows_of_class(of_class: int, least_bytes: int) -> int:
+    """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
+    return (1 << of_class) // least_bytes
+
+
+def slot_bits_of_class(of_class: int, needed: int) -> int:
+    """Bits of a class's flat table; as many as are needed, where that is more."""
+    return max(needed, next((bits for last, bits in _SLOT_BITS if of_class <= last), MAX_FLAT_BITS))
+
+
+def max_axis_depth(dim: int, of_class: int | None) -> int:
+    """How often a cell may be halved along one axis, for a class of files or for any.
+
+    In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
+    """
+    if of_class is None or of_class > _SLOT_BITS[-1][0] or dim > 2:
+        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
+    return slot_bits_of_class(of_class, 0) // dim
+
+
+def max_entries(num_bytes: int) -> int:
+    """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
+    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
+    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
 def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:
@@ -177,14 +192,6 @@ def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
-
-
-def _lay_out(
-    numbers: Float[np.ndarray, "leaves count"], rows: int
-) -> Float[np.ndarray, "count padded"] | Float[np.ndarray, "numbers"]:
-    """What a query reads of every leaf as ``Tables.numbers`` describes, padded with zeros."""
-    table = padded(numbers.astype(np.float32), rows)
-    return table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)
 
 
 def _pack_blocks(

@@ -97,7 +97,7 @@ def refine(
     if steps_taken < num_steps:
         message = f"Interrupted after {steps_taken} of {num_steps} steps: the PLR is the best found so far."
         warnings.warn(message, RefinementInterrupted, stacklevel=2)
-    refined, shift = _restored(plr, refinable.corrected(z), max_bytes), 0.0
+    refined, shift = _restored(plr, refinable.at(z), max_bytes), 0.0
     if share is not None:
         shift = _conformal_shift(refined, calibration, share)
         refined = with_stored(plr, plr.leaf.raised(refined.stored, shift))
@@ -162,10 +162,9 @@ def _check_points(
             f"A distance must be a number, or inf where the goal cannot be reached, got {distance[bad][0]} at "
             f"{x[bad][0].tolist()}."
         )
-    if not (np.isfinite(weight).all() and (weight >= 0).all()):
-        raise ValueError(
-            f"A weight must be finite and >= 0, got {weight[~(np.isfinite(weight) & (weight >= 0))][0]}."
-        )
+    bad = ~(np.isfinite(weight) & (weight >= 0))
+    if bad.any():
+        raise ValueError(f"A weight must be finite and >= 0, got {weight[bad][0]}.")
     finite = np.flatnonzero(distance < np.inf)
     return WeightedPoints(x, distance, weight).take(finite), len(x) - len(finite)
 

@@ -7,10 +7,10 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, local_coordinates
 from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import tree_of
-from plr_jax.plr.sampling.oracle import call_oracle
+from plr_jax.plr.sampling.cell_fit import call_oracle
 
 _SAME = 1e-6  # of a leaf's width
 
@@ -40,18 +40,12 @@ class Faces:
         Raises:
             ValueError: If the PLR has another partition, or leaves of another kind.
         """
-        if not self._fit(plr):
+        is_here = self.leaves.max(initial=0) < plr.num_leaves and self.x.shape[1] == plr.dim
+        is_here = is_here and plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] == self.basis.shape[2]
+        if not (is_here and (np.abs(local_coordinates(plr, self.leaves, self.x[:, None]) - self.u) < _SAME).all()):
             raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
         below, above = (plr.values_in_leaves(leaf, self.x) for leaf in self.leaves.T)
         return above - below
-
-    def _fit(self, plr: PLR) -> bool:
-        """Whether the points are where the PLR's leaves say that they are."""
-        if self.leaves.max(initial=0) >= plr.num_leaves or self.x.shape[1] != plr.dim:
-            return False
-        if plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] != self.basis.shape[2]:
-            return False
-        return bool((np.abs(_local(plr, self.x, self.leaves) - self.u) < _SAME).all())
 
 
 def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, seed: int = 0) -> Faces:
@@ -84,12 +78,6 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
-    u = _local(plr, x, leaves)
+    u = local_coordinates(plr, leaves, x[:, None])
     basis = plr.leaf.basis(u.reshape(-1, plr.dim))
     return Faces(x, leaves, u, basis.reshape(len(x), 2, basis.shape[1]))
-
-
-def _local(plr: PLR, x: Float[np.ndarray, "m dim"], leaves: Int[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2 dim"]:
-    """Coordinates of each point in both of its leaves."""
-    lo, hi = plr.leaf_boxes
-    return (2 * x[:, None] - lo[leaves] - hi[leaves]) / (hi - lo)[leaves]

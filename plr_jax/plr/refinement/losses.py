@@ -51,11 +51,7 @@ def squared(error: Float[Array, "n"]) -> Float[Array, "n"]:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Quantile:
-    """The loss that :func:`quantile` gives.
-
-    Attributes:
-        share: Share of points that shall be over-estimated; a number.
-    """
+    """The loss that :func:`quantile` gives, of a share that is a number."""
 
     share: ArrayLike
 

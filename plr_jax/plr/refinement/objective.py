@@ -19,20 +19,9 @@ _TINY = 1e-30
 class Objective(NamedTuple):
     """What a step reads. Points come leaf by leaf; all that varies in number is padded with zeros to powers of two.
 
-    Attributes:
-        leaf: The leaf of each point.
-        basis: What the coefficients of its leaf multiply there.
-        error: Error of the least-squares fit at each point.
-        weight: Weight of each point; they sum to 1.
-        share: Sum of the weights in each leaf.
-        coefficients: Those of the least-squares fit.
-        row: Of every entry of the map from variables to corrections the coefficient, numbered leaf by leaf.
-        column: Its variable.
-        entry: What the variable is multiplied with.
-        center: What a leaf's coefficients are multiplied with to give the value at its center.
-        half: And its half-differences.
-        per_half: Slope along each axis of a leaf whose half-difference along it is 1.
-        start: The variables at the start, 0.
+    Error and coefficients are those of the least-squares fit, corrected by a map of the variables: an entry adds to a
+    coefficient (``row``, numbered leaf by leaf) a variable (``column``) times ``entry``. Weights sum to 1, in a leaf
+    to its ``share``. With ``center`` and ``half`` coefficients give the mean plane, with ``per_half`` its slope.
     """
 
     leaf: Int[Any, "n"]
@@ -114,10 +103,9 @@ def _checked_start(
 ) -> float:
     """The objective at the start, after what the loss and the penalties return has been checked."""
     errors = jax.ShapeDtypeStruct(objective.error.shape, jnp.float32)
-    if _shape_of(jax.eval_shape(loss, errors)) != errors.shape:
-        raise ValueError(
-            f"A loss must return one number an error, shape {errors.shape} here, got {jax.eval_shape(loss, errors)}."
-        )
+    losses = jax.eval_shape(loss, errors)
+    if _shape_of(losses) != errors.shape:
+        raise ValueError(f"A loss must return one number an error, shape {errors.shape} here, got {losses}.")
     planes = jax.eval_shape(_planes_at, objective, z)
     for penalty in penalties:
         if _shape_of(jax.eval_shape(penalty, planes)) != ():

@@ -12,7 +12,7 @@ adds up their gradients. Three things make a few hundred steps enough, whatever 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
-from plr_jax.plr._plr import PLR, leaf_of
-from plr_jax.plr.leaves.base import Parameters, values_at_centers
+from plr_jax.plr._plr import PLR, leaf_of, local_coordinates
+from plr_jax.plr.leaves.base import Parameters, solve_sparse, values_at_centers, weighted_squares
 from plr_jax.plr.refinement.objective import Objective
 
 POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
@@ -49,23 +49,15 @@ class WeightedPoints(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Refinable:
-    """A PLR's parameters, and the objective in which they are variables.
+    """The objective, the parameters of least squared error, and those at given variables, in double precision.
 
-    Attributes:
-        objective: What is minimized.
-        values: The parameters of least squared error.
-        to_parameters: From variables to corrections of them, in double precision.
-        has_enough: Which leaves have enough points to be fitted to.
+    ``has_enough`` says which leaves have enough points to be fitted to.
     """
 
     objective: Objective
     values: Float[np.ndarray, "parameters"]
-    to_parameters: Callable[[Float[np.ndarray, "variables"]], Float[np.ndarray, "parameters"]]
+    at: Callable[[Float[np.ndarray, "padded"]], Float[np.ndarray, "parameters"]]
     has_enough: Bool[np.ndarray, "leaves"]
-
-    def corrected(self, z: Float[np.ndarray, "padded"]) -> Float[np.ndarray, "parameters"]:
-        """The parameters at given variables."""
-        return self.values + self.to_parameters(np.asarray(z, np.float64)[: len(self.values)])
 
 
 def pose(plr: PLR, points: WeightedPoints) -> Refinable:
@@ -77,19 +69,23 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     order = np.argsort(leaf, kind="stable")
     leaf, (x, distance, weight) = leaf[order], points.take(order)
     lo, hi = plr.leaf_boxes
-    basis = plr.leaf.basis((2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf])
+    basis = plr.leaf.basis(local_coordinates(plr, leaf, x))
     parameters = plr.leaf.parameters(plr.cells, plr.stored)
     shape = (plr.num_leaves, basis.shape[1])
     num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
     has_enough = (num_points >= POINTS_A_COEFFICIENT * basis.shape[1]) & ~plr.unreachable
     weight = _normalized(weight * has_enough[leaf], plr, POINTS_A_COEFFICIENT * basis.shape[1])
-    sum_up = _sums(leaf, len(lo))
-    normal, share = _normal_matrices(sum_up, basis, weight), sum_up(weight)
+
+    def sum_up(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "leaves"]:
+        return np.bincount(leaf, values, minlength=len(lo))
+
+    normal = np.array([[sum_up(weight * a * b) for b in basis.T] for a in basis.T]).transpose(2, 0, 1)
+    share = sum_up(weight)
     error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
     if not parameters.is_leafwise:
         normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
-    parameters = parameters.moved(-_least_squares(parameters, normal, moments))
+    parameters = replace(parameters, values=parameters.values - _least_squares(parameters, normal, moments))
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
     center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
@@ -99,22 +95,13 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
         scaled, to_parameters = _whitened(parameters, share, normal, unit, num_points)
     else:
         scaled, to_parameters = _scaled(parameters, unit, shape[1])
-    objective = Objective(
-        leaf=_padded(leaf),
-        basis=_padded(basis),
-        error=_padded(error),
-        weight=_padded(weight),
-        share=_padded(share),
-        coefficients=_padded(coefficients),
-        row=_padded(scaled.row),
-        column=_padded(scaled.column),
-        entry=_padded(scaled.weight),
-        center=center,
-        half=half.T,
-        per_half=_padded(2 / (hi - lo)),
-        start=_padded(np.zeros(len(parameters.values))),
-    )
-    return Refinable(objective, parameters.values, to_parameters, has_enough)
+    rows = {"leaf": leaf, "basis": basis, "error": error, "weight": weight, "share": share}
+    rows |= {"coefficients": coefficients, "per_half": 2 / (hi - lo), "start": np.zeros(len(parameters.values))}
+    rows |= {"row": scaled.row, "column": scaled.column, "entry": scaled.weight}
+    filled_up = {name: padded(column, padded_size(len(column))) for name, column in rows.items()}
+    objective = Objective(center=center, half=half.T, **filled_up)
+    values = parameters.values
+    return Refinable(objective, values, lambda z: values + to_parameters(z[: len(values)]), has_enough)
 
 
 def _normalized(weight: Float[np.ndarray, "n"], plr: PLR, num_points: int) -> Float[np.ndarray, "n"]:
@@ -145,17 +132,13 @@ def _least_squares(
     moments: Float[np.ndarray, "leaves terms"],
 ) -> Float[np.ndarray, "parameters"]:
     """The change of parameters that explains the moments of the errors."""
-    from scipy.sparse import bsr_array, csc_array, diags_array
-    from scipy.sparse.linalg import splu
+    from scipy.sparse import csc_array, diags_array
 
-    leaves, shape = len(moments), (moments.size, len(parameters.values))
+    shape = moments.size, len(parameters.values)
     of_leaves = csc_array((parameters.weight, (parameters.row, parameters.column)), shape)
-    blocks = bsr_array((normal, np.arange(leaves), np.arange(leaves + 1)), (moments.size, moments.size))
-    matrix = of_leaves.T @ (blocks @ of_leaves)
+    matrix = weighted_squares(of_leaves, normal)
     diagonal = matrix.diagonal()
-    matrix = csc_array(matrix + diags_array(_RIDGE * (diagonal + diagonal.max())))
-    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return factors.solve(of_leaves.T @ moments.ravel())
+    return solve_sparse(matrix + diags_array(_RIDGE * (diagonal + diagonal.max())), of_leaves.T @ moments.ravel())
 
 
 def _whitened(
@@ -191,18 +174,6 @@ def _scaled(
     return Parameters(parameters.values, parameters.row, parameters.column, weight), lambda z: scale * z
 
 
-def _sums(leaf: Int[np.ndarray, "n"], leaves: int) -> Callable[[Float[np.ndarray, "n"]], Float[np.ndarray, "leaves"]]:
-    """Sums a number a point over the points of each leaf."""
-    return lambda values: np.bincount(leaf, values, minlength=leaves)
-
-
-def _normal_matrices(
-    sum_up: Callable, design: Float[np.ndarray, "n terms"], weight: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "leaves terms terms"]:
-    rows = [[sum_up(weight * a * b) for b in design.T] for a in design.T]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
 def _units(
     share: Float[np.ndarray, "leaves"], squares: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
 ) -> Float[np.ndarray, "leaves"]:
@@ -210,7 +181,3 @@ def _units(
     of_leaf = np.sqrt(squares / np.where(share > 0, share, 1.0))
     least = np.maximum(_OF_ALL_ERROR * np.sqrt(squares.sum()), _OF_VARIATION * np.linalg.norm(half, axis=1))
     return np.maximum(of_leaf, least)
-
-
-def _padded(rows: np.ndarray) -> np.ndarray:
-    return padded(rows, padded_size(len(rows)))

@@ -1,17 +1,22 @@
 """Cells with their samples, one oracle call for many, and the plane fitted to each."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._types import DistanceFn
+from plr_jax._arrays import as_distances, as_values
+from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.oracle import WeightFn, call_oracle, call_weights
 from plr_jax.plr.sampling.pattern import Pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares, masked_cells
+
+_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
+
+WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,21 +85,11 @@ class CellFit:
 _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("cells", "pattern", "max_axis_depth")]
 
 
-_FEW_A_TERM = 2  # reachable samples a coefficient of a plane
-
-
 @dataclass(frozen=True, eq=False)
 class Sampler:
     """How cells are sampled and fitted: what stays the same throughout a construction.
 
-    Attributes:
-        distance_fn: What is sampled.
-        domain: The box that the cells divide.
-        weight_fn: Weight of the error at points; None: 1.
-        pattern: Where cells are sampled.
-        dense_pattern: Where those are sampled again of which too little was seen.
-        max_axis_depth: How often a cell may be halved along one axis.
-        compute_coefficients: Fits the planes.
+    Cells of which too little was seen are sampled again with the dense pattern.
     """
 
     distance_fn: DistanceFn
@@ -137,6 +132,22 @@ class Sampler:
                 "tiny part of the domain, raise num_samples."
             )
         return fit
+
+
+def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
+    """Distances at points, checked; a masked entry is one that cannot be reached."""
+    return as_distances("distance_fn", distance_fn(x.copy()), x)  # it may compute in place
+
+
+def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
+    """Weights at points, checked."""
+    weight = as_values("weight_fn", weight_fn(x.copy()), len(x))
+    if not np.isfinite(weight).all() or (weight < 0).any():
+        raise ValueError(
+            f"weight_fn must return finite weights >= 0, got values from {weight.min(initial=np.inf):g} to "
+            f"{weight.max(initial=-np.inf):g}."
+        )
+    return weight
 
 
 def weights_of_fit(

@@ -7,7 +7,7 @@ from plr_jax._types import DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces, face_points
-from plr_jax.plr.sampling.oracle import call_oracle
+from plr_jax.plr.sampling.cell_fit import call_oracle
 from plr_jax.plr.sampling.pattern import sample_pattern
 
 _NUM_POINTS = 32
@@ -35,7 +35,8 @@ class FaceTests:
         keys = [row.tobytes() for row in geometry]
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
-        points = _points_of_a_face(self._domain.dim)
+        # Fractions of a face; along its own axis, whichever that is, it has no width.
+        points = (1 + _INSET * sample_pattern(self._domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(~free)
             if len(some) and len(unsure):
@@ -53,8 +54,3 @@ class FaceTests:
         distance = call_oracle(self._distance_fn, np.concatenate(sides).reshape(-1, self._domain.dim))
         below, above = np.isfinite(distance).reshape(2, *x.shape[:2])
         return np.any(below & above, axis=1)
-
-
-def _points_of_a_face(dim: int) -> Float[np.ndarray, "k dim"]:
-    """Points of a face as fractions of it; along its own axis, whichever that is, it has no width."""
-    return (1 + _INSET * sample_pattern(dim, _NUM_POINTS, 0.0, 0).u) / 2

@@ -64,15 +64,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
     A third of the samples lie on the faces. They find the free slivers behind a wall and the corners at which a
     distance bends most against its plane; they check the fit more than they shape it, so their weight is small.
-
-    Args:
-        dim: Number of axes.
-        num_samples: Number of samples; at least ``dim + 1``.
-        margin: How far samples reach beyond the cell, as a fraction of its width.
-        seed: Seed of the scrambling.
-
-    Returns:
-        A pattern with coordinates in ``[-1 - 2 margin, 1 + 2 margin]``.
+    There must be ``dim + 1`` or more; their coordinates are in ``[-1 - 2 margin, 1 + 2 margin]``.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))

@@ -57,15 +57,8 @@ def midrange(
     """The slope of :func:`least_squares`, at the height that makes the largest error smallest.
 
     Above and below the plane the samples of positive weight then err equally far. Meant for a ``tolerance``: fewer
-    leaves for the same largest error, at about twice the mean error for the same leaves.
-
-    Args:
-        pattern: Where the cells are sampled.
-        value: Distance at each sample of each cell, finite.
-        weight: Weight of each, >= 0; 0 where the goal cannot be reached.
-
-    Returns:
-        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
+    leaves for the same largest error, at about twice the mean error for the same leaves. Takes and returns what
+    :func:`least_squares` does.
     """
     center, half = least_squares(pattern, value, weight)
     residual = value - (center[:, None] + half @ pattern.u.T)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plr_helpers import random_contents
@@ -5,7 +7,7 @@ from plr_helpers import random_contents
 from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import Parameters, rounded_down, values_at_centers
+from plr_jax.plr.leaves.base import rounded_down, values_at_centers
 
 
 @pytest.mark.parametrize("dim", [1, 2])
@@ -20,7 +22,7 @@ def test_coefficients_of_planes_are_planes(leaf, dim):
 
 
 def test_coefficients_are_the_map_of_the_parameters(leaf):
-    contents, _ = random_contents(3, 2, leaf)
+    contents = random_contents(3, 2, leaf)
     model, coefficients = contents.leaf, contents.leaf.coefficients(contents.cells, contents.stored)
     parameters = model.parameters(contents.cells, contents.stored)
     of_map = np.zeros(coefficients.size)
@@ -29,7 +31,7 @@ def test_coefficients_are_the_map_of_the_parameters(leaf):
 
 
 def test_the_same_parameters_are_stored_as_before_then_with_fewer_and_fewer_bits(leaf):
-    contents, _ = random_contents(3, 2, leaf)
+    contents = random_contents(3, 2, leaf)
     parameters = contents.leaf.parameters(contents.cells, contents.stored)
     sizes = []
     for stored in contents.leaf.restored(contents.stored, parameters.values):
@@ -44,15 +46,10 @@ def test_the_same_parameters_are_stored_as_before_then_with_fewer_and_fewer_bits
 
 
 def test_raised_leaves_are_higher_by_the_shift_or_a_little_less(leaf):
-    contents, levels = random_contents(4, 2, leaf)
+    contents = random_contents(4, 2, leaf)
     x = contents.domain.lo + contents.domain.width * np.random.default_rng(0).random((200, 2))
-    plr = plr_of_leaves(contents, levels)
-    raised = plr_of_leaves(
-        type(contents)(
-            contents.domain, contents.leaf, contents.cells, contents.leaf.raised(contents.stored, 0.123456789)
-        ),
-        levels,
-    )
+    plr = plr_of_leaves(contents)
+    raised = plr_of_leaves(replace(contents, stored=contents.leaf.raised(contents.stored, 0.123456789)))
     change = np.asarray(raised(x), float) - np.asarray(plr(x), float)
     finite = np.isfinite(change)
     assert finite.sum() > 100
@@ -65,9 +62,3 @@ def test_rounding_down_to_32_bits():
     np.testing.assert_array_equal(found, found.astype(np.float32))
     assert (found <= values).all() and (values - found < 2e-7).all()
     assert found[2] == 1.0 == found[3]
-
-
-def test_parameters_move():
-    each = np.arange(3)
-    parameters = Parameters(np.array([1.0, 2, 3]), each, each, np.ones(3))
-    assert parameters.moved(np.array([1.0, 0, -1])).values.tolist() == [2, 2, 2]

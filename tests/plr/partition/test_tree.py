@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from plr_helpers import random_partition
 
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import cells_of, levels_of
+from plr_jax.plr.partition.tree import levels_of, tree_of_levels
 
 
 @settings(max_examples=30, deadline=None)
@@ -13,7 +13,7 @@ def test_levels_give_back_the_same_leaves(seed, dim, num_splits):
     leaves = random_partition(seed, dim, num_splits)
     shuffled = leaves[np.random.default_rng(seed).permutation(len(leaves))]
     levels, order = levels_of(shuffled)
-    again = cells_of(levels, dim)
+    again = tree_of_levels(levels, dim).leaves
     np.testing.assert_array_equal(again.depth, shuffled.depth[order])
     np.testing.assert_array_equal(again.position, shuffled.position[order])
 
@@ -25,4 +25,4 @@ def test_the_deepest_path_fits():
     levels, order = levels_of(leaves)
     assert len(levels) == 61
     np.testing.assert_array_equal(order, np.arange(61))
-    np.testing.assert_array_equal(cells_of(levels, 1).position, leaves.position)
+    np.testing.assert_array_equal(tree_of_levels(levels, 1).leaves.position, leaves.position)

@@ -7,7 +7,16 @@ from plr_helpers import UNIT, chain, random_partition, walled
 from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
-from plr_jax.plr.query.tables import _pack_blocks, build_tables, check_depth, table_corners
+from plr_jax.plr.query.tables import (
+    _pack_blocks,
+    build_tables,
+    byte_class,
+    max_axis_depth,
+    max_entries,
+    rows_of_class,
+    slot_bits_of_class,
+    table_corners,
+)
 
 
 def shapes(plr):
@@ -57,12 +66,6 @@ def test_all_goals_of_a_maze_have_tables_of_one_shape(leaf, num_goals, limits):
     assert all(shapes(plr) == shapes(plrs[0]) for plr in plrs[1:])
 
 
-def test_cells_too_deep_for_a_query_are_refused():
-    check_depth(chain([0] * 23))
-    with pytest.raises(ValueError, match="a cell is split 24 times along one axis; a query resolves 23"):
-        check_depth(chain([0] * 24))
-
-
 def test_tables_larger_than_the_file_allows_are_refused():
     cells = chain([0] * 22 + [1] * 22)
     with pytest.raises(ValueError, match=r"too deep for a query's tables: \[22, 22\] splits .* Lower max_depth"):
@@ -83,3 +86,43 @@ def test_corners_are_rounded_outward(lo, width):
     assert low.dtype == np.float32 and low[0] <= domain.lo[0] and high[0] >= domain.hi[0]
     assert np.nextafter(low, np.float32(np.inf))[0] > domain.lo[0]
     assert np.nextafter(high, np.float32(-np.inf))[0] < domain.hi[0]
+
+
+@pytest.mark.parametrize(
+    ("num_bytes", "expected"), [(1, 8), (256, 8), (257, 9), (2048, 11), (2049, 12), (4096, 12), (10**6, 20)]
+)
+def test_a_class_is_the_power_of_two_that_holds_the_bytes(num_bytes, expected):
+    assert byte_class(num_bytes) == expected
+
+
+def test_tables_have_room_for_as_many_leaves_as_a_file_can_hold():
+    assert rows_of_class(11, 2) == 1024
+    assert rows_of_class(11, 1) == 2048
+
+
+@pytest.mark.parametrize(
+    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 16), (14, 18), (15, 18), (16, 18), (30, 18)]
+)
+def test_slots_grow_with_the_class(of_class, expected):
+    assert slot_bits_of_class(of_class, 0) == expected
+    assert slot_bits_of_class(of_class, expected) == expected
+    assert slot_bits_of_class(of_class, 20) == 20
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+@pytest.mark.parametrize("of_class", range(8, 16))
+def test_on_a_line_and_in_the_plane_the_cells_of_a_class_fit_its_table(dim, of_class):
+    assert dim * max_axis_depth(dim, of_class) <= slot_bits_of_class(of_class, 0)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 5, 8, 28, 50])
+def test_more_bytes_never_mean_larger_cells(dim):
+    depths = [max_axis_depth(dim, of_class) for of_class in (*range(8, 30), None)]
+    assert depths == sorted(depths) and depths[0] >= 1 and depths[-1] <= 18
+
+
+def test_what_a_reader_allocates_grows_with_the_file_up_to_an_end():
+    entries = [max_entries(1 << bits) for bits in range(8, 40)]
+    assert entries == sorted(entries)
+    assert entries[0] == 2**20 and entries[-1] == 2**27
+    assert max_entries(2**13) == 2**22

@@ -54,7 +54,7 @@ def test_faces_of_a_file_that_splits_the_same_leaves_in_another_order():
         Level(np.zeros(4, bool), np.zeros(0, int)),
     ]
     planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
-    plr = plr_of_leaves(Contents(Box([0, 0], [1, 1]), Plane(), quarters, planes), levels)
+    plr = plr_of_leaves(Contents(Box([0, 0], [1, 1]), Plane(), levels, quarters, planes))
     faces = sample_faces(plr, cone, num_samples=1)
     assert (np.abs(faces.u) <= 1).all()
     # Lower left is 0, lower right 1, upper left 2, upper right 3.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr.leaves.continuous.space import NodalSpace, multilinear, resolve
+from plr_jax.plr.leaves.continuous.space import NodalSpace, resolve
 from plr_jax.plr.partition.tree import corner_bits
 
 if TYPE_CHECKING:
@@ -20,14 +20,17 @@ if TYPE_CHECKING:
 POWERS = (2, 4)  # of t along each axis, by order of continuity
 MAX_DIM_OF_ORDER = (6, 2)  # 2**6 corners a leaf; in 3-D a corner may hang on two leaves whose cubics disagree there
 
-# Cubics on [0, 1] by powers of t: value at 0, derivative at 0, value at 1, derivative at 1.
-_HERMITE = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4)
-_LINEAR = np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2)
+# By order: for both ends of [0, 1] and the kinds of number there, a function's coefficients by powers of t. Those of
+# order 1 are cubics: of the value at 0, the derivative at 0, the value at 1, the derivative at 1.
+_ALONG = (
+    np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2),
+    np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4),
+)
 
 
 def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
     """Values at points ``t`` of a cell, from 0 to 1 along each axis, of the functions that its numbers multiply."""
-    return multilinear(t) if order == 0 else _hermite(t, np.zeros(t.shape[1], np.int64))
+    return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
 
 def numbers_of_leaves(order: int, space: NodalSpace) -> "csr_array":
@@ -52,7 +55,7 @@ def numbers_of_planes(
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     """For every number of a cell the coefficients of its function by powers of ``t``, the last axis fastest."""
-    along = _LINEAR if order == 0 else _HERMITE
+    along = _ALONG[order]
     table = np.ones((1, 1, 1))
     for _ in range(dim):
         table = np.einsum("cmp,adq->camdpq", table, along).reshape(
@@ -61,17 +64,18 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     return table.reshape(-1, table.shape[2])
 
 
-def _hermite(t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
-    """A mixed derivative of all functions of order 1: by corner, then by what the number is a derivative along."""
-    n = len(t)
-    values = np.ones((n, 1, 1))
-    for axis, order in enumerate(derivative):
-        powers = np.arange(4)
+def _derivatives(
+    order: int, t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]
+) -> Float[np.ndarray, "n terms"]:
+    """A mixed derivative of all functions: by corner, then by what the number is a derivative along."""
+    n, (_, kinds, num_powers) = len(t), _ALONG[order].shape
+    values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
+    for axis, is_along in enumerate(derivative):
         slopes = powers * t[:, axis, None] ** np.maximum(powers - 1, 0)
-        along = (slopes if order else t[:, axis, None] ** powers) @ _HERMITE.reshape(4, 4).T
-        values = np.einsum("ncm,nad->ncamd", values, along.reshape(n, 2, 2))
-        values = values.reshape(n, 2 ** (axis + 1), 2 ** (axis + 1))
-    return values.reshape(n, 4 ** t.shape[1])
+        along = (slopes if is_along else t[:, axis, None] ** powers) @ _ALONG[order].reshape(-1, num_powers).T
+        values = np.einsum("ncm,nad->ncamd", values, along.reshape(n, 2, kinds))
+        values = values.reshape(n, 2 ** (axis + 1), kinds ** (axis + 1))
+    return values.reshape(n, (2 * kinds) ** t.shape[1])
 
 
 def _values_and_derivatives(space: NodalSpace) -> "csr_array":
@@ -137,7 +141,7 @@ def _hanging_numbers(space: NodalSpace, kinds: Int[np.ndarray, "kinds dim"], num
     columns = (group[:, :, None] * size + np.arange(size)).reshape(len(group), size * size)
     rows, weights = [], []
     for kind, along in enumerate(kinds):
-        weights.append(_hermite(space.at, along) * to_leaf * np.ldexp(1.0, depth @ along)[:, None])
+        weights.append(_derivatives(1, space.at, along) * to_leaf * np.ldexp(1.0, depth @ along)[:, None])
         rows.append(np.broadcast_to((space.hanging * size + kind)[:, None], columns.shape))
     table = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
     return csr_array(table, (num_groups * size, num_groups * size))

@@ -29,14 +29,7 @@ from plr_jax.plr.query.tables import LARGEST
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """The leaves, and what of them hangs together.
-
-    Attributes:
-        tree: The tree over the leaves.
-        unreachable: Leaves without a function; none has a tied face.
-        faces: Faces that two leaves share.
-        tied: Faces across which functions are continuous.
-    """
+    """Leaves, the faces they share, and across which of them functions are continuous: none of unreachable ones."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -81,7 +74,7 @@ def write_values(body: BitWriter, stored: StoredValues) -> None:
     body.write_floats(np.array([stored.offset, stored.step]))
     body.write_set(partition.unreachable)
     body.write_set(~partition.tied[partition.between_reachable()])
-    surprise = stored.code - _rounded(space.prediction @ stored.code.astype(float))
+    surprise = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
     for level in _level_slices(space.level):
         body.write_coded(_unsigned(surprise[level]))
 
@@ -91,32 +84,25 @@ def read_values(body: BitReader, cells: Cells) -> StoredValues:
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
-    partition = _read_partition(body, cells)
-    space = partition.space
-    code = np.zeros(len(space.masters), np.int64)
-    for level in _level_slices(space.level):
-        surprise = _signed(body.read_coded(level.stop - level.start))
-        code[level] = surprise + _rounded(space.prediction[level] @ code.astype(float))
-    return StoredValues(partition, offset, step, code)
-
-
-def _read_partition(body: BitReader, cells: Cells) -> TiedPartition:
     tree = tree_of(cells)
+    if (np.diff(tree.order) < 0).any():
+        raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
     faces = shared_faces(tree)
     partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
     may_be_tied = partition.between_reachable()
     partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))
-    return partition
+    space = partition.space
+    code = np.zeros(len(space.masters), np.int64)
+    for level in _level_slices(space.level):
+        surprise = _signed(body.read_coded(level.stop - level.start))
+        code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
+    return StoredValues(partition, offset, step, code)
 
 
 def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:
     """Runs of masters of one level, which depend on earlier ones alone."""
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
-
-
-def _rounded(prediction: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    return np.rint(prediction).astype(np.int64)
 
 
 def _unsigned(values: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -7,13 +7,12 @@ from jaxtyping import Float, Int
 
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.file.tree_bits import tree_bits
-from plr_jax.plr.growth.limits import Limits, check_memory
+from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
-from plr_jax.plr.growth.rounds import grow
-from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.base import Rules, solve_sparse, weighted_squares
+from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
-from plr_jax.plr.leaves.continuous.fit import fit_values, residuals
+from plr_jax.plr.leaves.continuous.space import NodalSpace
 from plr_jax.plr.partition.faces import shared_faces
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, weights_of_fit
@@ -26,16 +25,17 @@ _VOLUME_POWER = 0.25
 # Values are rounded to multiples of this times the mean error: bits for leaves rather than for digits.
 _STEP_PER_MEAN_ERROR = 1.0
 _SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
+# How much a value that differs from what coarser ones predict counts beside a cell's samples: it decides only where
+# samples do not, in a wall.
+_PREDICTION_WEIGHT = 1e-7
+_UNPREDICTED = 1e-3  # of that, for the corners of the domain, which only differ from the mean
 
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
     """A partition with its continuous function; as long as it has leaves.
 
-    Attributes:
-        fit: Samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
-        stored: The function's values.
-        num_bytes: Size of its file.
+    ``fit`` has the samples of the leaves, in the order of the tree's traversal, with the residuals of the function.
     """
 
     fit: CellFit
@@ -120,13 +120,11 @@ class _Rounds:
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
         weight = _volume_weights(fit)
-        values, numbers = fit_values(self._order, partition.space, fit, weight)
-        residual = residuals(self._order, numbers, fit, weight)
+        values, residual = fit_values(self._order, partition.space, fit, weight)
         stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
         body = BitWriter()
         write_values(body, stored)
-        dim = fit.cells.dim
-        num_bytes = container_size(dim, tree_bits(len(fit), dim) + body.num_bits)
+        num_bytes = container_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
 
 
@@ -141,3 +139,27 @@ def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[n
     mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
     step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
     return max(step, float(np.finfo(np.float32).tiny))
+
+
+def fit_values(
+    order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
+) -> tuple[Float[np.ndarray, "masters"], Float[np.ndarray, "leaves k"]]:
+    """Values of the masters with which the function of the given order errs least at the leaves' samples.
+
+    With them come the errors, sampled distance minus function; 0 where a sample has no weight.
+    """
+    from scipy.sparse import diags_array
+
+    numbers = numbers_of_leaves(order, space)
+    functions = design(order, (fit.pattern.u + 1) / 2)
+    terms, leaves = functions.shape[1], len(fit)
+    products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
+    squares = weighted_squares(numbers, (weight @ products).reshape(-1, terms, terms))
+    is_predicted = np.diff(space.prediction.indptr) > 0
+    surprise = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
+    mean = np.sum(weight * fit.value) / np.sum(weight)
+    moments = ((weight * (fit.value - mean)) @ functions).ravel()
+    values = mean + solve_sparse(normal, numbers.T @ moments)
+    errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
+    return values, np.where(weight > 0, errors, 0.0)

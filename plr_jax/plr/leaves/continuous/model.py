@@ -15,7 +15,6 @@ from plr_jax.plr.leaves.continuous.codec import StoredValues, read_values, write
 from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
 from plr_jax.plr.leaves.continuous.growth import grow_tied
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, levels_of
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -62,11 +61,10 @@ class Continuous:
         """One more than a leaf has corners."""
         return 2**dim + 1
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, StoredValues]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredValues]:
         """Grow the partition, all values fitted again in every round."""
         stored = grow_tied(self.order, sampler, rules, limits)
-        cells = stored.partition.tree.leaves
-        return levels_of(cells)[0], cells, stored
+        return stored.partition.tree.leaves, stored
 
     def write(self, body: BitWriter, cells: Cells, stored: StoredValues) -> None:
         """Append what the file keeps of the leaves."""

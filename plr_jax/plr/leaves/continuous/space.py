@@ -8,7 +8,7 @@ nothing: a mesh point in a wall has several nodes.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _ZERO = 1e-9  # of combinations of weights that are multiples of small powers of two
+# Weights in the equations of a space: in all, or for every leaf where that is more. Trees that split random leaves
+# have 2,000 a leaf in 6 dimensions and 50 in 3. Solving the equations may make several times as many.
+_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF, _GROWTH = 2**20, 2**8, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,46 +57,36 @@ class NodalSpace:
         return self.tree.cells.dim
 
 
-@dataclass(frozen=True, eq=False)
-class _Agreement:
-    """Points at which the functions of two leaves must agree: corners of what the leaves share of a face.
-
-    Attributes:
-        leaf: The lower and the upper leaf.
-        t: The point in the coordinates of each, from 0 to 1.
-    """
+class _Agreement(NamedTuple):
+    """Points, in the coordinates of two leaves, where their functions agree: corners of what they share of a face."""
 
     leaf: Int[np.ndarray, "2 points"]
     t: Float[np.ndarray, "2 points dim"]
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """The continuous functions on a partition.
+    """The functions that are continuous across the tied faces; unreachable leaves, of which none has one, hold none.
 
-    Args:
-        tree: The partition.
-        tied: Faces across which the functions are continuous.
-        unreachable: Leaves without a function; none has a tied face.
+    Raises ``ValueError`` if the leaves hang on one another so often that working that out would take too long.
     """
     from scipy.sparse import csr_array
 
+    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(unreachable))
+    _require_few(len(tied) * 2 ** (tree.cells.dim - 1), most)
     agreement = _agreement(tree, tied)
     group = _united(tree, agreement)
     hanging, on_leaf, at = _hanging(group, agreement)
     num_groups = int(group.max()) + 1
-    corners = 2**tree.cells.dim
-    depends = group.reshape(-1, corners)[on_leaf]
     is_free = np.ones(num_groups)
     is_free[hanging] = 0
-    step = csr_array(
-        (multilinear(at).ravel(), (np.repeat(hanging, corners), depends.ravel())), (num_groups, num_groups)
-    )
-    of_groups = resolve(step, is_free)
+    of_groups = resolve(_interpolation(group, on_leaf, at, hanging, (num_groups, num_groups)), is_free)
     present = np.zeros(num_groups, bool)
-    present[group.reshape(-1, corners)[~unreachable]] = True
+    present[group.reshape(len(unreachable), -1)[~unreachable]] = True
     level = _levels(tree, group, num_groups)
     if tree.cells.dim > 2:  # where a corner may hang on two leaves of which neither implies the other
-        of_groups = of_groups @ _eliminated(_disagreement(group, agreement, corners) @ of_groups, level)
+        rows = _disagreement(group, agreement, most)
+        _require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
+        of_groups = of_groups @ _eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
     is_master = present.copy()
     is_master[hanging] = False
     is_master &= of_groups.diagonal() == 1
@@ -102,15 +95,6 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     values = csr_array(of_groups[group][:, masters])
     prediction = _prediction(tree, unreachable, group, masters, values)
     return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
-
-
-def multilinear(t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n corners"]:
-    """Weights of a cell's corners in the multilinear interpolation at points ``t``, from 0 to 1 along each axis."""
-    weights = np.ones((len(t), 1))
-    for axis in range(t.shape[1]):
-        along = np.stack([1 - t[:, axis], t[:, axis]], axis=1)
-        weights = (weights[:, :, None] * along[:, None, :]).reshape(len(t), 2 ** (axis + 1))
-    return weights
 
 
 def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
@@ -144,7 +128,7 @@ def _united(tree: Tree, agreement: _Agreement) -> Int[np.ndarray, "nodes"]:
 
     corners = 2**tree.cells.dim
     num_nodes = len(tree.node_of_leaf) * corners
-    both = _is_corner(agreement.t).all(axis=0)
+    both = np.all(_is_end(agreement.t), axis=(0, 2))
     first, second = _node(agreement.leaf[:, both], agreement.t[:, both])
     graph = coo_array((np.ones(len(first)), (first, second)), (num_nodes, num_nodes))
     _, label = connected_components(graph, directed=False)
@@ -157,7 +141,7 @@ def _hanging(
 ) -> tuple[Int[np.ndarray, "hanging"], Int[np.ndarray, "hanging"], Float[np.ndarray, "hanging dim"]]:
     """Groups that hang, the leaf that each hangs on (the first of several), and where."""
     hangs, on_leaf, at = [], [], []
-    is_corner = _is_corner(agreement.t)
+    is_corner = np.all(_is_end(agreement.t), axis=2)
     for side in range(2):
         here = is_corner[side] & ~is_corner[1 - side]
         hangs.append(group[_node(agreement.leaf[side, here], agreement.t[side, here])])
@@ -167,8 +151,8 @@ def _hanging(
     return hanging, np.concatenate(on_leaf)[first], np.concatenate(at)[first]
 
 
-def _is_corner(t: Float[np.ndarray, "*n dim"]) -> Bool[np.ndarray, "*n"]:
-    return np.all((t == 0) | (t == 1), axis=-1)
+def _is_end(t: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+    return (t == 0) | (t == 1)
 
 
 def _node(leaf: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Int[np.ndarray, "*n"]:
@@ -210,35 +194,55 @@ def _prediction(
     return csr_array(mean @ values)
 
 
-def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, corners: int) -> "csr_array":
-    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups."""
+def _interpolation(
+    group: Int[np.ndarray, "nodes"],
+    leaf: Int[np.ndarray, "n"],
+    t: Float[np.ndarray, "n dim"],
+    row: Int[np.ndarray, "n"],
+    shape: tuple[int, int],
+) -> "csr_array":
+    """Maps values of the groups to values at points ``t`` of leaves, each in a row of the result."""
     from scipy.sparse import csr_array
 
-    num_points = agreement.leaf.shape[1]
-    rows = np.repeat(np.arange(num_points), corners)
-    parts = [
-        csr_array(
-            (
-                multilinear(agreement.t[side]).ravel(),
-                (rows, group.reshape(-1, corners)[agreement.leaf[side]].ravel()),
-            ),
-            (num_points, int(group.max()) + 1),
-        )
-        for side in range(2)
-    ]
-    return csr_array(parts[0] - parts[1])
+    point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
+    for axis in range(t.shape[1]):  # where a point is at an end, the other one counts nothing
+        along = t[point, axis]
+        lower, upper = along < 1, along > 0
+        weight = np.append((weight * (1 - along))[lower], (weight * along)[upper])
+        corner = np.append(2 * corner[lower], 2 * corner[upper] + 1)
+        point = np.append(point[lower], point[upper])
+    return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_array":
+def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: int) -> "csr_array":
+    """One row a point of agreement: the lower leaf's value minus the upper one's, in terms of the groups.
+
+    Points that are corners of both leaves are left out: there the two values are one.
+    """
+    is_end = _is_end(agreement.t)
+    hangs = np.flatnonzero(~np.all(is_end, axis=(0, 2)))
+    _require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
+    rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
+    below, above = (
+        _interpolation(group, leaf, t, rows, shape)
+        for leaf, t in zip(agreement.leaf[:, hangs], agreement.t[:, hangs], strict=True)
+    )
+    return below - above
+
+
+def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
     """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
+    rows.data[np.abs(rows.data) <= _ZERO] = 0
+    rows.eliminate_zeros()
+    work = 0
     for start, end in zip(rows.indptr[:-1], rows.indptr[1:], strict=True):
         row: dict[int, float] = {}
         for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
-            if abs(weight) > _ZERO:
-                _add(row, weight, solved.get(index, {index: 1.0}))
+            work += _add(row, weight, solved.get(index, {index: 1.0}))
+        _require_few(work, most)
         if not row:
             continue
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
@@ -246,7 +250,7 @@ def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_arr
         solution = {index: -weight / scale for index, weight in row.items()}
         for other in solved.values():
             if pivot in other:
-                _add(other, other.pop(pivot), solution)
+                work += _add(other, other.pop(pivot), solution)
         solved[pivot] = solution
     table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
     group, index, weight = np.array(table).reshape(-1, 3).T
@@ -255,10 +259,20 @@ def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"]) -> "csr_arr
     return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
 
 
-def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> None:
+def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
+    """Add a multiple of another row; how many weights it has."""
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > _ZERO:
             row[index] = total
         else:
             row.pop(index, None)
+    return len(other)
+
+
+def _require_few(number: int | float, most: int) -> None:
+    if number > most:
+        raise ValueError(
+            f"its tied leaves hang on one another by {number:.3g} weights or more; {most} are allowed. Build it of "
+            "fewer leaves or in fewer dimensions, or of planes, which are not tied"
+        )

@@ -36,13 +36,8 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 class StoredPlanes:
     """Planes exactly as in the file; a query's tables are derived from nothing else.
 
-    Attributes:
-        bits: Width of a center: ``FLOAT_BITS`` for floats, else ``MIN_BITS`` to ``MAX_BITS``.
-        offset: Value of center 0; 0 for floats.
-        step: Value of one unit; 1 for floats.
-        center: Codes of the center values: for floats their bit patterns. ``unreachable_code`` marks a leaf none of
-            whose samples reaches the goal.
-        half: Codes, with a sign, of the half-differences along each axis.
+    Center and half-differences are codes of so many bits, the latter with a sign; of floats the bit patterns, with
+    offset 0 and step 1. ``unreachable_code`` marks a leaf none of whose samples reaches the goal.
     """
 
     bits: int

@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.file.tree_bits import tree_bits
-from plr_jax.plr.growth.best_first import grow_best_first
+from plr_jax.plr.growth.best_first import Encoding, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
@@ -24,10 +24,10 @@ from plr_jax.plr.leaves.plane.codec import (
     read_planes,
     write_planes,
 )
-from plr_jax.plr.leaves.plane.evaluation import evaluate_plane, heights_and_slopes
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, levels_of
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.query.lookup import number_of_leaf
+from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
@@ -69,7 +69,7 @@ class Plane:
         """With so many samples a plane passes through them."""
         return dim + 1
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[list[Level], Cells, StoredPlanes]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
         at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
@@ -91,10 +91,10 @@ class Plane:
             return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
-        encoding = _PlaneEncoding(self._choices(limits))
+        encoding = Encoding(self._choices(limits), _size, _rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_nodes, limits, encoding)
-        levels, order = levels_of(nodes.cells[leaf])
-        return levels, nodes.cells[leaf[order]], _stored(nodes, leaf[order], bits)
+        leaf = leaf[levels_of(nodes.cells[leaf])[1]]
+        return nodes.cells[leaf], _stored(nodes, leaf, bits)
 
     def _choices(self, limits: Limits) -> Sequence[int]:
         if self.coefficient_bits is not None:
@@ -151,8 +151,11 @@ class Plane:
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """What a query reads of every leaf."""
-        return heights_and_slopes(domain, cells, coefficients)
+        """Its plane's value at the domain's rounded lower corner, and its slopes."""
+        lo, hi = cells.boxes(domain)
+        slope = coefficients[:, 1:] * 2 / (hi - lo)
+        to_center = (lo + hi) / 2 - table_corners(domain)[0]
+        return np.column_stack([coefficients[:, 0] - np.sum(slope * to_center, axis=1), slope])
 
     def evaluate(
         self,
@@ -161,23 +164,22 @@ class Plane:
         x: Float[Array, "*batch dim"],
         outside: Bool[Array, "*batch"],
     ) -> Float[Array, "*batch"]:
-        """Value at each point, whose leaf is known."""
-        return evaluate_plane(tables, leaf, x)
+        """Value of each point's plane."""
+        corner, terms = tables.frame[Frame.LO].astype(x.dtype), 1 + tables.dim
+        value = number_of_leaf(tables, leaf, 0, terms).astype(x.dtype)
+        for axis in range(tables.dim):
+            value += number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype) * (x[..., axis] - corner[axis])
+        return jnp.asarray(value)
 
 
-@dataclass(frozen=True)
-class _PlaneEncoding:
-    """Sizes and rounding of planes of so many bits, from which a budget of bytes chooses."""
+def _size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
+    cells = nodes.cells[leaf]
+    return container_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
 
-    choices: Sequence[int]
 
-    def size(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-        cells, dim = nodes.cells[leaf], nodes.cells.dim
-        return container_size(dim, tree_bits(len(leaf), dim) + planes_bits(cells.depth, _stored(nodes, leaf, bits)))
-
-    def rounding_error(self, nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-        """Root mean square, over the cells, of rounding center and half-differences to a multiple of the step."""
-        return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
+def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+    """Of rounding center and half-differences to a multiple of the step."""
+    return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
 
 
 def _stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:

@@ -1,8 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plr_helpers import UNIT, cone
+from plr_helpers import UNIT, cone, random_partition
 
 from plr_jax.plr import construct
+from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
+from plr_jax.plr.leaves.continuous.growth import fit_values
+from plr_jax.plr.leaves.continuous.space import nodal_space
+from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.pattern import sample_pattern
 
 
 def test_limits():
@@ -39,3 +48,40 @@ def test_weights_draw_leaves():
 def test_a_budget_of_bytes_is_kept_and_used(budget):
     plr = construct(cone, UNIT, leaf="continuous", max_bytes=budget)
     assert 0.95 * budget < plr.num_bytes <= budget
+
+
+def space_and_fit(value):
+    """A partition of 16 leaves, all tied, and samples of given values."""
+    tree = tree_of(random_partition(4, 2, 15))
+    fit = Sampler(lambda x: np.ones(len(x)), UNIT, None, *2 * [sample_pattern(2, 48, 0.0, 0)], 14)(tree.leaves)
+    return nodal_space(tree, shared_faces(tree), np.zeros(16, bool)), replace(fit, value=value)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_values_are_those_of_a_dense_least_squares_fit(order):
+    rng = np.random.default_rng(0)
+    space, fit = space_and_fit(rng.normal(size=(16, 48)))
+    weight = rng.random((16, 48))
+    values, residual = fit_values(order, space, fit, weight)
+    of_masters = numbers_of_leaves(order, space)
+    rows = np.kron(np.eye(16), design(order, (fit.pattern.u + 1) / 2)) @ of_masters.toarray()
+    root = np.sqrt(weight).ravel()
+    expected = np.linalg.lstsq(rows * root[:, None], fit.value.ravel() * root, rcond=None)[0]
+    np.testing.assert_allclose(values, expected, atol=1e-4)
+    np.testing.assert_allclose(residual.ravel(), fit.value.ravel() - rows @ values, atol=1e-9)
+
+
+def test_residuals_without_weight_are_zero():
+    space, fit = space_and_fit(np.random.default_rng(0).normal(size=(16, 48)))
+    weight = np.ones((16, 48))
+    weight[2] = 0
+    _, residual = fit_values(0, space, fit, weight)
+    assert (residual[2] == 0).all() and (np.delete(residual, 2, axis=0) != 0).all()
+
+
+def test_values_that_no_sample_holds_are_harmless():
+    space, fit = space_and_fit(np.full((16, 48), 7.0))
+    weight = np.zeros((16, 48))
+    weight[3] = 1.0
+    values, _ = fit_values(0, space, fit, weight)
+    np.testing.assert_allclose(values, 7.0, rtol=1e-6)
