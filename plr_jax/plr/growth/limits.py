@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._arrays import require_integer
+from plr_jax._arrays import as_finite, require_integer
 from plr_jax.plr.partition.tree import MAX_DEPTH
 from plr_jax.plr.query.tables import byte_class, max_axis_depth, rows_of_class
 
@@ -56,8 +56,8 @@ def check_limits(
             require_integer(name, value, least)
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
-    if tolerance is not None and not (isinstance(tolerance, int | float | np.number) and 0 <= tolerance < np.inf):
-        raise ValueError(f"tolerance must be a finite distance >= 0, got {tolerance!r}.")
+    if tolerance is not None:
+        as_finite("tolerance", tolerance)
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
     # Of the largest file that the limits allow; None if they allow any.

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from plr_jax._arrays import as_finite
 from plr_jax._types import ArrayLike
 from plr_jax.plr.refinement.face_samples import Faces
 
@@ -101,7 +102,7 @@ def eikonal(weight: int | float = 1.0) -> Penalty:
     Raises:
         ValueError: If the weight is negative or not finite.
     """
-    return jax.tree_util.Partial(_eikonal, _checked("eikonal", weight))
+    return jax.tree_util.Partial(_eikonal, as_finite("The weight of eikonal", weight))
 
 
 def jumps(faces: Faces, weight: int | float = 1.0) -> Penalty:
@@ -122,7 +123,7 @@ def jumps(faces: Faces, weight: int | float = 1.0) -> Penalty:
     if len(faces) == 0:
         raise ValueError("There is no free face to keep from jumping: the faces have no points.")
     leaves, basis = jnp.asarray(faces.leaves.T, jnp.int32), jnp.asarray(faces.basis, jnp.float32)
-    return jax.tree_util.Partial(_jumps, _checked("jumps", weight), leaves, basis)
+    return jax.tree_util.Partial(_jumps, as_finite("The weight of jumps", weight), leaves, basis)
 
 
 def _eikonal(weight: Array | float, planes: Planes) -> Float[Array, ""]:
@@ -136,9 +137,3 @@ def _jumps(
     below, above = planes.coefficients[leaves]
     jump = jnp.sum(above * basis[:, 1] - below * basis[:, 0], axis=1)
     return weight * jnp.mean(jump**2)
-
-
-def _checked(name: str, weight: int | float) -> float:
-    if not (isinstance(weight, int | float | np.number) and 0 <= weight < np.inf):
-        raise ValueError(f"The weight of {name} must be a finite number >= 0, got {weight!r}.")
-    return float(weight)

@@ -64,9 +64,9 @@ def test_how_often_an_axis_may_be_halved(given, expected):
         ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
         ({"max_leaves": 10**12}, "would need about"),
         ({"max_bytes": 0}, "max_bytes must be an integer >= 1"),
-        ({"tolerance": -0.1}, "tolerance must be a finite distance >= 0"),
-        ({"tolerance": np.nan}, "tolerance must be a finite distance >= 0"),
-        ({"tolerance": np.inf}, "tolerance must be a finite distance >= 0"),
+        ({"tolerance": -0.1}, "tolerance must be a finite number of at least 0"),
+        ({"tolerance": np.nan}, "tolerance must be a finite number of at least 0"),
+        ({"tolerance": np.inf}, "tolerance must be a finite number of at least 0"),
     ],
 )
 def test_limits_out_of_range_are_refused(given, message):

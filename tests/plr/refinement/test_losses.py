@@ -143,7 +143,7 @@ def test_bad_losses_and_penalties_are_named(wall, wall_faces):
             refine(plr, x, distance, loss=Quantile(share))
         with pytest.raises(ValueError, match="between 0 and 1"):
             quantile(share)
-    with pytest.raises(ValueError, match="weight of eikonal must be a finite number >= 0, got -1"):
+    with pytest.raises(ValueError, match="weight of eikonal must be a finite number of at least 0, got -1"):
         eikonal(-1)
     with pytest.raises(ValueError, match="weight of jumps"):
         jumps(wall_faces, np.inf)
