@@ -78,8 +78,9 @@ def construct(
 
     Raises:
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
-            a tree larger than memory, a budget is too small for one leaf, ``distance_fn`` returns a wrong shape or
-            NaN, or no sample reaches the goal.
+            a tree larger than memory, a budget is too small for one leaf, tied leaves hang on one another in too many
+            ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, or no sample reaches the
+            goal.
 
     References:
         Section III-B of the paper. For ``"smooth"``: Bogner, Fox, Schmit, "The generation of inter-element-compatible
