@@ -20,11 +20,11 @@ MAX_BYTES = 512
 NUM_POINTS = 2_000
 NUM_QUERIES = 10_000
 RESOLUTION = 40
-BUDGETS = {"plane": [256, 512], "continuous": [256, 512], "smooth": [256, 512]}
+BUDGETS = {"plane": [256, 512], "continuous": [256], "smooth": [256]}
 """,
     "2_a_floor_plan": """
 NUM_POINTS = 2_000
-BYTES = (512, 1024, 1536)
+BYTES = (512, 1024)
 NUM_SAMPLES = 200
 RESOLUTION = 64
 """,

@@ -1,4 +1,4 @@
-"""The commands about one distance function: build, query, info, plot; and the demo.
+"""The commands about one distance function: build, query, info, plot; and what calls the demo.
 
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
@@ -26,14 +26,6 @@ from plr_jax.cli._inputs import (
 )
 
 _ERROR_POINTS = 20_000
-
-
-class Leaf(StrEnum):
-    """What a leaf of a PLR that ``plr-jax build`` makes holds, by the names of ``plr_jax.construct``."""
-
-    plane = "plane"
-    continuous = "continuous"
-    smooth = "smooth"
 
 
 _Map = Annotated[
@@ -75,12 +67,12 @@ def build(
         typer.Option(help="Sample error (workspace units) at which to stop.", show_default=False),
     ] = None,
     leaf: Annotated[
-        Leaf,
+        str,
         typer.Option(
-            help="What a cell holds: a plane; a function that does not jump where one can walk; one whose gradient "
-            "does not either. The latter take longer to build."
+            help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
+            "'smooth', one whose gradient does not either. The latter take longer to build."
         ),
-    ] = Leaf.plane,
+    ] = "plane",
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file."""
@@ -88,8 +80,10 @@ def build(
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
     from plr_jax.plr import ConstructionInterrupted, construct, save
+    from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
+    model = leaf_model(leaf)
     require_writable(output)
     workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
@@ -102,7 +96,7 @@ def build(
         plr = construct(
             oracle,
             workspace.bounds,
-            leaf=leaf.value,
+            leaf=model,
             max_bytes=max_bytes,
             max_leaves=max_leaves,
             max_depth=max_depth,

@@ -1,4 +1,4 @@
-"""Room 4, optimize: descent along a distance field, and trajectories, by their gradients."""
+"""Above the rooms: descent along a distance field, and trajectories, by their gradients."""
 
 from plr_jax.optimize._descend import Descent as Descent
 from plr_jax.optimize._descend import DescentStatus as DescentStatus

@@ -17,8 +17,9 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
     Args:
         problem: The robots, their workspace and their goals.
-        inflated: Whether obstacles are grown by each robot's radius (of a rectangle, its inscribed disc's), so that
-            distances are those of its center. False gives the paper's point robots, whose distances are shorter.
+        inflated: Whether obstacles are grown by each robot's radius (of one that turns, its inscribed radius), so
+            that distances are those of its reference point. False gives the paper's point robots, whose distances
+            are shorter.
 
     Returns:
         A distance function of the position ``(n, 2)`` for each robot, never longer than the robot's own shortest

@@ -55,7 +55,8 @@ def construct(
             for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for: in the plane 7 times up to
-            2,048 bytes, 8 up to 8,192, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times.
+            2,048 bytes, 8 up to 8,192, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
+            size is the smaller of ``max_bytes`` and what ``max_leaves`` take: 8 bytes each of planes, else 4.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at

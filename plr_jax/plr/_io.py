@@ -1,4 +1,4 @@
-"""PLRs as files."""
+"""PLRs saved to files and loaded from them."""
 
 import os
 from pathlib import Path

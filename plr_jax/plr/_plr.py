@@ -214,6 +214,9 @@ def from_bytes(data: bytes) -> PLR:
     Args:
         data: What :meth:`PLR.to_bytes` gave.
 
+    Returns:
+        The PLR, equal bit for bit to the one that was written.
+
     Raises:
         ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
             beyond 32-bit floats, or reading it would take far more than a file of its size ought to.

@@ -13,6 +13,7 @@ import shapely
 
 from experiments.benchmarks import _cold_start, _construct, _growth, _heuristic, _oracle, _planner
 from plr_jax import VisibilityGraph, Workspace, construct, scenes, sum_of_distances
+from plr_jax.plr.sampling import cell_fit
 
 SECTIONS = {
     "oracle": _oracle,
@@ -124,7 +125,7 @@ def test_shares_count_for_the_innermost_part_under_way(monkeypatch):
 
     source = "def fit(oracle):\n    for _ in range(100):\n        abs(-1)\n    oracle()\n"
     in_fit = {}
-    exec(compile(source, "/some/where/plr_jax/plr/sampling/fit.py", "exec"), in_fit)
+    exec(compile(source, cell_fit.__file__, "exec"), in_fit)
 
     def build():
         in_fit["fit"](oracle)

@@ -14,7 +14,7 @@ from plr_jax._arrays import padded, padded_size
 from plr_jax._problem import Problem, path_cost
 from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
-from plr_jax.optimize._arguments import as_paths, check_options, differentiable
+from plr_jax.optimize.trajectory.arguments import as_paths, check_options, differentiable
 from plr_jax.optimize.trajectory.clearance import outlines_of, padded_boundary
 from plr_jax.optimize.trajectory.retiming import Path, retimed, subdivided, unwrapped
 from plr_jax.optimize.trajectory.scaled_problem import Aims, ScaledProblem, advance, begin, moves_of

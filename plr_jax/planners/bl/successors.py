@@ -21,7 +21,7 @@ class JointLattice(NamedTuple):
     test: JointMotionTest
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Joint configurations; round robots in a team with rectangles keep the heading of their start."""
+        """Joint configurations; round robots in a team with others keep the heading of their start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]

@@ -1,1 +1,1 @@
-"""PLRs as files: a container, a stream of bits, reading and writing."""
+"""What a PLR file is made of: a container with the tree, and a stream of bits."""

@@ -2,7 +2,7 @@ r"""The container of a PLR file: a header, the domain, a bit stream that begins 
 
 All numbers are little-endian. Layout of version 2:
 
-    4s      magic, b"PLR\\n"
+    4s      magic, b"PLR\n"
     u8      version
     u8      number of axes
     u8      code of the leaf model

@@ -22,7 +22,14 @@ MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Largest (weighted) error ``abs(L - V)`` over a cell's samples: best-first refinement."""
+    """Largest (weighted) error ``abs(L - V)`` over a cell's samples: best-first refinement.
+
+    Args:
+        fit: Some cells, their samples and planes.
+
+    Returns:
+        A priority for each cell, in units of distance; 0, so never to be split, where no sample is reachable.
+    """
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
@@ -31,18 +38,38 @@ def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
 
     A cell whose center cannot be reached is judged by its largest sample error, so that an obstacle in the middle
     does not hide a bad fit around it.
+
+    Args:
+        fit: Some cells, their samples and planes.
+
+    Returns:
+        A priority for each cell, in units of distance; 0, so never to be split, where no sample is reachable.
     """
     at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Split every cell that has a reachable sample, breadth first, until the limits: the paper's simplest rule."""
+    """Split every cell that has a reachable sample, breadth first, until the limits: the paper's simplest rule.
+
+    Args:
+        fit: Some cells, their samples and planes.
+
+    Returns:
+        A priority for each cell: ``inf``, or 0 where no sample is reachable.
+    """
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """The axis whose two halves, fitted apart, leave the smaller sum of squared errors over the samples."""
+    """The axis whose two halves, fitted apart, leave the smallest sum of squared errors over the samples.
+
+    Args:
+        fit: Some cells, their samples and planes.
+
+    Returns:
+        An axis for each cell, of those along which its halves are at most 8 times narrower than along another.
+    """
     squares = _sum_of_squares_after_split(fit)
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
@@ -51,7 +78,14 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """The axes in turn, as in Section III-B of the paper: axis ``n`` is followed by ``(n + 1) mod dim``."""
+    """The axes in turn, as in Section III-B of the paper: axis ``n`` is followed by ``(n + 1) mod dim``.
+
+    Args:
+        fit: Some cells, their samples and planes.
+
+    Returns:
+        An axis for each cell, one for all cells of one depth.
+    """
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
 

@@ -10,12 +10,12 @@ _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
     """The leaf model that is meant; raises ``ValueError`` if there is none of that name."""
-    if isinstance(leaf, Plane | Continuous):
+    models = {model.name: model for model in _MODELS}
+    if isinstance(leaf, str) and leaf in models:
+        return models[leaf]
+    if isinstance(leaf, LeafModel) and leaf.name in models:  # or no file could name it
         return leaf
-    for model in _MODELS:
-        if isinstance(leaf, str) and model.name == leaf:
-            return model
-    names = ", ".join(repr(model.name) for model in _MODELS)
+    names = ", ".join(map(repr, models))
     raise ValueError(f"leaf must be a leaf model or its name, one of {names}, got {shortened(leaf)}.")
 
 

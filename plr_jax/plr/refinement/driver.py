@@ -1,4 +1,4 @@
-"""Refinement: the partition of a PLR stays, and all its planes move at once against a loss."""
+"""Refinement: the partition of a PLR stays, and the functions of all leaves move at once against a loss."""
 
 import warnings
 from collections.abc import Sequence
@@ -36,11 +36,12 @@ def refine(
     held_out: int | float = 0.2,
     seed: int = 0,
 ) -> tuple[PLR, Refinement]:
-    """Move all planes of a PLR at once, so that a loss over many points becomes small.
+    """Move the functions of all leaves of a PLR at once, so that a loss over many points becomes small.
 
-    The partition stays, and so does the number of bits of a coefficient: a query costs the same, and the file is of
-    about the same size (a few bytes more or less, where half-differences need more or fewer bits). Leaves that were
-    unreachable stay so. A leaf with fewer than ``4 * (dim + 1)`` points keeps its plane, but for rounding.
+    The partition stays, and so does the precision of the numbers stored: a query costs the same, and the file is of
+    about the same size (a few bytes more or less, where differences need more or fewer bits). Leaves that were
+    unreachable stay so. A leaf with fewer points than four times its coefficients (of a plane ``dim + 1``, of
+    ``"continuous"`` ``2**dim``, of ``"smooth"`` ``4**dim``) keeps its function, but for rounding.
 
     With a loss that asks for a share of over-estimates (:func:`quantile`), another fifth of the training points is
     kept apart. At the end, after rounding to what the file holds, one number is added to all values, so that at most
@@ -50,7 +51,7 @@ def refine(
     alone, nor about the largest over-estimate.
 
     Args:
-        plr: The PLR to start from. Its planes matter only where a leaf has too few points.
+        plr: The PLR to start from, of any leaf model. Its functions matter only where a leaf has too few points.
         x: Points inside the domain, ``(n, dim)``; many more than leaves. Where they are dense, accuracy matters.
         distance: Distance to the goal at each, ``(n,)``. Points of infinite distance are left out.
         loss: Loss of the errors ``plr(x) - distance``: ``squared``, ``quantile(share)``, or your own function in
@@ -58,10 +59,10 @@ def refine(
         weight: Weight of each point in the mean loss, ``(n,)``, finite and >= 0; None: all 1. Points of weight 0
             still count in the report, and where the share of over-estimates is set.
         penalties: What is added to the mean loss: ``eikonal(weight)``, ``jumps(faces, weight)``, or your own
-            functions of :class:`Planes`. They move a plane by at most some sixty times its least-squares error
+            functions of :class:`Planes`. They move a leaf by at most some sixty times its least-squares error
             (or a hundredth of how much it varies in its leaf) in 400 steps.
         faces: Points of free faces at which the report measures jumps; None: it has no jumps.
-        max_bytes: Largest size of the file; coefficients get fewer bits where they must. None: no limit.
+        max_bytes: Largest size of the file; numbers get fewer bits where they must. None: no limit.
         num_steps: Steps of the optimizer, in each of which all points take part; at least 1, rounded up to a
             multiple of 50. Strong penalties need more of them.
         held_out: Share of the points, from 0 to below 1, that are not fitted to but measured in the report.
@@ -75,7 +76,7 @@ def refine(
         ValueError: If an argument has another shape or is out of its range, a point lies outside the domain, a
             distance is NaN or ``-inf``, no leaf has enough points, the points kept apart are fewer than one over the
             share of over-estimates, the loss gives another shape or no finite number, ``faces`` are those of another
-            partition, or not even 4-bit coefficients fit into ``max_bytes``.
+            partition, or not even the coarsest numbers fit into ``max_bytes``.
 
     References:
         Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019, of which the added number is

@@ -52,7 +52,8 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     """Sample the free faces of a PLR's partition.
 
     Each piece of a face that two leaves share is sampled alike, so where small leaves meet a large one each has its
-    points. A face is free where the goal can be reached from it: a wall through it, or along it, has no points.
+    points. A face is free where the goal can be reached from it: inside a wall it has no points. The side of a wall
+    is free, so a face along it has points, although nobody can step across.
 
     Args:
         plr: The PLR whose partition is meant.

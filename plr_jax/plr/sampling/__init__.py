@@ -1,1 +1,1 @@
-"""Where cells are sampled, and what a distance function answers there."""
+"""Where cells are sampled, what a distance function answers there, and planes that fit it, which split rules judge."""

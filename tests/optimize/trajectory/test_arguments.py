@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plr_jax import Euclidean, Problem, RectangleRobot, Workspace, construct
-from plr_jax.optimize._arguments import differentiable
+from plr_jax.optimize.trajectory.arguments import differentiable
 
 PROBLEM = Problem(
     Workspace(((0, 0), (10, 10))), [RectangleRobot(1.0, 0.5)] * 2, [(1, 1, 0), (1, 4, 0)], [(9, 1, 0), (9, 4, 0)]
