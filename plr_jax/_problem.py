@@ -1,6 +1,6 @@
 """Planning problems: robots in a workspace, each with a start and a goal, and the cost of a path."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import as_finite, as_numbers
+from plr_jax._arrays import as_finite, as_numbers, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.motion import footprint, shorter_turn, team_dof
@@ -55,6 +55,10 @@ class Problem:
         goals: ArrayLike,
         rotation_weight: float | int | None = None,
     ):
+        if not isinstance(workspace, Workspace):
+            raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
+        if not isinstance(robots, Iterable):
+            raise ValueError(f"robots must be a list of robots, got {shortened(robots)}.")
         robots = tuple(robots)
         for i, robot in enumerate(robots):
             if not isinstance(robot, Robot):

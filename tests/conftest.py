@@ -2,6 +2,7 @@ import os
 import sys
 from pathlib import Path
 
+import jaxtyping
 import pytest
 import shape_checks
 
@@ -26,6 +27,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _shapes_are_checked_in_first_calls():
     shape_checks.begin_file()
+
+
+@pytest.fixture
+def unchecked_types():
+    """What users' arguments meet: the library's own checks alone."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_points, require_integer
+from plr_jax._arrays import as_finite, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
@@ -261,9 +261,10 @@ class Workspace:
             Free points, ``(n, 2)``.
 
         Raises:
-            ValueError: If ``n`` is negative.
+            ValueError: If ``n`` or the seed is no integer of at least 0.
         """
         require_integer("n", n, 0)
+        require_integer("seed", seed, 0)
         # From triangles and not by rejection, which would take forever where free space is a sliver.
         corner, first, second = self._triangles.transpose(1, 0, 2)
         first, second = first - corner, second - corner
@@ -276,6 +277,8 @@ class Workspace:
 
 
 def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
+    if not isinstance(squeeze, bool | np.bool):
+        raise ValueError(f"squeeze must be True or False, got {shortened(squeeze)}.")
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
     parts = polygons_of(shapely.set_precision(free, _grid(bounds)))
     if not parts:
@@ -284,7 +287,7 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
     region = shapely.simplify(region, 4 * _grid(bounds))
     shapely.prepare(region)
-    vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=squeeze, free_space=region)
+    vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=bool(squeeze), free_space=region)
 
 
 def _rounding(bounds: Box) -> float:

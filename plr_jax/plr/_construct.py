@@ -1,8 +1,6 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
-import numpy as np
-
-from plr_jax._arrays import require_integer
+from plr_jax._arrays import as_finite, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
@@ -12,11 +10,13 @@ from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, larg
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules
 from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.query.tables import table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
 _DENSER = 8  # times as many samples where the first ones hardly meet what is free
+_MOST_SAMPLES = 2**16
 
 
 def construct(
@@ -55,8 +55,9 @@ def construct(
             for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for: in the plane 7 times up to
-            2,048 bytes, 8 up to 8,192, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
-            size is the smaller of ``max_bytes`` and what ``max_leaves`` take: 8 bytes each of planes, else 4.
+            2,048 bytes, 8 up to 4,096, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
+            size is the smaller of ``max_bytes`` and what ``max_leaves`` take, ``4 * (dim + 1)`` bytes each of planes
+            and 2 of other leaves.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
@@ -89,12 +90,20 @@ def construct(
     """
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
-    limits = check_limits(domain.dim, model.least_bytes, max_depth, max_leaves, max_bytes, tolerance)
+    table_corners(domain)  # or a query could not hold them
+    sizes = model.least_bytes, model.usual_bytes(domain.dim)
+    limits = check_limits(domain.dim, *sizes, max_depth, max_leaves, max_bytes, tolerance)
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
-    if not (isinstance(margin, int | float | np.number) and 0 <= margin <= 1):
+    if num_samples > _MOST_SAMPLES:
+        raise ValueError(f"num_samples must be at most {_MOST_SAMPLES:,} a cell, got {num_samples:,}.")
+    if as_finite("margin", margin) > 1:
         raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
     require_integer("seed", seed, 0)
+    rules = {"compute_coefficients": compute_coefficients, "should_split": should_split, "split": split}
+    for name, function in {"distance_fn": distance_fn, "weight_fn": weight_fn or abs, **rules}.items():
+        if not callable(function):
+            raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (
         sample_pattern(domain.dim, n * int(num_samples), float(margin), int(seed)) for n in (1, _DENSER)
     )

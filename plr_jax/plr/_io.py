@@ -3,8 +3,10 @@
 import os
 from pathlib import Path
 
+from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
 from plr_jax.plr._plr import PLR, from_bytes
+from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
 
 
 def save(plr: PLR, path: str | os.PathLike) -> None:
@@ -18,8 +20,11 @@ def save(plr: PLR, path: str | os.PathLike) -> None:
         path: The file.
 
     Raises:
+        ValueError: If it is no PLR.
         OSError: If the file cannot be written.
     """
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR can be saved, got {shortened(plr)}.")
     write_atomically(Path(path), plr.to_bytes())
 
 
@@ -37,6 +42,10 @@ def load(path: str | os.PathLike) -> PLR:
         OSError: If the file cannot be read.
     """
     try:
-        return from_bytes(Path(path).read_bytes())
+        with open(path, "rb") as file:
+            data = file.read(HEADER_SIZE)
+            if is_header(data):  # or nothing says how much to read
+                data += file.read(max(file_size(data) - len(data), 0) + 1)
+        return from_bytes(data)
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

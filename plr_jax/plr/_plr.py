@@ -1,6 +1,6 @@
 """The piecewise linear regression: a partition of a box and a function in every leaf, ready to be queried."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -64,12 +64,15 @@ class PLR:
             ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
 
         Raises:
-            ValueError: If one is not a PLR. When called, if the robots are not as many as the PLRs, or a PLR
-                has more dimensions than there are coordinates.
+            ValueError: If one is not a PLR, or there is none. When called, if the robots are not as many as the
+                PLRs, or a PLR has more dimensions than there are coordinates.
         """
+        plrs = list(plrs) if isinstance(plrs, Iterable) else [plrs]
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
                 raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
+        if not plrs:
+            raise ValueError("A stack needs one PLR a robot, at least one, got none.")
         is_near = [plr._far_corner is None for plr in plrs]
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
         return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
@@ -221,6 +224,9 @@ def from_bytes(data: bytes) -> PLR:
         ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
             beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
     """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
+    data = bytes(data)
     return _assemble(data, decode(data))
 
 

@@ -10,6 +10,8 @@ from jaxtyping import Float
 from plr_jax.geometry.polygons import as_polygon
 from plr_jax.robots.robot import Robot, check_body
 
+_MOST_VERTICES = 1_000
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class PolygonRobot(Robot):
@@ -24,8 +26,8 @@ class PolygonRobot(Robot):
             the first one first.
 
     Raises:
-        ValueError: If the vertices are not finite, fewer than three, on one line or not convex, or the polygon does
-            not contain the origin.
+        ValueError: If the vertices are not finite, fewer than three or more than 1,000, on one line or not convex, or
+            the polygon does not contain the origin.
     """
 
     vertices: Float[np.ndarray, "n 2"]
@@ -40,6 +42,8 @@ class PolygonRobot(Robot):
         ring = shapely.get_coordinates(polygon)[:-1]
         if not polygon.exterior.is_ccw:
             ring = np.roll(ring[::-1], 1, axis=0)
+        if len(ring) > _MOST_VERTICES:
+            raise ValueError(f"{name} must be at most {_MOST_VERTICES:,}, got {len(ring):,}; simplify the outline.")
         ring.flags.writeable = False
         object.__setattr__(self, "vertices", ring)
         check_body(name, self)

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from plr_jax._arrays import as_finite
+from plr_jax._arrays import as_finite, require_integer
 from plr_jax._problem import Problem
 
 _ATTEMPTS = 1000
@@ -23,9 +23,11 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
         A problem that differs in its starts and goals alone.
 
     Raises:
-        ValueError: If the distance is not positive and finite, or no variant is found that is free.
+        ValueError: If the distance is not positive and finite, the seed no integer of at least 0, or no variant is
+            found that is free.
     """
     as_finite("distance", distance, positive=True)
+    require_integer("seed", seed, 0)
     rng = np.random.default_rng(seed)
     for i in range(len(problem.robots)):
         for end in range(2):

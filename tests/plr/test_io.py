@@ -75,3 +75,20 @@ def test_load_says_what_is_wrong_with_which_file(plr, change, message, tmp_path)
 def test_a_missing_file_is_an_os_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         load(tmp_path / "none.plr")
+
+
+def test_of_a_file_that_goes_on_no_more_is_read_than_its_header_states(tmp_path):
+    path = tmp_path / "long.plr"
+    data = construct(walled, UNIT, max_leaves=4).to_bytes()
+    with open(path, "wb") as file:
+        file.write(data)
+        file.truncate(1 << 40)
+    with pytest.raises(ValueError, match=f"long.plr cannot .* it has more bytes, its header states {len(data)}"):
+        load(path)
+    with open(path, "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ValueError, match="does not start like a PLR file"):
+        load(path)
+    path.write_bytes(data[:4] + b"\x01" + data[5:])
+    with pytest.raises(ValueError, match="format version 1, this release reads version 2; build it again"):
+        load(path)

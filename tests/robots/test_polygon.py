@@ -48,6 +48,7 @@ def test_a_polygon_that_is_a_rectangle_has_its_sides():
         ([(1, 1), (2, 1), (1, 2)], r"must have its reference point.*1\.41 outside"),
         ([(0, 0, 0)] * 3, r"must have shape \(n, 2\)"),
         ("triangle", "must be numbers"),
+        ([(np.cos(a), np.sin(a)) for a in np.linspace(0, 6, 1_001)], "must be at most 1,000, got 1,001"),
         (Polygon([(-3, -3), (3, -3), (0, 3)], [[(-1, -1), (1, -1), (0, 1)]]), "one polygon without holes"),
     ],
 )

@@ -21,8 +21,8 @@ class BLOptions:
             problem is solved.
         cell_size: Side of the cells that joint configurations claim, in workspace units; turns count by how far they
             take a robot's farthest point. None: every joint configuration of the lattices is a cell of its own.
-            Larger cells make a search smaller and less complete: they want primitives long enough to leave a cell, as a
-            joint configuration in a claimed cell is dropped.
+            Larger cells make a search smaller and less complete: they want primitives long enough to leave a cell,
+            as a joint configuration in a claimed cell is dropped.
         heuristic_weight: Factor of the heuristic, from 0 to 1e6. The larger, the greedier. None: 2, or 3/8 a
             robot if that is more, as many robots have more ways to stand in each other's. It grows by half from one
             lattice to the next finer one.

@@ -57,15 +57,16 @@ class Container:
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
         if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
             raise ValueError("it does not start like a PLR file")
-        if len(data) < HEADER_SIZE + _CRC.size:
-            raise ValueError("the data end too early")
-        version = data[4]
+        version = data[4] if len(data) > len(_MAGIC) else VERSION
         if version != VERSION:
             remedy = "update plr_jax" if version > VERSION else "build it again"
             raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
+        if len(data) < HEADER_SIZE + _CRC.size:
+            raise ValueError("the data end too early")
         _, _, dim, leaf_code, _, num_leaves, size = _HEADER.unpack_from(data)
         if len(data) != size:
-            raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
+            number = f"{len(data)}" if len(data) < size else "more"
+            raise ValueError(f"it has {number} bytes, its header states {size}: the file is truncated or corrupt")
         (crc,) = _CRC.unpack(data[-_CRC.size :])
         if zlib.crc32(data[: -_CRC.size]) != crc:
             raise ValueError("its checksum does not match: the file is corrupt")
@@ -80,6 +81,11 @@ def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
     """Size of a file of so many leaves, of which the model keeps so many bits."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(HEADER_SIZE + 16 * dim - (-(tree_bits + num_bits) // 8) + _CRC.size)
+
+
+def is_header(data: bytes) -> bool:
+    """Whether a file that begins so may be one of this version."""
+    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] == VERSION
 
 
 def file_size(header: bytes) -> int:

@@ -69,6 +69,10 @@ class LeafModel(Protocol):
         """Bytes of a file that a leaf takes at the least, a power of two."""
         ...
 
+    def usual_bytes(self, dim: int) -> int:
+        """About how many bytes of a file a leaf takes that was built without a limit on them."""
+        ...
+
     def check_dim(self, dim: int) -> None:
         """Raise ``ValueError`` if the model is not for so many axes."""
         ...

@@ -7,8 +7,8 @@ leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *block
 of its own, just as fine along each axis as its own leaves need.
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
-PLRs of one class share compiled code. It fixes how many leaves there is room for and, in the plane and on a line, how
-many slots; what is left of them is padding, which is never read.
+PLRs of one class share compiled code. Up to 32 KB it fixes how many leaves there is room for and, in the plane and on
+a line, how many slots; what is left of them is padding, which is never read. Beyond, powers of two do.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16, UInt32
 
-from plr_jax._arrays import padded
+from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 
@@ -28,7 +28,7 @@ LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end 
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
 MIN_CLASS = 8
-_SLOT_BITS = ((11, 14), (13, 16), (15, 18))  # up to a class, bits of a flat table
+_SLOT_BITS = ((11, 14), (12, 16), (15, 18))  # up to a class, bits of a flat table
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
@@ -135,7 +135,8 @@ def build_tables(
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
-    rows = rows_of_class(of_class, leaf.least_bytes)
+    is_large = of_class > _SLOT_BITS[-1][0]  # too large to be padded to what the class may need at the most
+    rows = padded_size(len(cells)) if is_large else rows_of_class(of_class, leaf.least_bytes)
     table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
     top = bits if flat else block_bits

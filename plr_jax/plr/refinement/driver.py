@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -94,7 +95,8 @@ def refine(
     refinable = pose(plr, training)
     least_squares = _restored(plr, refinable.values, max_bytes)
 
-    z, objective, steps_taken = minimize(refinable.objective, loss, tuple(penalties), num_steps)
+    with jax.numpy_dtype_promotion("standard"):  # Optax counts its steps in integers
+        z, objective, steps_taken = minimize(refinable.objective, loss, tuple(penalties), num_steps)
     if steps_taken < num_steps:
         message = f"Interrupted after {steps_taken} of {num_steps} steps: the PLR is the best found so far."
         warnings.warn(message, RefinementInterrupted, stacklevel=2)

@@ -1,1 +1,1 @@
-"""Where cells are sampled, what a distance function answers there, and planes that fit it, which split rules judge."""
+"""Where cells are sampled, what a distance function answers there, and its planes, which split rules judge."""

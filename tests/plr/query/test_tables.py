@@ -7,6 +7,7 @@ from plr_helpers import UNIT, chain, random_partition, walled
 from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.tables import (
     _pack_blocks,
     build_tables,
@@ -72,10 +73,17 @@ def test_tables_larger_than_the_file_allows_are_refused():
         build_tables(UNIT, cells, np.zeros((45, 3)), Plane(), 200)
 
 
-def test_room_for_more_leaves_than_16_bits_count():
+def test_beyond_32_kilobytes_tables_are_as_large_as_their_leaves_need():
     cells = random_partition(0, 2, 3)
-    assert build_tables(UNIT, cells, np.zeros((4, 3)), Plane(), 2**17).leaf_of_slot.dtype == np.uint16
-    assert build_tables(UNIT, cells, np.zeros((4, 3)), Plane(), 2**17 + 1).leaf_of_slot.dtype == np.uint32
+    small, large = (build_tables(UNIT, cells, np.zeros((4, 3)), Plane(), n) for n in (2**15, 2**15 + 1))
+    assert small.numbers.shape == (3, 2**14) and large.numbers.shape == (3, 4)
+
+
+def test_leaves_are_counted_in_16_bits_while_they_can_be():
+    for rows, kind in ((2**8, np.uint16), (2**9, np.uint32)):
+        position = np.stack(np.meshgrid(np.arange(rows), np.arange(2**8), indexing="ij"), axis=-1).reshape(-1, 2)
+        cells = Cells(np.tile([rows.bit_length() - 1, 8], (len(position), 1)), position)
+        assert build_tables(UNIT, cells, np.zeros((len(cells), 3)), Plane(), 2**20).leaf_of_slot.dtype == kind
 
 
 @settings(max_examples=50, deadline=None)
@@ -101,7 +109,7 @@ def test_tables_have_room_for_as_many_leaves_as_a_file_can_hold():
 
 
 @pytest.mark.parametrize(
-    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 16), (14, 18), (15, 18), (16, 18), (30, 18)]
+    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 18), (14, 18), (15, 18), (16, 18), (30, 18)]
 )
 def test_slots_grow_with_the_class(of_class, expected):
     assert slot_bits_of_class(of_class, 0) == expected

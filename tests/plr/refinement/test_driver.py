@@ -265,6 +265,14 @@ for plr, options in ((cone, {}), (plr, {"loss": "quantile"}), (plr, {"penalties"
         assert message in line
 
 
+def test_strict_promotion_of_types_changes_nothing(wall):
+    plr, x, distance = wall
+    usual, _ = refine(plr, x, distance, num_steps=50)
+    with jax.numpy_dtype_promotion("strict"):
+        strict, _ = refine(plr, x, distance, num_steps=50)
+    assert strict.to_bytes() == usual.to_bytes()
+
+
 def test_double_precision_changes_nothing_but_rounding(wall, wall_faces):
     plr, x, distance = wall
     arguments = {"loss": quantile(0.2), "penalties": [eikonal(1e-3), jumps(wall_faces, 1e-3)], "num_steps": 50}

@@ -40,6 +40,10 @@ class Continuous:
     num_samples = 96
     least_bytes = 1
 
+    def usual_bytes(self, dim: int) -> int:
+        """Two: most of the values at corners are shared, and small as surpluses."""
+        return 2
+
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")

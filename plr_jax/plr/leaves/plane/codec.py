@@ -111,7 +111,8 @@ def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
 
 
 def _float_of_bits(bits: Int[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    return bits.astype(np.uint32).view(np.float32).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
+        return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:

@@ -53,6 +53,10 @@ class Plane:
     num_samples = 192
     least_bytes = 2
 
+    def usual_bytes(self, dim: int) -> int:
+        """Its coefficients'."""
+        return -(-(1 + dim) * (self.coefficient_bits or FLOAT_BITS) // 8)
+
     def __post_init__(self):
         bits = self.coefficient_bits
         if bits is not None and not isinstance(bits, int | np.integer):

@@ -1,0 +1,63 @@
+"""Arguments of another kind than what is documented are named by the library itself, not by a bare TypeError."""
+
+import numpy as np
+import pytest
+
+from plr_jax import Box, PointRobot, Problem, Workspace, construct, from_bytes, save, scenes
+from plr_jax.plr import PLR
+
+ROOM = Workspace(((0, 0), (1, 1)))
+UNIT = Box((0, 0), (1, 1))
+ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
+
+
+def cone(x):
+    return np.hypot(*x.T)
+
+
+def built(**options):
+    return construct(cone, UNIT, max_leaves=2, **options)
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: construct(None, UNIT), "distance_fn must be a function, got None"),
+        (lambda: built(weight_fn=5), "weight_fn must be a function, got 5"),
+        (lambda: built(split=5), "split must be a function, got 5"),
+        (lambda: built(should_split="x"), "should_split must be a function, got 'x'"),
+        (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),
+        (lambda: built(margin="x"), "margin must be a finite number of at least 0, got 'x'"),
+        (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
+        (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
+        (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
+        (lambda: save(5, "no.plr"), "Only a PLR can be saved, got 5"),
+        (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
+        (lambda: PLR.stack(5), "Only PLRs can be stacked, that of robot 0 is 5"),
+        (lambda: PLR.stack([]), "A stack needs one PLR a robot, at least one, got none"),
+        (lambda: Problem(5, [PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
+        (lambda: Problem(ROOM, PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),
+        (lambda: Problem(ROOM, [PointRobot()], *ENDS, "x"), "rotation_weight must be a finite number"),
+        (lambda: Workspace(ROOM.bounds, squeeze="no"), "squeeze must be True or False, got 'no'"),
+        (lambda: ROOM.inflate("x"), "radius must be a finite number of at least 0, got 'x'"),
+        (lambda: ROOM.sample_free(1.5, 0), "n must be an integer >= 0, got 1.5"),
+        (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
+        (lambda: scenes.perturbed(scenes.maze(), "a"), "seed must be an integer >= 0, got 'a'"),
+        (lambda: UNIT.grid("x"), "resolution must be an integer >= 1, got 'x'"),
+    ],
+)
+def test_is_named(call, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        call()
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_plrs_from_any_iterable_and_bytes_of_any_kind():
+    plr = built()
+    stacked = PLR.stack(each for each in (plr, plr))
+    assert len(stacked.tables) == 2
+    for kind in (bytearray, memoryview):
+        assert from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
