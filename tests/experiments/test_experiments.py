@@ -136,7 +136,7 @@ def test_readme_tables_of_gradients(name, smoke, monkeypatch):
     assert len([line for line in lines if line.startswith("|")]) == 2 + len(rows)
 
 
-@pytest.mark.parametrize("name", [*SMOKED, "benchmark"])  # whose sections have tests of their own
+@pytest.mark.parametrize("name", [*SMOKED, "benchmark", "hostile_files"])  # whose sections have tests of their own
 def test_committed_results_are_those_of_a_full_run(name):
     record = json.loads((ROOT / "experiments" / "results" / f"{name}.json").read_text())
     assert record["experiment"] == name and not record["smoke"]
