@@ -55,9 +55,9 @@ def construct(
             for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for: in the plane 7 times up to
-            2,048 bytes, 8 up to 4,096, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
-            size is the smaller of ``max_bytes`` and what ``max_leaves`` take, ``4 * (dim + 1)`` bytes each of planes
-            and 2 of other leaves.
+            2,048 bytes, 8 up to 8,192, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
+            size is the smaller of ``max_bytes`` and what ``max_leaves`` count: 2 bytes each, of planes
+            ``4 * (dim + 1)``, but 32,768 in all at the least: tables of PLRs of as many planes may differ in size.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
@@ -91,7 +91,7 @@ def construct(
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
-    sizes = model.least_bytes, model.usual_bytes(domain.dim)
+    sizes = model.least_bytes, model.bytes_without_budget
     limits = check_limits(domain.dim, *sizes, max_depth, max_leaves, max_bytes, tolerance)
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))

@@ -41,7 +41,7 @@ class Limits:
 def check_limits(
     dim: int,
     least_bytes: int,
-    usual_bytes: int,
+    bytes_without_budget: Callable[[int, int], int],
     max_depth: int | None,
     max_leaves: int | None,
     max_bytes: int | None,
@@ -61,8 +61,7 @@ def check_limits(
         as_finite("tolerance", tolerance)
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    # Of the file that the limits lead to; None if they allow any.
-    sizes = (max_bytes, None if max_leaves is None else usual_bytes * max_leaves)
+    sizes = (max_bytes, None if max_leaves is None else bytes_without_budget(dim, max_leaves))
     table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
     most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
     if max_bytes is not None:

@@ -69,8 +69,8 @@ class LeafModel(Protocol):
         """Bytes of a file that a leaf takes at the least, a power of two."""
         ...
 
-    def usual_bytes(self, dim: int) -> int:
-        """About how many bytes of a file a leaf takes that was built without a limit on them."""
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """What so many leaves count where no bytes are asked for: how deep they may be is that of such a file."""
         ...
 
     def check_dim(self, dim: int) -> None:

@@ -28,11 +28,12 @@ LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end 
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
 MIN_CLASS = 8
-_SLOT_BITS = ((11, 14), (12, 16), (15, 18))  # up to a class, bits of a flat table
+_SLOT_BITS = ((11, 14), (13, 16), (15, 18))  # up to a class, bits of a flat table
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_BLOCK_BITS = 16
+LARGEST_CLASS_BYTES = 1 << _SLOT_BITS[-1][0]
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
@@ -135,7 +136,7 @@ def build_tables(
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
-    is_large = of_class > _SLOT_BITS[-1][0]  # too large to be padded to what the class may need at the most
+    is_large = 1 << of_class > LARGEST_CLASS_BYTES  # too large to be padded to what the class may need at the most
     rows = padded_size(len(cells)) if is_large else rows_of_class(of_class, leaf.least_bytes)
     table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
@@ -172,7 +173,7 @@ def max_axis_depth(dim: int, of_class: int | None) -> int:
 
     In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
     """
-    if of_class is None or of_class > _SLOT_BITS[-1][0] or dim > 2:
+    if of_class is None or 1 << of_class > LARGEST_CLASS_BYTES or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
     return slot_bits_of_class(of_class, 0) // dim
 

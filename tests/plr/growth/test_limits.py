@@ -11,8 +11,12 @@ from plr_jax.plr.growth.limits import check_limits, check_memory, grow
 NAMES = ("max_depth", "max_leaves", "max_bytes", "tolerance")
 
 
-def limits(dim=2, least_bytes=2, usual_bytes=4, **given):
-    return check_limits(dim, least_bytes, usual_bytes, *(given.get(name) for name in NAMES))
+def four_each(dim, num_leaves):
+    return 4 * num_leaves
+
+
+def limits(dim=2, least_bytes=2, **given):
+    return check_limits(dim, least_bytes, four_each, *(given.get(name) for name in NAMES))
 
 
 def test_no_limit_means_512_leaves():
@@ -37,15 +41,14 @@ def test_a_budget_of_bytes_bounds_the_leaves():
     [
         ({"max_bytes": 2048}, 7),
         ({"max_bytes": 2049}, 8),
-        ({"max_bytes": 4096}, 8),
-        ({"max_bytes": 4097}, 9),
+        ({"max_bytes": 8192}, 8),
+        ({"max_bytes": 8193}, 9),
         ({"max_bytes": 32768}, 9),
         ({"max_bytes": 32769}, 14),
         ({"tolerance": 0.1}, 14),
         ({"max_depth": 20}, 14),
         ({"max_leaves": 512}, 7),
         ({"max_leaves": 513}, 8),
-        ({"max_leaves": 512, "usual_bytes": 12}, 9),
         ({"max_bytes": 10**6, "max_leaves": 512}, 7),
         ({"max_bytes": 2048, "dim": 3}, 9),
         ({"max_bytes": 2048, "dim": 10}, 2),
@@ -74,7 +77,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
 def test_limits_out_of_range_are_refused(given, message):
     arguments = [given.get(name) for name in NAMES]
     with pytest.raises(ValueError, match=message):
-        unchecked(2, 2, 4, *arguments)
+        unchecked(2, 2, four_each, *arguments)
 
 
 unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations, as outside of the tests

@@ -109,7 +109,7 @@ def test_tables_have_room_for_as_many_leaves_as_a_file_can_hold():
 
 
 @pytest.mark.parametrize(
-    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 18), (14, 18), (15, 18), (16, 18), (30, 18)]
+    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 16), (14, 18), (15, 18), (16, 18), (30, 18)]
 )
 def test_slots_grow_with_the_class(of_class, expected):
     assert slot_bits_of_class(of_class, 0) == expected

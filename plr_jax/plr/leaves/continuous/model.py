@@ -40,9 +40,9 @@ class Continuous:
     num_samples = 96
     least_bytes = 1
 
-    def usual_bytes(self, dim: int) -> int:
-        """Two: most of the values at corners are shared, and small as surpluses."""
-        return 2
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """Two each: most of the values at corners are shared, and small as surpluses."""
+        return 2 * num_leaves
 
     def __post_init__(self):
         if self.order not in (0, 1):

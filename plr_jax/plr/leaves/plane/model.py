@@ -27,7 +27,7 @@ from plr_jax.plr.leaves.plane.codec import (
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import Frame, Tables, table_corners
+from plr_jax.plr.query.tables import LARGEST_CLASS_BYTES, Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
@@ -53,9 +53,9 @@ class Plane:
     num_samples = 192
     least_bytes = 2
 
-    def usual_bytes(self, dim: int) -> int:
-        """Its coefficients'."""
-        return -(-(1 + dim) * (self.coefficient_bits or FLOAT_BITS) // 8)
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be."""
+        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, LARGEST_CLASS_BYTES)
 
     def __post_init__(self):
         bits = self.coefficient_bits
