@@ -16,7 +16,7 @@ def leaf(request):
 @pytest.fixture(scope="session")
 def plr(leaf):
     """A PLR of the walled square."""
-    return construct(walled, UNIT, leaf=leaf, max_leaves=60)
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100)
 
 
 @pytest.fixture(scope="session")

@@ -41,8 +41,9 @@ def refine(
 
     The partition stays, and so does the precision of the numbers stored: a query costs the same, and the file is of
     about the same size (a few bytes more or less, where differences need more or fewer bits). Leaves that were
-    unreachable stay so. A leaf with fewer points than four times its coefficients (of a plane ``dim + 1``, of
-    ``"continuous"`` ``2**dim``, of ``"smooth"`` ``4**dim``) keeps its function, but for rounding.
+    unreachable stay so. A leaf with fewer than four points a parameter (a plane has ``dim + 1``; where leaves share
+    parameters, what a leaf has on average counts, rounded up) is not fitted to them: a plane stays as it was, but for
+    rounding, and a leaf that shares parameters moves along with its neighbors, though it holds on to its function.
 
     With a loss that asks for a share of over-estimates (:func:`quantile`), another fifth of the training points is
     kept apart. At the end, after rounding to what the file holds, one number is added to all values, so that at most

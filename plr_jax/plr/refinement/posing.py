@@ -11,6 +11,7 @@ adds up their gradients. Three things make a few hundred steps enough, whatever 
 - That unit is about the error of the least-squares fit there: leaves of small errors take small steps.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,14 +25,14 @@ from plr_jax.plr._plr import PLR, leaf_of, local_coordinates
 from plr_jax.plr.leaves.base import Parameters, solve_sparse, values_at_centers, weighted_squares
 from plr_jax.plr.refinement.objective import Objective
 
-POINTS_A_COEFFICIENT = 4  # that a leaf must have to be fitted to its points
+_POINTS_A_PARAMETER = 4  # that a leaf must have to be fitted to its points
 # The least unit, should the least-squares fit be very good: a share of the error over all points, and of how much the
 # leaf's own function varies. Penalties may ask more of it than its points do.
 _OF_ALL_ERROR, _OF_VARIATION = 0.1, 0.01
 _RIDGE = 1e-9  # of a normal matrix: what the points do not determine stays as it is
-# Where leaves share parameters, each holds on to its function: as if so small a share of its points, or as many as
-# other leaves have where it has too few, lay on it, spread evenly.
-_HELD = 1e-3
+# Where leaves share parameters, each holds on to its function, as if points lay on it, spread evenly: so many for
+# each of its own or, where these are too few, for each that a leaf has on average.
+_HELD, _HELD_WITHOUT_POINTS = 1e-3, 0.03
 _EVEN_POINTS = 256
 
 
@@ -73,8 +74,9 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     parameters = plr.leaf.parameters(plr.cells, plr.stored)
     shape = (plr.num_leaves, basis.shape[1])
     num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
-    has_enough = (num_points >= POINTS_A_COEFFICIENT * basis.shape[1]) & ~plr.unreachable
-    weight = _normalized(weight * has_enough[leaf], plr, POINTS_A_COEFFICIENT * basis.shape[1])
+    least_points = _POINTS_A_PARAMETER * math.ceil(len(parameters.values) / plr.num_leaves)
+    has_enough = (num_points >= least_points) & ~plr.unreachable
+    weight = _normalized(weight * has_enough[leaf], plr, least_points)
 
     def sum_up(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "leaves"]:
         return np.bincount(leaf, values, minlength=len(lo))
@@ -84,7 +86,8 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     error = np.sum(_coefficients(parameters, shape)[leaf] * basis, axis=1) - distance
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
     if not parameters.is_leafwise:
-        normal += np.where(has_enough, _HELD * share, 1 / len(share))[:, None, None] * _even_moments(plr)
+        held = np.where(has_enough, _HELD * share, _HELD_WITHOUT_POINTS / len(share))
+        normal += held[:, None, None] * _even_moments(plr)
     parameters = replace(parameters, values=parameters.values - _least_squares(parameters, normal, moments))
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance

@@ -63,9 +63,12 @@ def test_refining_to_other_distances_lowers_the_loss_of_every_leaf_model(plr, sa
     """The walled square's PLR, moved to a function that is a plane more."""
     x, distance = samples[0], 1.2 * samples[1] + 0.3 * samples[0][:, 0]
     refined, report = refine(plr, x, distance, num_steps=50)
+    assert report.refined.held_out.loss < 1e-3 * report.given.held_out.loss
     # Leaves that share values with others, but have few points, resist.
-    share = 1e-3 if plr.leaf.name == "plane" else 0.1
-    assert report.refined.held_out.loss < share * report.given.held_out.loss
+    assert (
+        report.refined.held_out.mean
+        < (1.5 if plr.leaf.name == "plane" else 3) * np.abs(np.asarray(plr(x)) - samples[1]).mean()
+    )
     assert refined.leaf == plr.leaf and refined.num_leaves == plr.num_leaves
     np.testing.assert_array_equal(refined.cells.position, plr.cells.position)
     np.testing.assert_array_equal(refined.unreachable, plr.unreachable)
@@ -75,7 +78,7 @@ def test_refining_to_other_distances_lowers_the_loss_of_every_leaf_model(plr, sa
 
 def test_refining_to_its_own_distances_does_no_harm_where_points_are_few(plr, samples):
     """Once a smooth PLR, whose leaves share slopes, erred twenty times more: its small leaves were flung about."""
-    x, distance = (part[:9000] for part in samples)
+    x, distance = (part[:6000] for part in samples)
     before = np.abs(np.asarray(plr(samples[0])) - samples[1])
     refined, _ = refine(plr, x, distance, num_steps=50, held_out=0)
     after = np.abs(np.asarray(refined(samples[0])) - samples[1])
@@ -83,7 +86,7 @@ def test_refining_to_its_own_distances_does_no_harm_where_points_are_few(plr, sa
 
 
 def test_a_share_of_over_estimates_for_every_leaf_model(plr, samples):
-    _, report = refine(plr, *samples, loss=quantile(0.05), num_steps=100)
+    _, report = refine(plr, *samples, loss=quantile(0.05), num_steps=200)
     assert abs(report.refined.held_out.over - 0.05) < 0.02
     assert report.refined.held_out.loss < 0.5 * report.least_squares.held_out.loss
     assert report.objective[1] < report.objective[0]
