@@ -71,7 +71,7 @@ def check_limits(
         check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
     return Limits(
         max_depth=max_depth,
-        max_axis_depth=max_axis_depth(dim, table_class),
+        max_axis_depth=max_axis_depth(dim, table_class, least_bytes),
         max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),

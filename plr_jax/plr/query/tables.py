@@ -28,12 +28,12 @@ LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end 
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
 MIN_CLASS = 8
-_SLOT_BITS = ((11, 14), (13, 16), (15, 18))  # up to a class, bits of a flat table
+_SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_BLOCK_BITS = 16
-LARGEST_CLASS_BYTES = 1 << _SLOT_BITS[-1][0]
+LARGEST_CLASS_BYTES = 2**15
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
@@ -135,9 +135,10 @@ def build_tables(
     shape = _block_shapes(cells, block_bits)
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
-    num_slots = slot_bits_of_class(of_class, (len(leaf_of_slot) - 1).bit_length())
-    is_large = 1 << of_class > LARGEST_CLASS_BYTES  # too large to be padded to what the class may need at the most
-    rows = padded_size(len(cells)) if is_large else rows_of_class(of_class, leaf.least_bytes)
+    rows = rows_of_class(of_class, leaf.least_bytes)
+    slot_bits = max(slot_bits_of_rows(rows), (len(leaf_of_slot) - 1).bit_length())
+    if 1 << of_class > LARGEST_CLASS_BYTES:  # too large to be padded to what the class may need at the most
+        rows = padded_size(len(cells))
     table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
     top = bits if flat else block_bits
@@ -147,7 +148,7 @@ def build_tables(
         frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
         bits=jnp.asarray(bits.astype(np.uint32)),
         blocks=None if flat else _pack_blocks(shape, offset, below),
-        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << num_slots)),
+        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << slot_bits)),
         numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
     )
@@ -163,19 +164,19 @@ def rows_of_class(of_class: int, least_bytes: int) -> int:
     return (1 << of_class) // least_bytes
 
 
-def slot_bits_of_class(of_class: int, needed: int) -> int:
-    """Bits of a class's flat table; as many as are needed, where that is more."""
-    return max(needed, next((bits for last, bits in _SLOT_BITS if of_class <= last), MAX_FLAT_BITS))
+def slot_bits_of_rows(rows: int) -> int:
+    """Bits of the flat table of a class that has room for so many leaves."""
+    return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
-def max_axis_depth(dim: int, of_class: int | None) -> int:
+def max_axis_depth(dim: int, of_class: int | None, least_bytes: int) -> int:
     """How often a cell may be halved along one axis, for a class of files or for any.
 
     In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
     """
     if of_class is None or 1 << of_class > LARGEST_CLASS_BYTES or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return slot_bits_of_class(of_class, 0) // dim
+    return slot_bits_of_rows(rows_of_class(of_class, least_bytes)) // dim
 
 
 def max_entries(num_bytes: int) -> int:

@@ -45,6 +45,9 @@ def test_a_budget_of_bytes_bounds_the_leaves():
         ({"max_bytes": 8193}, 9),
         ({"max_bytes": 32768}, 9),
         ({"max_bytes": 32769}, 14),
+        ({"max_bytes": 1024, "least_bytes": 1}, 7),  # twice the leaves
+        ({"max_bytes": 2048, "least_bytes": 1}, 8),
+        ({"max_bytes": 8192, "least_bytes": 1}, 9),
         ({"tolerance": 0.1}, 14),
         ({"max_depth": 20}, 14),
         ({"max_leaves": 512}, 7),

@@ -15,7 +15,7 @@ from plr_jax.plr.query.tables import (
     max_axis_depth,
     max_entries,
     rows_of_class,
-    slot_bits_of_class,
+    slot_bits_of_rows,
     table_corners,
 )
 
@@ -109,23 +109,23 @@ def test_tables_have_room_for_as_many_leaves_as_a_file_can_hold():
 
 
 @pytest.mark.parametrize(
-    ("of_class", "expected"), [(8, 14), (11, 14), (12, 16), (13, 16), (14, 18), (15, 18), (16, 18), (30, 18)]
+    ("rows", "expected"), [(128, 14), (1024, 14), (1025, 16), (4096, 16), (4097, 18), (2**30, 18)]
 )
-def test_slots_grow_with_the_class(of_class, expected):
-    assert slot_bits_of_class(of_class, 0) == expected
-    assert slot_bits_of_class(of_class, expected) == expected
-    assert slot_bits_of_class(of_class, 20) == 20
+def test_slots_grow_with_the_leaves(rows, expected):
+    assert slot_bits_of_rows(rows) == expected
 
 
 @pytest.mark.parametrize("dim", [1, 2])
+@pytest.mark.parametrize("least_bytes", [1, 2])
 @pytest.mark.parametrize("of_class", range(8, 16))
-def test_on_a_line_and_in_the_plane_the_cells_of_a_class_fit_its_table(dim, of_class):
-    assert dim * max_axis_depth(dim, of_class) <= slot_bits_of_class(of_class, 0)
+def test_on_a_line_and_in_the_plane_the_cells_of_a_class_fit_its_table(dim, least_bytes, of_class):
+    rows = rows_of_class(of_class, least_bytes)
+    assert dim * max_axis_depth(dim, of_class, least_bytes) <= slot_bits_of_rows(rows)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 5, 8, 28, 50])
 def test_more_bytes_never_mean_larger_cells(dim):
-    depths = [max_axis_depth(dim, of_class) for of_class in (*range(8, 30), None)]
+    depths = [max_axis_depth(dim, of_class, 2) for of_class in (*range(8, 30), None)]
     assert depths == sorted(depths) and depths[0] >= 1 and depths[-1] <= 18
 
 
