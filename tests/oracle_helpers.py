@@ -1,4 +1,4 @@
-"""What the tests of oracles share: obstacles that are boxes, and roadmaps among them."""
+"""What the tests of oracles share: obstacles that are boxes, roadmaps among them, and lengths of paths."""
 
 import numpy as np
 import shapely
@@ -7,6 +7,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.oracles import Roadmap
 
 UNIT = Box((0, 0), (1, 1))
+TEN = ((0, 0), (10, 10))
 
 
 class Boxes:
@@ -59,3 +60,12 @@ def roadmap(obstacles, goal=(0.1, 0.1), num_samples=300, domain=UNIT, **options)
 def free_points(obstacles, n, seed=9):
     x = np.random.default_rng(seed).random((n, 2))
     return x[obstacles.is_free(x)]
+
+
+def box(x0, y0, x1, y1):
+    """Corners of a box, counterclockwise."""
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def length(path):
+    return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
