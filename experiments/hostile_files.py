@@ -7,27 +7,20 @@ by any other exception, by more than a second of computing, and by a process tha
 Files that a reader failed at are kept.
 """
 
-import json
 import multiprocessing
-import re
 import resource
-import struct
 import tempfile
 import time
 import warnings
-import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-import plr_jax
+from experiments._mutations import READERS, Reader, hostile
 from experiments._results import command_line, environment, output_folder, read, write
-from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, construct, scenes
 
 NAME = "hostile_files"
 MUTATIONS, SMOKE_MUTATIONS = 20_000, 40
@@ -35,180 +28,6 @@ MOST_SECONDS, MOST_GROWTH = 1.0, 100e6
 _HANGS = 60.0  # seconds after which a reader is ended
 _ADDRESS_SPACE = 8 * 2**30  # beyond what is in use: the net under a reader that asks for all there is
 _KEPT = "hostile_files"
-
-_GRID = """type octile
-height 8
-width 12
-map
-@@@@@@@@@@@@
-@....TT....@
-@.GG.TT.SS.@
-@....@@....@
-@..........@
-@.@@....W..@
-@.@@...WW..@
-@@@@@@@@@@@@
-"""
-_QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
-_DBCBS = """
-environment:
-  max: [6, 4.5]
-  min: [0, 0]
-  obstacles:
-  - {center: [3, 1], size: [1, 2], type: box}
-robots:
-- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
-- type: unicycle_first_order_0
-  start: [5, 3, 3.14]
-  goal: [1.0, 3e0, 0]
-"""
-_TRAJECTORIES = """
-result:
-- states:
-  - [0, 1, 2.5, 9]
-  - [3, 4, 5, 9]
-  actions:
-  - [1.0e-3, 2]
-- states: [[6, 7, 8, 9]]
-"""
-_SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
-_POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
-
-
-@dataclass(frozen=True)
-class Reader:
-    """A reader, and valid files to mutate.
-
-    Attributes:
-        read: Takes a path.
-        suffix: How the names of its files end.
-        valid: Makes the files' contents.
-        repaired: Takes a mutated file; gives one whose checksum is right.
-    """
-
-    read: Callable[[Path], Any]
-    suffix: str
-    valid: Callable[[], list[bytes]]
-    repaired: Callable[[bytes], bytes] | None = None
-
-
-def _scene_files() -> list[bytes]:
-    rings = [_SQUARE, [[5, 5], [6, 5], [6, 6]]]
-    holed = Workspace.from_polygons([{"outer": [[-1, -1], [9, -1], [9, 9], [-1, 9]], "holes": rings}])
-    robots = [DiscRobot(0.25), RectangleRobot(0.7, 0.1), PointRobot()]
-    starts, goals = [(8, 8, 0), (7, 1, 1), (1, 8, 0)], [(8, 0, 0), (6, 2, 2), (5, 8, 0)]
-    team = Problem(holed, robots, starts, goals, rotation_weight=0.3)
-    with tempfile.TemporaryDirectory() as folder:
-        path, files = Path(folder, "scene.json"), []
-        for problem in (scenes.maze(), scenes.tangle(), team):
-            scenes.save(problem, path)
-            files += [path.read_bytes()]
-    return files
-
-
-def _plr_files() -> list[bytes]:
-    def distance(x: Any) -> Any:
-        return np.where((x[:, 0] > 0.4) & (x[:, -1] < 0.3), np.inf, np.linalg.norm(x - 0.7, axis=1))
-
-    kinds = [
-        (2, {"leaf": "plane", "max_leaves": 20}),  # of floats
-        (3, {"leaf": "plane", "max_bytes": 300}),  # of integers
-        (2, {"leaf": "continuous", "max_leaves": 20}),
-        (1, {"leaf": "smooth", "max_leaves": 10}),
-    ]
-    return [construct(distance, Box([0.0] * dim, [1.0] * dim), **options).to_bytes() for dim, options in kinds]
-
-
-def _with_checksum(data: bytes) -> bytes:
-    """A PLR file whose header states its size, and whose last four bytes are its checksum."""
-    if len(data) < 20:
-        return data
-    data = data[:12] + struct.pack("<I", len(data)) + data[16:-4]
-    return data + struct.pack("<I", zlib.crc32(data))
-
-
-READERS = {
-    "scene": Reader(scenes.load, ".json", _scene_files),
-    "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
-    "db-CBS": Reader(scenes.read_dbcbs, ".yaml", lambda: [_DBCBS.encode()]),
-    "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
-    "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
-    "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
-    "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
-}
-
-_NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
-_BRACKETS = re.compile(rb"\[[^][]*\]|\{[^{}]*\}")
-_EXTREMES = [
-    *("0", "-1", "1", "2147483648", "4294967295", "9223372036854775808", "1e308", "-1e308", "1e-308", "1e999", "0.5"),
-    *("nan", ".nan", "NaN", "Infinity", ".inf", "true", "null", '"1"', "1" * 400, "1" * 5000, "1e155", "1e15"),
-    *("[]", "{}", '""', "[1]", "[[[[1]]]]", "*a", "&a 1", "!!binary 1", "<<", "2001-01-01", "0x_", "\ufeff", "\0"),
-    *("[" * 40 + "]" * 40, "[" * 5000, "- " * 100 + "1", '{"a":' * 2000),
-]
-_PATTERNS = [
-    *(struct.pack("<I", value) for value in (0, 1, 2**16, 2**31, 2**32 - 1)),
-    *(struct.pack("<f", value) for value in (np.nan, np.inf, -1.0, 1e-45, 3e38)),
-    *(struct.pack("<d", value) for value in (np.nan, np.inf, -1.0, 5e-324, 1e308, 1e15)),
-    *(bytes([value]) * length for value in (0, 255, 170) for length in (1, 8, 64)),
-]
-
-
-def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
-    """A file's bytes after one to four mutations."""
-    for _ in range(int(rng.choice([1, 1, 1, 2, 3, 4]))):
-        kinds = (_flip, _insert, _delete, _repeat, _cut, *((_replace_token,) * 5 if text else (_overwrite,) * 2))
-        data = kinds[rng.integers(len(kinds))](data, rng)
-    return data
-
-
-def _flip(data: bytes, rng: np.random.Generator) -> bytes:
-    at = int(rng.integers(len(data) + 1))
-    return data[:at] + bytes(byte ^ 1 << rng.integers(8) for byte in data[at : at + 1]) + data[at + 1 :]
-
-
-def _insert(data: bytes, rng: np.random.Generator) -> bytes:
-    at = int(rng.integers(len(data) + 1))
-    return data[:at] + rng.bytes(int(rng.integers(1, 9))) + data[at:]
-
-
-def _delete(data: bytes, rng: np.random.Generator) -> bytes:
-    first, last = _slice(data, rng)
-    return data[:first] + data[last:]
-
-
-def _repeat(data: bytes, rng: np.random.Generator) -> bytes:
-    first, last = _slice(data, rng)
-    return data[:last] + data[first:last] * int(rng.choice([1, 2, 30])) + data[last:]
-
-
-def _cut(data: bytes, rng: np.random.Generator) -> bytes:
-    return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.3 else data
-
-
-def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
-    at, pattern = int(rng.integers(len(data) + 1)), _PATTERNS[rng.integers(len(_PATTERNS))]
-    return data[:at] + pattern + data[at + len(pattern) :]
-
-
-def _replace_token(data: bytes, rng: np.random.Generator) -> bytes:
-    """A number or an innermost list or mapping gives way to something extreme."""
-    tokens = list((_NUMBER if rng.random() < 0.8 else _BRACKETS).finditer(data))
-    if not tokens:
-        return data
-    token = tokens[rng.integers(len(tokens))]
-    return data[: token.start()] + _EXTREMES[rng.integers(len(_EXTREMES))].encode() + data[token.end() :]
-
-
-def _slice(data: bytes, rng: np.random.Generator) -> tuple[int, int]:
-    first = int(rng.integers(len(data) + 1))
-    return first, first + int(rng.choice([1, 4, 40, 400]))
-
-
-def hostile(reader: Reader, valid: list[bytes], seed: int, number: int) -> bytes:
-    """The mutated file of a number; the same for the same seed."""
-    rng = np.random.default_rng([seed, number])
-    data = mutated(valid[rng.integers(len(valid))], rng, reader.repaired is None)
-    return reader.repaired(data) if reader.repaired and rng.random() < 0.95 else data
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
 from plr_jax.planners.bl.search import SearchBudget
 from plr_jax.planners.bl.successors import JointLattice
 
+TRANSLATIONS = PRIMITIVES[:8]
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
 

@@ -13,33 +13,30 @@ from plr_jax.robots.robot import Robot
 
 
 @dataclass(frozen=True)
-class Pebble(Robot):
-    """A shape that the package does not know: a triangle about its first quarter, rounded."""
+class AnyShape(Robot):
+    """Whatever is stated, in one class: shapes that the package does not know."""
 
-    size: float = 0.3
-    rounding = 0.12
-    dof = 3
-
-    @property
-    def core(self):
-        return self.size * np.array([(1.2, 0.0), (-0.4, 0.7), (-0.4, -0.7)])
-
-
-@dataclass(frozen=True)
-class Sled(Robot):
-    """Another one: a triangle that keeps its heading."""
-
-    size: float = 1.0
-    rounding = 0.0
-    dof = 2
+    body: tuple
+    rounding: float = 0.0
+    dof: int = 3
 
     @property
     def core(self):
-        return self.size * np.array([(0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25)])
+        return np.array(self.body, dtype=float)
+
+
+def pebble(size=0.3):
+    """A triangle about its first quarter, rounded."""
+    return AnyShape(((1.2 * size, 0.0), (-0.4 * size, 0.7 * size), (-0.4 * size, -0.7 * size)), rounding=0.12)
+
+
+def sled(size=1.0):
+    """A triangle that keeps its heading."""
+    return AnyShape(((0.3 * size, 0.0), (-0.2 * size, 0.25 * size), (-0.2 * size, -0.25 * size)), dof=2)
 
 
 POINT, DISC, BAR = PointRobot(), DiscRobot(0.3), RectangleRobot(0.9, 0.3)
-WING, PEBBLE = PolygonRobot([(0.5, 0.0), (0.0, 0.4), (-0.3, 0.25), (0.0, -0.1)]), Pebble()
+WING, PEBBLE = PolygonRobot([(0.5, 0.0), (0.0, 0.4), (-0.3, 0.25), (0.0, -0.1)]), pebble()
 ROBOTS = [POINT, DISC, BAR, WING, PEBBLE]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, Pebble, random_motions, sampled_distance
+from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
 
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.robots.disc import DiscRobot
@@ -143,7 +143,7 @@ robot = st.one_of(
     st.builds(DiscRobot, st.floats(0.05, 0.6)),
     st.builds(RectangleRobot, st.floats(0.05, 1), st.floats(0.05, 1)),
     st.just(WING),
-    st.builds(Pebble, st.floats(0.05, 0.6)),
+    st.builds(pebble, st.floats(0.05, 0.6)),
 )
 
 

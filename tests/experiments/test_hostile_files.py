@@ -5,7 +5,8 @@ import json
 import pytest
 
 from experiments import hostile_files
-from experiments.hostile_files import READERS, Outcome, Reader, attempt, hostile, outcomes
+from experiments._mutations import READERS, Reader, hostile
+from experiments.hostile_files import Outcome, attempt, outcomes
 from plr_jax.plr.file.container import Container
 
 NUMBER = 60

@@ -1,8 +1,12 @@
+"""The parts of PRM*: tests of motions, the draws, and the radius."""
+
 import numpy as np
 import pytest
+from oracle_helpers import CUT, GAP, NOTHING, UNIT, free_points, roadmap
 
 from plr_jax.geometry.box import Box
-from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible
+from plr_jax.oracles import Roadmap
+from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible, prm_star_radius
 
 LINE = Box([0.0], [10.0])
 
@@ -43,3 +47,27 @@ def test_nothing_is_free_outside_the_domain_and_the_test_is_not_asked_there():
     x = np.array([[0.5], [2.0], [-1.0], [11.0], [np.nan]])
     np.testing.assert_array_equal(inside(x), [False, True, False, False, False])
     np.testing.assert_array_equal(inside(x[2:]), [False, False, False])
+
+
+def test_radius_is_that_of_prm_star():
+    assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
+    assert prm_star_radius(500, 3, 2.0) == pytest.approx(
+        2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
+    )
+    assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
+    assert roadmap(CUT, num_samples=1999).radius == pytest.approx(prm_star_radius(2000, 2, 0.9), rel=0.02)
+
+
+def test_vanishing_free_space_is_refused():
+    with pytest.raises(ValueError, match="tighten the domain"):
+        Roadmap(UNIT, lambda x: np.all(x < 1e-3, axis=1), (0, 0), 10, resolution=0.1)
+
+
+def test_sampled_motions_approach_the_exact_test():
+    x = free_points(GAP, 100)
+    exact, sampled = roadmap(GAP), roadmap(GAP, is_visible=None, resolution=0.002)
+    edges = {frozenset(e) for e in exact.graph.edges.tolist()}
+    missed = {frozenset(e) for e in sampled.graph.edges.tolist()} - edges
+    assert edges <= {frozenset(e) for e in sampled.graph.edges.tolist()}  # a free motion is never refused
+    assert len(missed) <= 0.01 * len(edges)  # what clips a corner by less than the step
+    assert np.all(sampled(x) <= exact(x) + 1e-12)

@@ -6,14 +6,11 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from oracle_helpers import box
 
 from plr_jax import scenes
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
-
-
-def box(x0, y0, x1, y1):
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
 
 
 def without_grazed(path):

@@ -1,3 +1,5 @@
+"""Distances and paths over roadmaps: near the exact ones and never below, equal to those of twins by brute force."""
+
 import csv
 import itertools
 
@@ -5,67 +7,12 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from jaxtyping import TypeCheckError
+from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, roadmap
 
 from plr_jax import scenes
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Roadmap
-from plr_jax.oracles._prm_star import prm_star_radius
-
-UNIT = Box((0, 0), (1, 1))
-
-
-class Boxes:
-    """Axis-aligned obstacles in any dimension, open, so that their boundary is free."""
-
-    def __init__(self, *boxes):
-        dim = len(boxes[0]) // 2 if boxes else 0
-        self.lo, self.hi = np.array([b[:dim] for b in boxes]), np.array([b[dim:] for b in boxes])
-
-    def is_free(self, x):
-        return np.array([not any(np.all((lo < p) & (p < hi)) for lo, hi in self.each()) for p in x], dtype=bool)
-
-    def is_visible(self, a, b):
-        return np.array(
-            [not any(crosses(p, q, *box) for box in self.each()) for p, q in zip(a, b, strict=True)], bool
-        )
-
-    def each(self):
-        return zip(self.lo, self.hi, strict=True)
-
-    def union(self):
-        return shapely.union_all([shapely.box(*lo, *hi) for lo, hi in self.each()])
-
-
-def crosses(a, b, lo, hi):
-    """Whether the open box meets the segment: slab by slab."""
-    enter, leave = 0.0, 1.0
-    for start, end, low, high in zip(a, b, lo, hi, strict=True):
-        if start == end:
-            if not low < start < high:
-                return False
-            continue
-        t = sorted([(low - start) / (end - start), (high - start) / (end - start)])
-        enter, leave = max(enter, t[0]), min(leave, t[1])
-    return enter < leave
-
-
-NOTHING = Boxes()
-# A wall from floor to ceiling but for a gap in y in [0.8, 0.9].
-GAP = Boxes((0.45, -1.0, 0.55, 0.8), (0.45, 0.9, 0.55, 2.0))
-# A wall without a gap.
-CUT = Boxes((0.45, -1.0, 0.55, 2.0))
-
-
-def roadmap(obstacles, goal=(0.1, 0.1), num_samples=300, domain=UNIT, **options):
-    options.setdefault("is_visible", obstacles.is_visible)
-    return Roadmap(domain, obstacles.is_free, goal, num_samples, **options)
-
-
-def free_points(obstacles, n, seed=9):
-    x = np.random.default_rng(seed).random((n, 2))
-    return x[obstacles.is_free(x)]
 
 
 def test_empty_box_is_near_euclidean_and_never_below():
@@ -251,81 +198,11 @@ def test_more_samples_converge():
     assert 0 < excess[2] < excess[1] < excess[0]
 
 
-def test_sampled_motions_approach_the_exact_test():
-    x = free_points(GAP, 100)
-    exact, sampled = roadmap(GAP), roadmap(GAP, is_visible=None, resolution=0.002)
-    edges = {frozenset(e) for e in exact.graph.edges.tolist()}
-    missed = {frozenset(e) for e in sampled.graph.edges.tolist()} - edges
-    assert edges <= {frozenset(e) for e in sampled.graph.edges.tolist()}  # a free motion is never refused
-    assert len(missed) <= 0.01 * len(edges)  # what clips a corner by less than the step
-    assert np.all(sampled(x) <= exact(x) + 1e-12)
-
-
-def test_radius_is_that_of_prm_star():
-    assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
-    assert prm_star_radius(500, 3, 2.0) == pytest.approx(
-        2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
-    )
-    assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
-    assert roadmap(CUT, num_samples=1999).radius == pytest.approx(prm_star_radius(2000, 2, 0.9), rel=0.02)
-
-
 def test_counts_and_bytes():
     oracle = roadmap(GAP, num_samples=100)
     assert oracle.graph.num_vertices == 101
     assert oracle.num_bytes == 101 * 2 * 8 + oracle.graph.num_edges * (2 * 4 + 8)
     assert oracle.domain == UNIT
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"goal": (0.5, 0.5)}, "not free; move it"),
-        ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
-        ({"goal": (np.nan, 0.5)}, "finite coordinates"),
-        ({"goal": ("a", 0)}, "The goal must be numbers"),
-        ({"domain": (0, 1)}, "Box lo must be one point"),
-        ({"domain": 3.0}, "The domain must be a Box"),
-        ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
-        ({"num_samples": 0}, "num_samples"),
-        ({"is_visible": None}, "Give either is_visible"),
-        ({"resolution": 0.1}, "Give either is_visible"),
-        ({"is_visible": None, "resolution": 0.0}, "resolution must be a positive finite number"),
-        ({"is_visible": None, "resolution": np.nan}, "resolution must be a positive finite number"),
-        ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
-        ({"is_visible": lambda a, b: True}, "is_visible must return one boolean"),
-    ],
-)
-def test_bad_arguments_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        roadmap(CUT, **{"goal": (0.1, 0.1), **change})
-
-
-def test_a_fractional_number_of_samples_is_refused():
-    with pytest.raises((ValueError, TypeCheckError), match="num_samples"):
-        roadmap(NOTHING, num_samples=1e3)
-
-
-@pytest.mark.parametrize("answer", [lambda x: np.ones(len(x)), lambda x: x > 0, lambda x: np.True_, lambda x: None])
-def test_a_test_that_does_not_answer_one_boolean_a_point_is_refused(answer):
-    with pytest.raises(ValueError, match="is_free must return one boolean"):
-        Roadmap(UNIT, answer, (0.1, 0.1), 10, resolution=0.1)
-
-
-def test_vanishing_free_space_is_refused():
-    with pytest.raises(ValueError, match="tighten the domain"):
-        Roadmap(UNIT, lambda x: np.all(x < 1e-3, axis=1), (0, 0), 10, resolution=0.1)
-
-
-@pytest.mark.parametrize("x", [[0.1, 0.2], [[0.1, 0.2, 0.3]], 0.5, [[[0.1, 0.2]]]])
-def test_points_of_the_wrong_shape_are_refused(x):
-    with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
-        roadmap(NOTHING, num_samples=10)(x)
-
-
-def test_a_start_of_the_wrong_shape_is_refused():
-    with pytest.raises(ValueError, match=r"shape \(2,\)"):
-        roadmap(NOTHING, num_samples=10).shortest_path([[0.1, 0.2]])
 
 
 def test_a_workspace_gives_the_roadmap_of_its_parts():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from PIL import Image
-from robot_helpers import PEBBLE, WING, Pebble, Sled
+from robot_helpers import PEBBLE, WING, AnyShape, pebble, sled
 
 from plr_jax import (
     DiscRobot,
@@ -59,7 +59,7 @@ def planned(problem):
     return solution
 
 
-@pytest.mark.parametrize("first, second", [(Hexagon(0.3), PEBBLE), (WING, DiscRobot(0.25)), (Sled(), PointRobot())])
+@pytest.mark.parametrize("first, second", [(Hexagon(0.3), PEBBLE), (WING, DiscRobot(0.25)), (sled(), PointRobot())])
 def test_any_convex_shape_plans_and_its_path_is_checked_and_drawn(first, second, tmp_path):
     problem = swap(first, second)
     animation = plot.animate(problem, planned(problem).path, seconds=0.2)
@@ -72,7 +72,7 @@ def test_any_convex_shape_plans_and_its_path_is_checked_and_drawn(first, second,
 def test_any_convex_shape_is_optimized():
     """Two bodies side by side make a detour through a row in the middle."""
     starts, goals = (np.array([(x, 1.0, 0.5), (x, 2.2, -0.5)]) for x in (1.0, 2.3))
-    problem = Problem(DOOR, [PEBBLE, Sled()], starts, goals)
+    problem = Problem(DOOR, [PEBBLE, sled()], starts, goals)
     path = np.stack([starts, (starts + goals) / 2 + np.array([0.0, 0.3, 0.0]), goals])
     assert validate(problem, path).valid
     better = optimize_paths(problem, path, num_retimings=0, num_iterations=50)
@@ -85,7 +85,7 @@ def test_turning_costs_the_way_of_the_farthest_point():
         [(1.0, 0.5, 0.0), (1.0, 1.6, 0.0), (1.0, 2.6, 0.0)] for _ in range(2)
     ))  # fmt: skip
     np.testing.assert_allclose(problem.rotation_weights, [0.3, 0.36 + 0.12, 0.0])
-    assert Problem(DOOR, [Sled()], [(1, 1)], [(2, 1)]).dof == 2
+    assert Problem(DOOR, [sled()], [(1, 1)], [(2, 1)]).dof == 2
 
 
 def test_a_polygon_goes_where_a_rectangle_goes():
@@ -104,20 +104,7 @@ def test_a_scene_file_refuses_a_shape_that_it_has_no_word_for(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@dataclass(frozen=True)
-class Anything(Robot):
-    """Whatever is stated."""
-
-    body: tuple
-    radius: float = 0.0
-    freedom: int = 3
-
-    core = property(lambda self: np.array(self.body, dtype=float))
-    rounding = property(lambda self: self.radius)
-    dof = property(lambda self: self.freedom)
-
-
-SQUARE = Anything(((-1, -1), (1, -1), (1, 1), (-1, 1)))
+SQUARE = AnyShape(((-1, -1), (1, -1), (1, 1), (-1, 1)))
 
 
 @pytest.mark.parametrize(
@@ -127,9 +114,9 @@ SQUARE = Anything(((-1, -1), (1, -1), (1, 1), (-1, 1)))
         (replace(SQUARE, body=(*SQUARE.body, (-1, 1))), "each given once"),
         (replace(SQUARE, body=()), "core of finite vertices"),
         (replace(SQUARE, body=((np.nan, 0),)), "core of finite vertices"),
-        (replace(SQUARE, radius=-1.0), "finite rounding"),
-        (replace(SQUARE, freedom=4), "dof of 2 or 3"),
-        (Anything(((1.0, 0.0),), radius=0.5), "reference point"),
+        (replace(SQUARE, rounding=-1.0), "finite rounding"),
+        (replace(SQUARE, dof=4), "dof of 2 or 3"),
+        (AnyShape(((1.0, 0.0),), rounding=0.5), "reference point"),
     ],
 )
 def test_a_problem_refuses_what_is_no_convex_body_about_its_reference_point(robot, message):
@@ -139,7 +126,7 @@ def test_a_problem_refuses_what_is_no_convex_body_about_its_reference_point(robo
 
 def test_a_disc_may_turn_about_any_point_of_it():
     """On a wheel: half a turn about a point of its rim swings it past what it only touches at both ends."""
-    wheel = Anything(((0.5, 0.0),), radius=0.5)
+    wheel = AnyShape(((0.5, 0.0),), rounding=0.5)
     problem = Problem(
         Workspace(((0, 0), (9, 9))), [wheel, PointRobot()], [(4, 4, 0), (4, 4.9, 0)], [(4, 4, np.pi), (4, 4.9, 0)]
     )
@@ -149,4 +136,4 @@ def test_a_disc_may_turn_about_any_point_of_it():
 
 
 def test_pebbles_are_values():
-    assert Pebble() == Pebble() and len({Pebble(), Pebble(), Pebble(0.2)}) == 2
+    assert pebble() == pebble() and len({pebble(), pebble(), pebble(0.2)}) == 2

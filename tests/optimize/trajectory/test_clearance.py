@@ -7,7 +7,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_helpers import Pebble, Sled, along, shapes
+from robot_helpers import along, pebble, shapes, sled
 
 from plr_jax import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Workspace, scenes
 from plr_jax.optimize.trajectory.clearance import (
@@ -93,8 +93,8 @@ def test_round_robots_in_motion_are_as_clear_as_dense_samples(seed):
 
 TEAMS = {
     "boxes": [RectangleRobot(1.8, 0.5), RectangleRobot(1.0, 0.7), DiscRobot(0.4)],
-    "any shapes": [PolygonRobot([(1.2, 0), (0.3, 0.7), (-0.6, 0.5), (-0.4, -0.5)]), Pebble(1.0), DiscRobot(0.4)],
-    "no headings": [Sled(2.0), PointRobot(), Sled(3.0)],
+    "any shapes": [PolygonRobot([(1.2, 0), (0.3, 0.7), (-0.6, 0.5), (-0.4, -0.5)]), pebble(1.0), DiscRobot(0.4)],
+    "no headings": [sled(2.0), PointRobot(), sled(3.0)],
 }
 
 

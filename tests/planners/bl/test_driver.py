@@ -1,9 +1,9 @@
-from functools import cache
+"""Problems that the planner solves, each path checked by an independent test, and those without a solution."""
 
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, exact, hallway, joint_lattice_of, planned
+from planner_helpers import ROOM, TRANSLATIONS, exact, hallway, planned
 
 from plr_jax import (
     BLOptions,
@@ -15,26 +15,7 @@ from plr_jax import (
     bl_plan,
     scenes,
 )
-from plr_jax.planners import Status, straight_line, sum_of_distances, zero
-from plr_jax.planners.bl.driver import claimed_cells
-from plr_jax.planners.bl.lattice import PRIMITIVES
-
-TRANSLATIONS = PRIMITIVES[:8]
-
-
-def same(first, second):
-    """Whether two solutions are alike bit for bit, but for seconds."""
-    counts = [
-        (s.stats.num_nodes, s.stats.num_expansions, s.stats.num_children_scored, s.stats.num_children_valid)
-        for s in (first, second)
-    ]
-    return (
-        np.array_equal(first.path, second.path)
-        and np.array_equal(first.samples, second.samples)
-        and counts[0] == counts[1]
-        and (first.cost, first.makespan, first.status) == (second.cost, second.makespan, second.status)
-    )
-
+from plr_jax.planners import Status, straight_line, zero
 
 # The scenes
 
@@ -129,6 +110,20 @@ def test_ends_that_touch_walls_and_one_another():
     planned(problem, straight_line(problem))
 
 
+@pytest.mark.parametrize("robot", [DiscRobot(1e-3), RectangleRobot(2, 1)], ids=["disc", "rectangle"])
+def test_a_small_robot_in_a_large_map(robot):
+    workspace = Workspace(((0, 0), (1000, 1000)))
+    dof = 3 if isinstance(robot, RectangleRobot) else 2
+    problem = Problem(workspace, [robot], [(1, 2, 0)[:dof]], [(990, 20, 1)[:dof]])
+    planned(problem, straight_line(problem), max_expansions=2000)
+
+
+def test_walls_far_from_the_origin_are_touched_alike():
+    workspace = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
+    problem = Problem(workspace, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)])
+    planned(problem, straight_line(problem))
+
+
 # Where nothing is found
 
 
@@ -159,203 +154,7 @@ def test_infeasible_problems_are_refused_before_planning():
         Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])
 
 
-# When it stops
-
-
-@pytest.mark.parametrize(
-    ("options", "status"),
-    [
-        ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
-        ({"max_memory": 4000}, Status.MEMORY_LIMIT),
-        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
-        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
-        ({"step": 1e-200}, Status.MEMORY_LIMIT),
-        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
-        ({"time_limit": 1e-6}, Status.TIME_LIMIT),
-    ],
-)
-def test_limits(options, status):
-    problem = scenes.four_rooms(2)
-    solution = bl_plan(problem, zero(), BLOptions(**options))
-    assert solution.status is status and not solution.solved and solution.cost == np.inf
-
-
-@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
-def test_expansions_are_never_more_than_asked_for(max_expansions):
-    # Of a hallway no path leads out, so that the search widens to whole batches.
-    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
-    assert solution.status is Status.EXPANSION_LIMIT
-    assert solution.stats.num_expansions == int(max_expansions)
-
-
-def test_without_a_heuristic_straight_lines_guide():
-    problem = scenes.single_door()
-    assert same(bl_plan(problem), planned(problem, straight_line(problem)))
-
-
-def test_lattices_count_as_memory():
-    problem = scenes.single_door()
-    for max_memory, begun in ((4000, False), (1_500_000, True)):
-        solution = bl_plan(problem, zero(), BLOptions(max_memory=max_memory, cell_size=1e-3, step=0.5))
-        assert (solution.stats.num_nodes > 0) is begun
-
-
-@pytest.mark.parametrize("robot", [DiscRobot(1e-3), RectangleRobot(2, 1)], ids=["disc", "rectangle"])
-def test_a_small_robot_in_a_large_map(robot):
-    workspace = Workspace(((0, 0), (1000, 1000)))
-    dof = 3 if isinstance(robot, RectangleRobot) else 2
-    problem = Problem(workspace, [robot], [(1, 2, 0)[:dof]], [(990, 20, 1)[:dof]])
-    planned(problem, straight_line(problem), max_expansions=2000)
-
-
-def test_walls_far_from_the_origin_are_touched_alike():
-    workspace = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
-    problem = Problem(workspace, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)])
-    planned(problem, straight_line(problem))
-
-
-def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
-    problem = scenes.four_rooms(2)
-    content = planned(problem, cost_factor=1.5)
-    assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
-    assert content.stats.num_expansions == planned(problem).stats.num_expansions
-
-
-def test_an_improving_planner_goes_on_until_its_limit():
-    problem = scenes.cross(2)
-    first = planned(problem)
-    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 250)
-    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 500)
-    assert better.status is best.status is Status.EXPANSION_LIMIT
-    assert best.cost <= better.cost <= first.cost and best.cost < first.cost
-    assert best.stats.num_expansions > better.stats.num_expansions > first.stats.num_expansions
-    assert [cost for _, cost in best.stats.history][: len(better.stats.history)] == [
-        cost for _, cost in better.stats.history
-    ]
-
-
-def test_on_a_given_lattice_improving_ends():
-    problem = scenes.single_door()
-    solution = planned(problem, cost_factor=1.0, step=0.5)
-    assert solution.status is Status.EXHAUSTED and solution.cost > solution.lower_bound
-
-
-def test_a_lower_bound_of_the_caller_counts():
-    problem = scenes.single_door()
-    alone = float(exact(problem)(problem.starts[None])[0])
-    solution = planned(problem, cost_factor=1.05, lower_bound=0.999 * alone)
-    assert solution.status is Status.SOLVED and solution.lower_bound == 0.999 * alone
-    below = planned(problem, lower_bound=0.1)
-    assert below.lower_bound == pytest.approx(np.hypot(8.21 - 2.13, 2.07 - 1.94)), "straight lines are a better one"
-
-
-class Interruption:
-    """A straight line's plain function that the user interrupts at some call."""
-
-    def __init__(self, problem, at):
-        self.line, self.at, self.calls = straight_line(problem), at, 0
-
-    def __call__(self, q):
-        self.calls += 1
-        if self.calls == self.at:
-            raise KeyboardInterrupt
-        return self.line(q)
-
-
-def test_an_interrupted_planner_returns_what_it_has():
-    problem = scenes.single_door()
-    whole = Interruption(problem, None)
-    first = planned(problem, whole, step=0.5)
-    solution = planned(problem, Interruption(problem, whole.calls + 5), step=0.5, cost_factor=1.0)
-    assert solution.status is Status.INTERRUPTED
-    assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
-    assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
-
-
-@pytest.mark.parametrize("at", [1, 4])
-def test_an_interruption_before_the_first_path(at):
-    problem = scenes.single_door()
-    solution = bl_plan(problem, Interruption(problem, at), BLOptions(step=0.5))
-    assert solution.status is Status.INTERRUPTED and not solution.solved
-    assert len(solution.samples) == max(solution.stats.num_nodes, 1)
-
-
-# What options and heuristics do
-
-
-@cache
-def nodes(kind):
-    problem = scenes.single_door()
-    heuristic = {"zero": zero(), "line": straight_line(problem), "distances": exact(problem)}[kind]
-    return planned(problem, heuristic).stats.num_nodes
-
-
-def test_the_better_the_heuristic_the_fewer_the_nodes():
-    assert nodes("distances") < nodes("line") < nodes("zero")
-    assert 6 * nodes("distances") <= nodes("zero")
-
-
-def test_the_point_robot_heuristic_of_the_paper_helps():
-    from plr_jax import robot_distance_fns
-
-    problem = scenes.single_door()
-    heuristic = sum_of_distances(robot_distance_fns(problem, inflated=False))
-    assert 6 * planned(problem, heuristic).stats.num_nodes <= nodes("zero")
-
-
-@pytest.mark.parametrize("options", [{}, {"cost_factor": 1.0, "max_expansions": 60}], ids=["first", "improving"])
-def test_two_runs_do_the_same_bit_for_bit(options):
-    problem = scenes.four_rooms(3)
-    assert same(*(planned(problem, **options) for _ in range(2)))
-
-
-def test_two_problems_that_are_planned_in_turn_do_not_touch_one_another():
-    first, second = scenes.four_rooms(2), scenes.perturbed(scenes.four_rooms(2), 1)
-    before = planned(first)
-    planned(second)
-    planned(first, step=0.5, primitives=FOUR_NEIGHBORS)
-    assert same(before, planned(first))
-
-
-def test_larger_cells_make_fewer_nodes():
-    # A child in its parent's own cell is dropped, so that motions must be about as long as the cells are wide.
-    problem, primitives = scenes.single_door(), (*TRANSLATIONS, *(3 * np.array(TRANSLATIONS)).tolist())
-    primitives = tuple(map(tuple, primitives))
-    fine, coarse = (
-        planned(problem, zero(), step=0.2, cell_size=size, primitives=primitives).stats.num_nodes
-        for size in (None, 0.3)
-    )
-    assert coarse < 0.7 * fine
-
-
-def test_tiny_cells_change_nothing():
-    problem = scenes.single_door()
-    assert same(*(planned(problem, zero(), step=0.5, cell_size=size) for size in (None, 1e-3)))
-
-
-def test_larger_cells_of_a_team():
-    problem = scenes.four_rooms(2)
-    fine, coarse = (planned(problem, step=0.25, cell_size=size).stats.num_nodes for size in (None, 0.5))
-    assert coarse < fine
-
-
-def test_claimed_cells():
-    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = joint_lattice_of(problem, 1.0).lattices
-    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
-    cells = claimed_cells(lattice, 0.65, 2.0)
-    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
-    for node in range(0, len(lattice.q), 37):
-        alike = (key == key[node]).all(axis=1)
-        alike[lattice.goal] = False
-        if node != lattice.goal:
-            np.testing.assert_array_equal(cells == cells[node], alike)
-    assert (cells == cells[lattice.goal]).sum() == 1
-
-
-@pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
-def test_other_options_solve_too(options):
-    planned(scenes.four_rooms(2), step=0.5, **options)
+# What a solution tells
 
 
 def test_samples_are_the_free_joint_configurations_of_the_nodes():

@@ -1,0 +1,107 @@
+"""When the planner stops: at its limits, at a path that is good enough, or where it is interrupted."""
+
+import numpy as np
+import pytest
+from planner_helpers import exact, hallway, planned
+
+from plr_jax import BLOptions, bl_plan, scenes
+from plr_jax.planners import Status, straight_line, zero
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
+        ({"max_memory": 4000}, Status.MEMORY_LIMIT),
+        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
+        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
+        ({"step": 1e-200}, Status.MEMORY_LIMIT),
+        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
+        ({"time_limit": 1e-6}, Status.TIME_LIMIT),
+    ],
+)
+def test_limits(options, status):
+    problem = scenes.four_rooms(2)
+    solution = bl_plan(problem, zero(), BLOptions(**options))
+    assert solution.status is status and not solution.solved and solution.cost == np.inf
+
+
+@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
+def test_expansions_are_never_more_than_asked_for(max_expansions):
+    # Of a hallway no path leads out, so that the search widens to whole batches.
+    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
+    assert solution.status is Status.EXPANSION_LIMIT
+    assert solution.stats.num_expansions == int(max_expansions)
+
+
+def test_lattices_count_as_memory():
+    problem = scenes.single_door()
+    for max_memory, begun in ((4000, False), (1_500_000, True)):
+        solution = bl_plan(problem, zero(), BLOptions(max_memory=max_memory, cell_size=1e-3, step=0.5))
+        assert (solution.stats.num_nodes > 0) is begun
+
+
+def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
+    problem = scenes.four_rooms(2)
+    content = planned(problem, cost_factor=1.5)
+    assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
+    assert content.stats.num_expansions == planned(problem).stats.num_expansions
+
+
+def test_an_improving_planner_goes_on_until_its_limit():
+    problem = scenes.cross(2)
+    first = planned(problem)
+    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 250)
+    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 500)
+    assert better.status is best.status is Status.EXPANSION_LIMIT
+    assert best.cost <= better.cost <= first.cost and best.cost < first.cost
+    assert best.stats.num_expansions > better.stats.num_expansions > first.stats.num_expansions
+    assert [cost for _, cost in best.stats.history][: len(better.stats.history)] == [
+        cost for _, cost in better.stats.history
+    ]
+
+
+def test_on_a_given_lattice_improving_ends():
+    problem = scenes.single_door()
+    solution = planned(problem, cost_factor=1.0, step=0.5)
+    assert solution.status is Status.EXHAUSTED and solution.cost > solution.lower_bound
+
+
+def test_a_lower_bound_of_the_caller_counts():
+    problem = scenes.single_door()
+    alone = float(exact(problem)(problem.starts[None])[0])
+    solution = planned(problem, cost_factor=1.05, lower_bound=0.999 * alone)
+    assert solution.status is Status.SOLVED and solution.lower_bound == 0.999 * alone
+    below = planned(problem, lower_bound=0.1)
+    assert below.lower_bound == pytest.approx(np.hypot(8.21 - 2.13, 2.07 - 1.94)), "straight lines are a better one"
+
+
+class Interruption:
+    """A straight line's plain function that the user interrupts at some call."""
+
+    def __init__(self, problem, at):
+        self.line, self.at, self.calls = straight_line(problem), at, 0
+
+    def __call__(self, q):
+        self.calls += 1
+        if self.calls == self.at:
+            raise KeyboardInterrupt
+        return self.line(q)
+
+
+def test_an_interrupted_planner_returns_what_it_has():
+    problem = scenes.single_door()
+    whole = Interruption(problem, None)
+    first = planned(problem, whole, step=0.5)
+    solution = planned(problem, Interruption(problem, whole.calls + 5), step=0.5, cost_factor=1.0)
+    assert solution.status is Status.INTERRUPTED
+    assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
+    assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
+
+
+@pytest.mark.parametrize("at", [1, 4])
+def test_an_interruption_before_the_first_path(at):
+    problem = scenes.single_door()
+    solution = bl_plan(problem, Interruption(problem, at), BLOptions(step=0.5))
+    assert solution.status is Status.INTERRUPTED and not solution.solved
+    assert len(solution.samples) == max(solution.stats.num_nodes, 1)

@@ -1,0 +1,103 @@
+"""What heuristics and options do to a search, and that nothing else does: two runs are the same."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from planner_helpers import FOUR_NEIGHBORS, ROOM, TRANSLATIONS, exact, joint_lattice_of, planned
+
+from plr_jax import Problem, RectangleRobot, bl_plan, robot_distance_fns, scenes
+from plr_jax.planners import straight_line, sum_of_distances, zero
+from plr_jax.planners.bl.driver import claimed_cells
+
+
+def same(first, second):
+    """Whether two solutions are alike bit for bit, but for seconds."""
+    counts = [
+        (s.stats.num_nodes, s.stats.num_expansions, s.stats.num_children_scored, s.stats.num_children_valid)
+        for s in (first, second)
+    ]
+    return (
+        np.array_equal(first.path, second.path)
+        and np.array_equal(first.samples, second.samples)
+        and counts[0] == counts[1]
+        and (first.cost, first.makespan, first.status) == (second.cost, second.makespan, second.status)
+    )
+
+
+def test_without_a_heuristic_straight_lines_guide():
+    problem = scenes.single_door()
+    assert same(bl_plan(problem), planned(problem, straight_line(problem)))
+
+
+@cache
+def nodes(kind):
+    problem = scenes.single_door()
+    heuristic = {"zero": zero(), "line": straight_line(problem), "distances": exact(problem)}[kind]
+    return planned(problem, heuristic).stats.num_nodes
+
+
+def test_the_better_the_heuristic_the_fewer_the_nodes():
+    assert nodes("distances") < nodes("line") < nodes("zero")
+    assert 6 * nodes("distances") <= nodes("zero")
+
+
+def test_the_point_robot_heuristic_of_the_paper_helps():
+    problem = scenes.single_door()
+    heuristic = sum_of_distances(robot_distance_fns(problem, inflated=False))
+    assert 6 * planned(problem, heuristic).stats.num_nodes <= nodes("zero")
+
+
+@pytest.mark.parametrize("options", [{}, {"cost_factor": 1.0, "max_expansions": 60}], ids=["first", "improving"])
+def test_two_runs_do_the_same_bit_for_bit(options):
+    problem = scenes.four_rooms(3)
+    assert same(*(planned(problem, **options) for _ in range(2)))
+
+
+def test_two_problems_that_are_planned_in_turn_do_not_touch_one_another():
+    first, second = scenes.four_rooms(2), scenes.perturbed(scenes.four_rooms(2), 1)
+    before = planned(first)
+    planned(second)
+    planned(first, step=0.5, primitives=FOUR_NEIGHBORS)
+    assert same(before, planned(first))
+
+
+def test_larger_cells_make_fewer_nodes():
+    # A child in its parent's own cell is dropped, so that motions must be about as long as the cells are wide.
+    problem, primitives = scenes.single_door(), (*TRANSLATIONS, *(3 * np.array(TRANSLATIONS)).tolist())
+    primitives = tuple(map(tuple, primitives))
+    fine, coarse = (
+        planned(problem, zero(), step=0.2, cell_size=size, primitives=primitives).stats.num_nodes
+        for size in (None, 0.3)
+    )
+    assert coarse < 0.7 * fine
+
+
+def test_tiny_cells_change_nothing():
+    problem = scenes.single_door()
+    assert same(*(planned(problem, zero(), step=0.5, cell_size=size) for size in (None, 1e-3)))
+
+
+def test_larger_cells_of_a_team():
+    problem = scenes.four_rooms(2)
+    fine, coarse = (planned(problem, step=0.25, cell_size=size).stats.num_nodes for size in (None, 0.5))
+    assert coarse < fine
+
+
+def test_claimed_cells():
+    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
+    (lattice,) = joint_lattice_of(problem, 1.0).lattices
+    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
+    cells = claimed_cells(lattice, 0.65, 2.0)
+    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
+    for node in range(0, len(lattice.q), 37):
+        alike = (key == key[node]).all(axis=1)
+        alike[lattice.goal] = False
+        if node != lattice.goal:
+            np.testing.assert_array_equal(cells == cells[node], alike)
+    assert (cells == cells[lattice.goal]).sum() == 1
+
+
+@pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
+def test_other_options_solve_too(options):
+    planned(scenes.four_rooms(2), step=0.5, **options)
