@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded, padded_size, runs
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 
@@ -258,9 +258,7 @@ def _enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
     """Integer points of many boxes: the box's index and the point, for each."""
-    total = count.prod(axis=1)
-    box = np.repeat(np.arange(len(first)), total)
-    rest = np.arange(len(box)) - np.repeat(np.cumsum(total) - total, total)
+    box, rest = runs(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
         rest, digit = np.divmod(rest, count[box, axis])
