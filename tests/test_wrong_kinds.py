@@ -25,6 +25,7 @@ def built(**options):
     [
         (lambda: construct(None, UNIT), "distance_fn must be a function, got None"),
         (lambda: built(weight_fn=5), "weight_fn must be a function, got 5"),
+        (lambda: built(weight_fn=0), "weight_fn must be a function, got 0"),
         (lambda: built(split=5), "split must be a function, got 5"),
         (lambda: built(should_split="x"), "should_split must be a function, got 'x'"),
         (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),

@@ -69,7 +69,7 @@ def construct(
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.
         num_samples: Samples of a cell, at its center, inside and on its faces; None: 192 for planes, 96 for the
             others. At least ``dim + 1`` for planes, with which a plane passes through its samples and shows no error,
-            and ``2**dim + 1`` for the others: take several times as many.
+            and ``2**dim + 1`` for the others: take several times as many. At most 65,536.
         margin: How far samples reach beyond their cell, as a fraction from 0 to 1 of its width ("within or near the
             cell"). Averages the noise of an oracle such as a roadmap.
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
@@ -91,8 +91,9 @@ def construct(
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
-    sizes = model.least_bytes, model.bytes_without_budget
-    limits = check_limits(domain.dim, *sizes, max_depth, max_leaves, max_bytes, tolerance)
+    limits = check_limits(
+        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance
+    )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
     if num_samples > _MOST_SAMPLES:
@@ -100,8 +101,15 @@ def construct(
     if as_finite("margin", margin) > 1:
         raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
     require_integer("seed", seed, 0)
-    rules = {"compute_coefficients": compute_coefficients, "should_split": should_split, "split": split}
-    for name, function in {"distance_fn": distance_fn, "weight_fn": weight_fn or abs, **rules}.items():
+    functions: dict[str, object] = {
+        "distance_fn": distance_fn,
+        "compute_coefficients": compute_coefficients,
+        "should_split": should_split,
+        "split": split,
+    }
+    if weight_fn is not None:
+        functions["weight_fn"] = weight_fn
+    for name, function in functions.items():
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (
