@@ -99,9 +99,7 @@ class BitReader:
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
         """The next numbers, written as 32-bit floats."""
-        floats = self.read_alike(num_values, 32).astype(np.uint32).view(np.float32)
-        with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
-            return floats.astype(np.float64)
+        return floats_of_bits(self.read_alike(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
         """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
@@ -138,6 +136,12 @@ class BitReader:
     def at_end(self) -> bool:
         """Whether nothing but the padding of the last byte is left."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
+
+
+def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The numbers whose patterns as 32-bit floats are given, in double precision."""
+    with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
+        return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"]:
