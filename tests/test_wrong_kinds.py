@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from plr_jax import Box, PointRobot, Problem, Workspace, construct, from_bytes, save, scenes
-from plr_jax.plr import PLR
+from plr_jax import BLOptions, Box, PointRobot, Problem, Workspace, construct, from_bytes, plot, save, scenes, zero
+from plr_jax.planners import sba_star_plan
+from plr_jax.plr import PLR, quantile, refine
+from plr_jax.plr.refinement.losses import Quantile
 
 ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))
@@ -19,6 +21,11 @@ def built(**options):
     return construct(cone, UNIT, max_leaves=2, **options)
 
 
+def refined(**options):
+    x = np.random.default_rng(0).random((500, 2))
+    return refine(built(), x, cone(x), **options)
+
+
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("call", "message"),
@@ -29,8 +36,16 @@ def built(**options):
         (lambda: built(split=5), "split must be a function, got 5"),
         (lambda: built(should_split="x"), "should_split must be a function, got 'x'"),
         (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),
-        (lambda: built(margin="x"), "margin must be a finite number of at least 0, got 'x'"),
+        (lambda: built(margin="x"), "margin must be a fraction from 0 to 1 of a cell's width, got 'x'"),
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
+        (lambda: refined(held_out=False), "held_out must be a share of the points, from 0 to below 1, got False"),
+        (lambda: refined(held_out=np.complex128(0.5)), "held_out must be a share of the points"),
+        (lambda: quantile(True), "A quantile's share of over-estimates must be between 0 and 1, got True"),
+        (lambda: quantile(np.complex128(0.5)), "A quantile's share of over-estimates must be between 0 and 1"),
+        (lambda: refined(loss=Quantile(np.complex128(0.5))), "A loss's share of over-estimates must be between 0"),
+        (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
+        (lambda: sba_star_plan(scenes.maze(), zero(), time_limit=True), "time_limit must be positive, got True"),
+        (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR can be saved, got 5"),

@@ -1,6 +1,6 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
-from plr_jax._arrays import as_finite, require_integer, shortened
+from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
@@ -98,8 +98,7 @@ def construct(
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
     if num_samples > _MOST_SAMPLES:
         raise ValueError(f"num_samples must be at most {_MOST_SAMPLES:,} a cell, got {num_samples:,}.")
-    if as_finite("margin", margin) > 1:
-        raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
+    margin = as_number("margin", margin, "a fraction from 0 to 1 of a cell's width", lambda share: 0 <= share <= 1)
     require_integer("seed", seed, 0)
     functions: dict[str, object] = {
         "distance_fn": distance_fn,
@@ -112,9 +111,7 @@ def construct(
     for name, function in functions.items():
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
-    pattern, dense = (
-        sample_pattern(domain.dim, n * int(num_samples), float(margin), int(seed)) for n in (1, _DENSER)
-    )
+    pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
     sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
