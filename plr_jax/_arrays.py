@@ -6,7 +6,7 @@ array of float64 is passed on as it is, and what has another shape or holds no r
 
 import math
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -91,16 +91,22 @@ def require_integer(name: str, value: object, least: int) -> None:
         raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.")
 
 
-def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """A finite number of at least 0, or above it."""
+def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
+    """A real number in a range that comparisons tell, so not NaN; ``expected`` says in an error what it must be."""
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with suppress(OverflowError):
             number = float(value)
-    if not (0 < number < math.inf or (number == 0 and not positive)):
-        expected = "positive finite number" if positive else "finite number of at least 0"
-        raise ValueError(f"{name} must be a {expected}, got {shortened(value)}.")
+    if not in_range(number):
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.")
     return number
+
+
+def as_finite(name: str, value: object, *, positive: bool = False) -> float:
+    """A finite number of at least 0, or above it."""
+    if positive:
+        return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
+    return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:

@@ -1,4 +1,4 @@
-"""Shapes and types are checked in each function's first calls of every test file: all of them would cost a third."""
+"""Shapes and types are checked in each function's first calls of every test file: all would slow the tests down."""
 
 import operator
 import sys

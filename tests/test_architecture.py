@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parent.parent / "plr_jax"
 # From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
 LAYERS = [
     ["_types"],
-    ["_arrays", "_atomic"],
+    ["_arrays", "_atomic", "_pytree"],
     ["geometry"],
     ["robots"],
     ["collision"],

@@ -5,6 +5,7 @@ from plr_jax._arrays import (
     as_distances,
     as_finite,
     as_finite_point,
+    as_number,
     as_point,
     as_points,
     as_values,
@@ -166,6 +167,19 @@ def test_a_finite_number_is_a_float():
     assert as_finite("radius", np.float32(0.5)) == 0.5 and as_finite("radius", 0) == 0.0
     with pytest.raises(ValueError, match="positive finite number, got 0"):
         as_finite("radius", 0, positive=True)
+
+
+@pytest.mark.parametrize(
+    "value", [0, 1.0, -0.1, np.nan, True, np.bool_(True), np.complex128(0.5), "x", [0.5], 10**400]
+)
+def test_a_number_out_of_its_range_is_named(value):
+    with pytest.raises(ValueError, match="share must be between 0 and 1, got "):
+        as_number("share", value, "between 0 and 1", lambda share: 0 < share < 1)
+
+
+def test_the_ends_of_a_range_belong_to_it_as_the_range_says():
+    assert as_number("share", 1, "from 0 to 1", lambda share: 0 <= share <= 1) == 1.0
+    assert as_number("limit", np.inf, "positive", lambda limit: limit > 0) == np.inf
 
 
 def test_a_truth_value_is_no_integer():

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from plr_jax import Box, PointRobot, Problem, Workspace, construct, from_bytes, save, scenes
-from plr_jax.plr import PLR
+from plr_jax import BLOptions, Box, PointRobot, Problem, Workspace, construct, from_bytes, plot, save, scenes, zero
+from plr_jax.planners import sba_star_plan
+from plr_jax.plr import PLR, quantile, refine
+from plr_jax.plr.refinement.losses import Quantile
 
 ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))
@@ -19,22 +21,38 @@ def built(**options):
     return construct(cone, UNIT, max_leaves=2, **options)
 
 
+def refined(**options):
+    x = np.random.default_rng(0).random((500, 2))
+    return refine(built(), x, cone(x), **options)
+
+
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: construct(None, UNIT), "distance_fn must be a function, got None"),
         (lambda: built(weight_fn=5), "weight_fn must be a function, got 5"),
+        (lambda: built(weight_fn=0), "weight_fn must be a function, got 0"),
         (lambda: built(split=5), "split must be a function, got 5"),
         (lambda: built(should_split="x"), "should_split must be a function, got 'x'"),
         (lambda: built(compute_coefficients=5), "compute_coefficients must be a function, got 5"),
-        (lambda: built(margin="x"), "margin must be a finite number of at least 0, got 'x'"),
+        (lambda: built(margin="x"), "margin must be a fraction from 0 to 1 of a cell's width, got 'x'"),
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
+        (lambda: refined(held_out=False), "held_out must be a share of the points, from 0 to below 1, got False"),
+        (lambda: refined(held_out=np.complex128(0.5)), "held_out must be a share of the points"),
+        (lambda: quantile(True), "A quantile's share of over-estimates must be between 0 and 1, got True"),
+        (lambda: quantile(np.complex128(0.5)), "A quantile's share of over-estimates must be between 0 and 1"),
+        (lambda: refined(loss=Quantile(np.complex128(0.5))), "A loss's share of over-estimates must be between 0"),
+        (lambda: BLOptions(heuristic_weight=1j), "heuristic_weight must be None or a number from 0 to 1e6, got 1j"),
+        (lambda: sba_star_plan(scenes.maze(), zero(), time_limit=True), "time_limit must be positive, got True"),
+        (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR can be saved, got 5"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
-        (lambda: PLR.stack(5), "Only PLRs can be stacked, that of robot 0 is 5"),
+        (lambda: PLR.stack(5), r"plrs must be a list of PLRs, one a robot, got 5; for one give \[plr\]"),
+        (lambda: PLR.stack(built()), r"plrs must be a list of PLRs, one a robot, got PLR\("),
+        (lambda: PLR.stack([5]), "Only PLRs can be stacked, that of robot 0 is 5"),
         (lambda: PLR.stack([]), "A stack needs one PLR a robot, at least one, got none"),
         (lambda: Problem(5, [PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
         (lambda: Problem(ROOM, PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import require_integer
+from plr_jax._arrays import as_number, require_integer
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -65,8 +65,7 @@ def sba_star_plan(
     require_heuristic(heuristic)
     require_integer("seed", seed, 0)
     require_integer("max_nodes", max_nodes, 1)
-    if not isinstance(time_limit, int | float | np.number) or not time_limit > 0:
-        raise ValueError(f"time_limit must be positive, got {time_limit!r}.")
+    as_number("time_limit", time_limit, "positive", lambda seconds: seconds > 0)
     search = _SBAStarSearch(problem, heuristic, seed, max_nodes)
     path, status = None, Status.INTERRUPTED
     with suppress(KeyboardInterrupt):

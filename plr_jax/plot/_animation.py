@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_finite
+from plr_jax._arrays import as_finite, as_number
 from plr_jax._atomic import write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
@@ -111,10 +111,8 @@ def animate(
             second are out of range.
     """
     as_finite("seconds", seconds, positive=True)
-    if not 0 < frames_per_second <= _LARGEST_RATE:
-        raise ValueError(
-            f"frames_per_second must be above 0 and at most {_LARGEST_RATE:g}, got {frames_per_second!r}."
-        )
+    expected = f"above 0 and at most {_LARGEST_RATE:g}"
+    as_number("frames_per_second", frames_per_second, expected, lambda rate: 0 < rate <= _LARGEST_RATE)
     motion = timeline(problem, path)
     if motion.duration == 0:
         raise ValueError(

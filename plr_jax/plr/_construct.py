@@ -1,6 +1,6 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
-from plr_jax._arrays import as_finite, require_integer, shortened
+from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
@@ -69,7 +69,7 @@ def construct(
         split: Axis along which to halve a cell: ``best_axis``, ``cyclic_axis`` or your own function of a ``CellFit``.
         num_samples: Samples of a cell, at its center, inside and on its faces; None: 192 for planes, 96 for the
             others. At least ``dim + 1`` for planes, with which a plane passes through its samples and shows no error,
-            and ``2**dim + 1`` for the others: take several times as many.
+            and ``2**dim + 1`` for the others: take several times as many. At most 65,536.
         margin: How far samples reach beyond their cell, as a fraction from 0 to 1 of its width ("within or near the
             cell"). Averages the noise of an oracle such as a roadmap.
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
@@ -91,22 +91,27 @@ def construct(
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
-    sizes = model.least_bytes, model.bytes_without_budget
-    limits = check_limits(domain.dim, *sizes, max_depth, max_leaves, max_bytes, tolerance)
+    limits = check_limits(
+        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance
+    )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
     if num_samples > _MOST_SAMPLES:
         raise ValueError(f"num_samples must be at most {_MOST_SAMPLES:,} a cell, got {num_samples:,}.")
-    if as_finite("margin", margin) > 1:
-        raise ValueError(f"margin must be a fraction from 0 to 1 of a cell's width, got {margin!r}.")
+    margin = as_number("margin", margin, "a fraction from 0 to 1 of a cell's width", lambda share: 0 <= share <= 1)
     require_integer("seed", seed, 0)
-    rules = {"compute_coefficients": compute_coefficients, "should_split": should_split, "split": split}
-    for name, function in {"distance_fn": distance_fn, "weight_fn": weight_fn or abs, **rules}.items():
+    functions: dict[str, object] = {
+        "distance_fn": distance_fn,
+        "compute_coefficients": compute_coefficients,
+        "should_split": should_split,
+        "split": split,
+    }
+    if weight_fn is not None:
+        functions["weight_fn"] = weight_fn
+    for name, function in functions.items():
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
-    pattern, dense = (
-        sample_pattern(domain.dim, n * int(num_samples), float(margin), int(seed)) for n in (1, _DENSER)
-    )
+    pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
     sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows

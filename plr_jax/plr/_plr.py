@@ -64,10 +64,12 @@ class PLR:
             ``(n, robots)``, float64: bit for bit what its PLR answers for its leading coordinates.
 
         Raises:
-            ValueError: If one is not a PLR, or there is none. When called, if the robots are not as many as the
-                PLRs, or a PLR has more dimensions than there are coordinates.
+            ValueError: If they are not a list of PLRs, at least one. When called, if the robots are not as many as
+                the PLRs, or a PLR has more dimensions than there are coordinates.
         """
-        plrs = list(plrs) if isinstance(plrs, Iterable) else [plrs]
+        if not isinstance(plrs, Iterable):
+            raise ValueError(f"plrs must be a list of PLRs, one a robot, got {shortened(plrs)}; for one give [plr].")
+        plrs = list(plrs)
         for i, plr in enumerate(plrs):
             if not isinstance(plr, PLR):
                 raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from plr_jax._arrays import as_finite, as_numbers, require_integer
 from plr_jax._problem import Problem
+from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike, DimensionedFn
 
 
@@ -32,7 +33,7 @@ def differentiable(problem: Problem, distance_fns: Sequence[Any] | None) -> tupl
             raise ValueError(
                 f"distance_fns[{i}] must take points (n, dim) to distances (n,), got {shape} for 2 points."
             )
-    return tuple(_as_pytree(fn) for fn in fns)
+    return tuple(map(_as_argument, fns))
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,11 @@ class _OfLeadingCoordinates:
         return self.fn(q[:, : self.dim])
 
 
-def _as_pytree(fn: Any) -> Any:
-    if jax.tree.leaves(fn) != [fn]:
-        return fn
-    # A Partial does not pass on the attribute ``dim``.
-    return jax.tree_util.Partial(_OfLeadingCoordinates(fn, fn.dim) if isinstance(fn, DimensionedFn) else fn)
+def _as_argument(fn: Any) -> Any:
+    pytree = as_pytree(fn)
+    if pytree is fn or not isinstance(fn, DimensionedFn):
+        return pytree
+    return as_pytree(_OfLeadingCoordinates(fn, fn.dim))  # a Partial does not pass on the attribute ``dim``
 
 
 def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses steps robots dof"]:

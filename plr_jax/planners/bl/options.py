@@ -1,10 +1,12 @@
 """Options of the Barraquand-Latombe planner, checked where they come in."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from plr_jax._arrays import as_number
 from plr_jax.planners.bl.lattice import PRIMITIVES, Primitive
 
 _LARGEST_WEIGHT = 1e6
@@ -53,29 +55,20 @@ class BLOptions:
     def __post_init__(self) -> None:
         for name in ("step", "cell_size", "lower_bound"):
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and 0 < value < float("inf")):
-                raise ValueError(f"{name} must be None or a positive finite number, got {value!r}.")
+            if value is not None:
+                as_number(name, value, "None or a positive finite number", lambda number: 0 < number < math.inf)
         for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
-            value = getattr(self, name)
-            if not (_is_number(value) and value > 0):
-                raise ValueError(f"{name} must be a positive number or inf, got {value!r}.")
-        weight = self.heuristic_weight
-        if weight is not None and not (_is_number(weight) and 0 <= weight <= _LARGEST_WEIGHT):
-            raise ValueError(f"heuristic_weight must be None or a number from 0 to 1e6, got {weight!r}.")
+            as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
+        if self.heuristic_weight is not None:
+            expected = "None or a number from 0 to 1e6"
+            as_number(
+                "heuristic_weight", self.heuristic_weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT
+            )
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
         _require_primitives(self.primitives)
-
-
-def _is_number(value: object) -> bool:
-    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
-        return False
-    try:
-        return not np.isnan(float(value))
-    except OverflowError:
-        return False
 
 
 def _require_primitives(primitives: Sequence[Primitive]) -> None:

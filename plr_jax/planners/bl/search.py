@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from tqdm import tqdm
 
+from plr_jax._arrays import runs
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import HeuristicTable
 from plr_jax.planners.bl.options import BLOptions
@@ -181,8 +182,7 @@ class BestFirstSearch:
         num_valid = np.isfinite(score).sum(axis=1)
         num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.options.branching)))
         whole = children.whole & (num_kept == num_valid)
-        row, last = np.repeat(np.arange(len(nodes)), num_kept), np.cumsum(num_kept)
-        column = np.arange(len(row)) - (last - num_kept)[row]
+        row, column = runs(num_kept)
         state, cost, primitive = state[row], cost[row], primitive[row, column]
         score = cost + score[row, column]
         cost = cost + self.joint.move_costs(state, primitive)
@@ -190,6 +190,7 @@ class BestFirstSearch:
         cell = self._cells_of(state)
         self.budget.num_children_scored += children.num_scored
         self.budget.num_children_valid += children.num_valid
+        last = np.cumsum(num_kept)
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
             self.successors[node] = SuccessorList(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))

@@ -8,6 +8,7 @@ import scipy.sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
+from plr_jax._arrays import runs
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.robots.motion import between
@@ -95,8 +96,7 @@ def _apart(
 ) -> Bool[np.ndarray, "m"]:
     """Whether shortcuts of one robot keep clear of the motions of the others, each cut into the rows' pieces."""
     count = end - begin
-    owner = np.repeat(np.arange(len(begin)), count)
-    step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    owner, step = runs(count)
     motion, share = begin[owner] + step, count[owner, None]
     q0, q1 = path[begin, i][owner], path[end, i][owner]
     piece = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)

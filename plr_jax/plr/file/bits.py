@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import runs
+
 _MAX_WIDTH = 62  # sums and shifts of such numbers stay within 64 bits
 _COUNT_BITS, _ORDER_BITS = 32, 5
 _MAX_CODED = 2**40
@@ -19,7 +21,7 @@ class BitWriter:
         if isinstance(widths, int):
             bits = (values[:, None] >> np.arange(widths)) & 1
         else:
-            field, within = _fields(widths)
+            field, within = runs(widths)
             bits = (values[field] >> within) & 1
         self._bits.append(bits.astype(np.uint8).ravel())
         return self
@@ -78,7 +80,7 @@ class BitReader:
     def read(self, widths: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """The next values, each of as many bits as its width says; raises ``ValueError`` past the end."""
         bits = self._take(int(widths.sum()))
-        field, within = _fields(widths)
+        field, within = runs(widths)
         values = np.zeros(len(widths), np.int64)
         np.add.at(values, field, bits << within)
         return values
@@ -97,9 +99,7 @@ class BitReader:
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
         """The next numbers, written as 32-bit floats."""
-        floats = self.read_alike(num_values, 32).astype(np.uint32).view(np.float32)
-        with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
-            return floats.astype(np.float64)
+        return floats_of_bits(self.read_alike(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
         """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
@@ -138,11 +138,10 @@ class BitReader:
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
 
-def _fields(widths: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "bits"], Int[np.ndarray, "bits"]]:
-    """For every bit the index of its value and its place in it."""
-    field = np.repeat(np.arange(len(widths)), widths)
-    start = np.cumsum(widths) - widths
-    return field, np.arange(len(field)) - start[field]
+def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The numbers whose patterns as 32-bit floats are given, in double precision."""
+    with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
+        return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"]:

@@ -28,7 +28,7 @@ class ConstructionInterrupted(UserWarning):
 class Limits:
     """When to stop: see :func:`construct`.
 
-    No cell is halved more than ``max_axis_depth`` times along one axis, so that a query's tables fit their class.
+    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables.
     """
 
     max_depth: int

@@ -70,7 +70,10 @@ class LeafModel(Protocol):
         ...
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """What so many leaves count where no bytes are asked for: how deep they may be is that of such a file."""
+        """Bytes that so many leaves count without a budget: they may be as deep as in a file of that size.
+
+        Their own file may be smaller, and its class give fewer slots than they then need.
+        """
         ...
 
     def check_dim(self, dim: int) -> None:

@@ -7,8 +7,13 @@ leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *block
 of its own, just as fine along each axis as its own leaves need.
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
-PLRs of one class share compiled code. Up to 32 KB it fixes how many leaves there is room for and, in the plane and on
-a line, how many slots; what is left of them is padding, which is never read. Beyond, powers of two do.
+PLRs of one class share compiled code: how many slots there are and, up to 32 KB, how many leaves there is room for.
+Beyond 32 KB that is the next power of two, and so are the slots where leaves need more than the class has. What is
+left is padding, which is never read.
+
+In the plane and on a line no leaves need more slots than the class of a budget of up to 32 KB has. Planes without a
+budget may be as deep as if they had one of 32 KB, however small their file: in the plane up to 9 halvings along an
+axis, for which their class may have too few slots.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded, padded_size, runs
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 
@@ -172,7 +177,7 @@ def slot_bits_of_rows(rows: int) -> int:
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int) -> int:
     """How often a cell may be halved along one axis, for a class of files or for any.
 
-    In the plane and on a line the tables of a class then have one shape; elsewhere their size is bounded.
+    In the plane and on a line the slots of a class up to 32 KB then suffice; elsewhere the tables' size is bounded.
     """
     if of_class is None or 1 << of_class > LARGEST_CLASS_BYTES or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -259,9 +264,7 @@ def _enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
     """Integer points of many boxes: the box's index and the point, for each."""
-    total = count.prod(axis=1)
-    box = np.repeat(np.arange(len(first)), total)
-    rest = np.arange(len(box)) - np.repeat(np.cumsum(total) - total, total)
+    box, rest = runs(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
         rest, digit = np.divmod(rest, count[box, axis])

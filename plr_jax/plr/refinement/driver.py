@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
+from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
 from plr_jax.plr.refinement.face_samples import Faces
@@ -135,14 +135,12 @@ def _check_numbers(num_steps: int, held_out: int | float, max_bytes: int | None,
     for name, value, least in (("num_steps", num_steps, 1), ("seed", seed, 0), ("max_bytes", max_bytes, 1)):
         if name != "max_bytes" or value is not None:
             require_integer(name, value, least)
-    if not (isinstance(held_out, int | float | np.number) and 0 <= held_out < 1):
-        raise ValueError(f"held_out must be a share of the points, from 0 to below 1, got {held_out!r}.")
+    as_number("held_out", held_out, "a share of the points, from 0 to below 1", lambda share: 0 <= share < 1)
 
 
 def _check_share(share: int | float, num_points: int) -> None:
     """Whether so many points can set the height: even the largest of their errors is exceeded now and then."""
-    if not (isinstance(share, int | float | np.number) and 0 < share < 1):
-        raise ValueError(f"A loss's share of over-estimates must be between 0 and 1, got {share!r}.")
+    as_number("A loss's share of over-estimates", share, "between 0 and 1", lambda share: 0 < share < 1)
     if np.ceil((num_points + 1) * (1 - share)) > num_points:
         raise ValueError(
             f"To over-estimate a share of {share:g} at most takes {np.ceil(1 / share) - 1:g} points to set the "

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from plr_jax._arrays import as_finite
+from plr_jax._arrays import as_finite, as_number
 from plr_jax._types import ArrayLike
 from plr_jax.plr.refinement.face_samples import Faces
 
@@ -81,9 +81,9 @@ def quantile(share: int | float) -> Quantile:
     References:
         Koenker and Bassett, "Regression quantiles", Econometrica 46, 1978.
     """
-    if not (isinstance(share, int | float | np.number) and 0 < share < 1):
-        raise ValueError(f"A quantile's share of over-estimates must be between 0 and 1, got {share!r}.")
-    return Quantile(float(share))
+    return Quantile(
+        as_number("A quantile's share of over-estimates", share, "between 0 and 1", lambda share: 0 < share < 1)
+    )
 
 
 def eikonal(weight: int | float = 1.0) -> Penalty:

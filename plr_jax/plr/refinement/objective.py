@@ -1,6 +1,5 @@
 """Mean loss plus penalties as a function of scaled variables, and its minimization by Adam, all leaves at once."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from tqdm import tqdm
 
+from plr_jax._pytree import as_pytree
 from plr_jax.plr.refinement.losses import Loss, Penalty, Planes
 
 STEPS_AT_ONCE = 50  # between two chances to interrupt
@@ -48,7 +48,7 @@ def minimize(
     """
     import optax
 
-    loss, penalties = _as_pytree(loss), tuple(map(_as_pytree, penalties))
+    loss, penalties = as_pytree(loss), tuple(map(as_pytree, penalties))
     objective = jax.tree.map(
         lambda array: jnp.asarray(array, jnp.int32 if array.dtype.kind == "i" else jnp.float32), objective
     )
@@ -152,8 +152,3 @@ def _adam():
 
     # Divided by its start, an objective has gradients of about a leaf's share of the points; far above this eps.
     return optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
-
-
-def _as_pytree(function: Callable) -> Any:
-    """A function that may be an argument of a jitted one: itself if it is a pytree, else compiled for its own."""
-    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function

@@ -33,6 +33,14 @@ def test_a_plr_is_a_pytree_as_it_is():
     assert differentiable(PROBLEM, None) == ()
 
 
+def test_a_pytree_of_one_array_is_one_as_it_is():
+    def apart(goal, q):
+        return jnp.linalg.norm(q - goal, axis=1)
+
+    fn = jax.tree_util.Partial(apart, np.zeros(3))
+    assert differentiable(PROBLEM, [fn, fn]) == (fn, fn)
+
+
 @pytest.mark.parametrize("dim", [0, 4])
 def test_a_function_of_more_coordinates_than_there_are(dim):
     def distance(q):

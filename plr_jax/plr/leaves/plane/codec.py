@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.bits import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.query.tables import LARGEST
 
 FLOAT_BITS = 32
@@ -64,7 +64,7 @@ class StoredPlanes:
     def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
         """Center values (``inf`` for unreachable leaves) and half-differences, in the unit of distance."""
         if self.bits == FLOAT_BITS:
-            return _float_of_bits(self.center), _float_of_bits(self.half)
+            return floats_of_bits(self.center), floats_of_bits(self.half)
         center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
         return center, self.step * self.half
 
@@ -108,11 +108,6 @@ def _offset_and_step(
 
 def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     return values.astype(np.float32).view(np.int32).astype(np.int64)
-
-
-def _float_of_bits(bits: Int[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
-        return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:

@@ -54,7 +54,10 @@ class Plane:
     least_bytes = 2
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be."""
+        """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
+
+        In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
+        """
         return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, LARGEST_CLASS_BYTES)
 
     def __post_init__(self):
