@@ -7,9 +7,9 @@ leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *block
 of its own, just as fine along each axis as its own leaves need.
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
-PLRs of one class share compiled code: how many slots there are and, up to 32 KB, how many leaves there is room for.
-Beyond 32 KB that is the next power of two, and so are the slots where leaves need more than the class has. What is
-left is padding, which is never read.
+PLRs of one class and leaf model share compiled code: how many leaves there is room for and, by these, how many slots
+there are. Beyond 32 KB there is room for the next power of two, and slots as many where leaves need more than the
+class has. What is left is padding, which is never read.
 
 In the plane and on a line no leaves need more slots than the class of a budget of up to 32 KB has. Planes without a
 budget may be as deep as if they had one of 32 KB, however small their file: in the plane up to 9 halvings along an
