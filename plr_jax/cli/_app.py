@@ -2,10 +2,11 @@
 
 import functools
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
+import plr_jax
 from plr_jax.cli import INTERRUPTED_EXIT
 
 app = typer.Typer(
@@ -18,6 +19,22 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _print_version(asked: bool) -> bool:
+    if asked:
+        typer.echo(f"plr-jax {plr_jax.__version__}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """What stands before a command."""
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -40,7 +40,9 @@ _Map = Annotated[
 _File = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
 _Goal = Annotated[
     str | None,
-    typer.Option("--goal", "-g", metavar="X,Y", help="The goal; a scene brings its own.", show_default=False),
+    typer.Option(
+        "--goal", "-g", metavar="X,Y", help="The goal; a scene of one robot brings its own.", show_default=False
+    ),
 ]
 
 
@@ -87,7 +89,9 @@ def build(
     require_writable(output)
     workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
-        raise ValueError(f"{map} has no goal of its own: give one with --goal X,Y.")
+        raise ValueError(
+            f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
+        )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)

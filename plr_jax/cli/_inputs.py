@@ -143,8 +143,8 @@ def parse_points(name: str, text: str, dim: int) -> Float[np.ndarray, "n dim"]:
 
 
 def _is_header(line: str) -> bool:
-    """Whether no field of the line is a number (a half-broken first line is an error, not a header)."""
-    return bool(line.strip()) and not any(_numbers(field) for field in line.split(","))
+    """Whether the line has letters and no field that is a number (a broken first line is an error, not a header)."""
+    return any(map(str.isalpha, line)) and not any(_numbers(field) for field in line.split(","))
 
 
 def _numbers(line: str) -> list[float]:

@@ -54,14 +54,17 @@ def construct(
             continuous gradient as well, in 1 or 2 dimensions. Both take longer to build and to query, and err less
             for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
-            more often along one axis than the tables of a query of that size provide for: in the plane 7 times up to
-            2,048 bytes, 8 up to 8,192, 9 up to 32,768, else 14; in ``dim`` > 2 dimensions ``28 // dim`` times. That
-            size is the smaller of ``max_bytes`` and what ``max_leaves`` count: 2 bytes each, of planes
-            ``4 * (dim + 1)``, but 32,768 in all at the least: tables of PLRs of as many planes may differ in size.
+            more often along one axis than the tables of a query of that size provide for: planes in the plane 7
+            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, the others as often in half the bytes, 9 up to
+            32,768 as well; beyond, 14 times; in ``dim`` > 2 dimensions ``28 // dim`` times. That size is the smaller
+            of ``max_bytes`` and what ``max_leaves`` count: 2 bytes each, of planes ``4 * (dim + 1)``, but 32,768 in
+            all at the least: tables of PLRs of as many planes may differ in size.
         max_leaves: Largest number of leaves.
-        max_bytes: Largest size of the file that :func:`save` writes.
+        max_bytes: Largest size of the file that :func:`save` writes. Planes then have as few bits as serves the
+            error best; without it they are 32-bit floats, in several times the bytes. No more leaves than half as
+            many as the bytes, of tied ones than as many.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
-            most this are not split, in units of distance.
+            most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller.
         compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
             function of their kind. Models that tie their leaves fit all of them at once, whatever it says.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function

@@ -29,7 +29,7 @@ def save(plr: PLR, path: str | os.PathLike) -> None:
 
 
 def load(path: str | os.PathLike) -> PLR:
-    """Read a PLR that :func:`save` wrote; it equals the saved one bit for bit.
+    """Read a PLR that :func:`save` wrote; it answers alike, bit for bit, and has the same ``to_bytes()``.
 
     Args:
         path: The file.

@@ -95,7 +95,9 @@ class PLR:
         return np.where(is_inf, np.inf, np.sum(np.where(is_inf[:, None], 0.0, coefficients) * basis, axis=1))
 
     def to_bytes(self) -> bytes:
-        """The bytes of the file, which :func:`save` writes."""
+        """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
+        if np.ndim(self.file) != 1:
+            raise ValueError(f"Bytes are those of one PLR, but these arrays are those of several: {self.file.shape}.")
         return np.asarray(self.file).tobytes()[: self.num_bytes]
 
     @property
@@ -169,6 +171,8 @@ class PLR:
         return self._planes[0]
 
     def __repr__(self) -> str:
+        if np.ndim(self.file) != 1 or isinstance(self.file, jax.core.Tracer):
+            return f"PLR({self.leaf.name!r}, of arrays that are traced or stacked)"
         return (
             f"PLR({self.leaf.name!r}, dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, "
             f"{self.domain})"
@@ -220,7 +224,7 @@ def from_bytes(data: bytes) -> PLR:
         data: What :meth:`PLR.to_bytes` gave.
 
     Returns:
-        The PLR, equal bit for bit to the one that was written.
+        The PLR, which answers as the one that was written, bit for bit.
 
     Raises:
         ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are

@@ -78,7 +78,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> Float[np.ndarray, "steps 
 
     Returns:
         Positions and headings ``(steps, robots, 3)``, one row a time step. A robot that is done waits where
-        it is. What a state holds beyond them is dropped.
+        it is. What a state holds beyond them is dropped. The path of a team without headings, of the problem that
+        :func:`read_dbcbs` gives, is ``path[..., : problem.dof]``.
 
     Raises:
         ValueError: If the file is no such solution.

@@ -1,24 +1,4 @@
-"""The scene file: a problem as JSON.
-
-Version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
-
-    "format":     "plr_jax scene"
-    "version":    3
-    "workspace":  {"bounds": [[x0, y0], [x1, y1]],
-                   "squeeze": whether paths may pass between obstacles that touch in one point,
-                   "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
-    "robots":     [{"shape": "point"} or {"shape": "disc", "radius": r}
-                   or {"shape": "rectangle", "length": l, "width": w}
-                   or {"shape": "polygon", "vertices": ring}, ...]
-    "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any has a heading
-    "goals":      [[x, y], ...]
-    "rotation_weight": cost of a turn by one radian; may be left out: a robot's circumscribed radius
-
-Version 1 knows points only, and no ``"rotation_weight"``; version 2 no polygons. A scene is written in the oldest
-version that can say it, so that older releases read it. Obstacles may overlap and leave the bounds; ``"holes"`` may
-be left out. A ring is a list of ``[x, y]`` points. Numbers are written with as many digits as it takes to read the
-same float64 back.
-"""
+"""The scene file: a problem as JSON, in the form that :func:`load` describes."""
 
 import json
 import os
@@ -81,8 +61,27 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
 def load(path: str | os.PathLike[str]) -> Problem:
     """Read a scene file.
 
+    Version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
+
+        "format":     "plr_jax scene"
+        "version":    3
+        "workspace":  {"bounds": [[x0, y0], [x1, y1]],
+                       "squeeze": whether paths may pass between obstacles that touch in one point,
+                       "obstacles": [{"outer": ring, "holes": [ring, ...]}, ...]}
+        "robots":     [{"shape": "point"} or {"shape": "disc", "radius": r}
+                       or {"shape": "rectangle", "length": l, "width": w}
+                       or {"shape": "polygon", "vertices": ring}, ...]
+        "starts":     [[x, y], ...]     one configuration a robot; [x, y, heading] if any has a heading
+        "goals":      [[x, y], ...]
+        "rotation_weight": cost of a turn by one radian; may be left out: a robot's circumscribed radius
+
+    Version 1 knows points only, and no ``"rotation_weight"``; version 2 no polygons. A scene is written in the
+    oldest version that can say it, so that older releases read it. Obstacles may overlap and leave the bounds;
+    ``"holes"`` may be left out. A ring is a list of ``[x, y]`` points. Numbers are written with as many digits as
+    it takes to read the same float64 back.
+
     Args:
-        path: A file that :func:`save` wrote, or one made by hand after the module's description.
+        path: A file that :func:`save` wrote, or one made by hand.
 
     Returns:
         The problem: its bounds, obstacles, starts and goals equal the saved ones exactly.

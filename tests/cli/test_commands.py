@@ -108,11 +108,13 @@ def test_build_knows_the_floor_plan(tmp_path):
 
 def test_build_explains_mistakes(tmp_path):
     (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
+    scenes.save(scenes.four_rooms(2), tmp_path / "team.json")
     (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
     out = ("-o", tmp_path / "out.plr")
     assert "must be a scene (maze, thin_maze, floor_plan) or a file" in mistake("build", "mace", *out)
     assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
     assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
+    assert "one for each of several robots" in mistake("build", tmp_path / "team.json", *out)
     assert "--goal must be two numbers X,Y" in mistake("build", "maze", "--goal", "1;2", *out)
     assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
     assert "goal [0.5, 0.45] lies in an obstacle" in mistake("build", "maze", "--goal", "0.5,0.45", *out)
@@ -291,6 +293,10 @@ def test_help_has_an_example(command):
     result = run(*command, "--help")
     assert result.exit_code == 0
     assert f"plr-jax {command[0] if command else 'demo'}" in result.stdout
+
+
+def test_the_version_is_that_of_the_package():
+    assert run("--version").stdout == f"plr-jax {plr_jax.__version__}\n"
 
 
 def test_help_loads_nothing_heavy():

@@ -31,7 +31,9 @@ def test_points_come_with_or_without_a_header(text):
         ("1,2\n3\n", "p, line 2"),
         ("1,2,3\n", "p, line 1"),
         ("1,b\n1,2\n", "p, line 1"),  # half a number: no header
-        ("1;2\n1,2\n1;2\n", "p, line 3"),
+        ("1,2\n1;2\n", "p, line 2"),
+        ("1;2\n1,2\n", "p, line 1"),  # nor numbers apart from each other in another way
+        ("1 2\n", "p, line 1"),
         ("nan,nan\n1,2\n", "p, line 1"),
         ("\n1,2\n", "p, line 1"),
         ("x,y\n", "p has no points"),

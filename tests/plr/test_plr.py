@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr import PLR, construct, evaluate
+from plr_jax.plr import PLR, construct, evaluate, save
 from plr_jax.plr._plr import _evaluate, leaf_of
 
 FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))
@@ -74,6 +74,16 @@ def test_a_pytree_survives_a_round_trip_through_jit(plr, x):
     again = jax.jit(lambda plr: plr)(plr)
     np.testing.assert_array_equal(again(x), plr(x))
     assert again.to_bytes() == plr.to_bytes() and again.num_leaves == 100
+
+
+def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked_types):
+    """Once their file held the first of them alone."""
+    several = jax.tree.map(lambda *arrays: jnp.stack(arrays), plr, plr)
+    np.testing.assert_array_equal(jax.vmap(lambda plr: plr(x))(several)[1], plr(x))
+    assert "stacked" in repr(several)
+    with pytest.raises(ValueError, match="those of several"):
+        save(several, tmp_path / "several.plr")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):

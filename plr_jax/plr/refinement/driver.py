@@ -39,6 +39,9 @@ def refine(
 ) -> tuple[PLR, Refinement]:
     """Move the functions of all leaves of a PLR at once, so that a loss over many points becomes small.
 
+    It is for what :func:`construct` does not do: another loss, penalties, other distances, or points that lie where
+    accuracy matters. To the same distances, by squares, leaves are fitted already, and mostly from more points.
+
     The partition stays, and so does the precision of the numbers stored: a query costs the same, and the file is of
     about the same size (a few bytes more or less, where differences need more or fewer bits). Leaves that were
     unreachable stay so. A leaf with fewer than four points a parameter (a plane has ``dim + 1``; where leaves share
@@ -64,7 +67,8 @@ def refine(
             functions of :class:`Planes`. They move a leaf by at most some sixty times its least-squares error
             (or a hundredth of how much it varies in its leaf) in 400 steps.
         faces: Points of free faces at which the report measures jumps; None: it has no jumps.
-        max_bytes: Largest size of the file; numbers get fewer bits where they must. None: no limit.
+        max_bytes: Largest size of the file; None: no limit. Where it is exceeded, by however little, all numbers of
+            a kind lose a bit or more, and accuracy with it: leave room for a few bytes more than the PLR has.
         num_steps: Steps of the optimizer, in each of which all points take part; at least 1, rounded up to a
             multiple of 50. Strong penalties need more of them.
         held_out: Share of the points, from 0 to below 1, that are not fitted to but measured in the report.
