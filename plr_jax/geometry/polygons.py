@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import shapely
+from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
@@ -101,6 +102,29 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
+
+
+def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
+    """Triangles that fill a region of polygons and do not overlap.
+
+    GEOS fails at some polygons whose rings touch one another: such a region is cut in two until it does not.
+    """
+    try:
+        triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
+    except shapely.errors.GEOSException:
+        return np.concatenate([triangulate(polygon) for polygon in _cut(region)])
+    return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+
+
+def _cut(region: Any) -> tuple[Polygon, ...]:
+    """The polygons of a region, of its two halves if it is but one."""
+    if len(polygons := polygons_of(region)) > 1:
+        return polygons
+    lo, hi = np.array(region.bounds).reshape(2, 2)
+    upper, lower, axis = hi.copy(), lo.copy(), np.argmax(hi - lo)
+    upper[axis] = lower[axis] = (lo[axis] + hi[axis]) / 2
+    halves = shapely.box(*lo, *upper), shapely.box(*lower, *hi)
+    return tuple(polygon for half in halves for polygon in polygons_of(shapely.intersection(region, half)))
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:

@@ -14,7 +14,14 @@ from plr_jax._arrays import as_finite, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.polygons import LARGEST_COORDINATE, as_components, as_polygons, merge_vertices, polygons_of
+from plr_jax.geometry.polygons import (
+    LARGEST_COORDINATE,
+    as_components,
+    as_polygons,
+    merge_vertices,
+    polygons_of,
+    triangulate,
+)
 from plr_jax.geometry.vectors import arc, cross_product
 
 _ARC_SEGMENTS = 8
@@ -124,8 +131,7 @@ class Workspace:
 
     @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
-        triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space))
-        return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+        return triangulate(self.free_space)
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in closed free space.

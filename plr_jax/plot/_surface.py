@@ -10,6 +10,7 @@ from matplotlib.colors import Normalize
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from plr_jax.geometry.polygons import triangulate
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
     DISTANCE_COLORS,
@@ -76,10 +77,10 @@ def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[n
 
 def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     parts = shapely.get_parts(shapely.intersection(shapely.Polygon(cell), workspace.free_space))
-    solid = []
+    solid: list[Corners] = []
     for part in parts:
         if part.geom_type == "Polygon" and not part.is_empty:
             # A polygon in space has no holes: cut the rare cell around an obstacle into triangles.
             whole = shapely.get_num_interior_rings(part) == 0
-            solid += [part] if whole else list(shapely.constrained_delaunay_triangles(part).geoms)
-    return [shapely.get_coordinates(part)[:-1] for part in solid]
+            solid += [shapely.get_coordinates(part)[:-1]] if whole else list(triangulate(part))
+    return solid

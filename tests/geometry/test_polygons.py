@@ -8,6 +8,7 @@ from plr_jax.geometry.polygons import (
     as_polygons,
     merge_vertices,
     polygons_of,
+    triangulate,
 )
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -101,3 +102,13 @@ def test_vertices_that_differ_by_rounding_become_one():
     shared = {tuple(p) for p in shapely.get_coordinates(a)} & {tuple(p) for p in shapely.get_coordinates(b)}
     assert len(shared) == 2
     assert merge_vertices([shapely.box(0, 0, 1, 1)], 1e-12)[0].equals(shapely.box(0, 0, 1, 1))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 30254])
+def test_triangles_fill_a_region_whose_rings_touch(seed):
+    """At the last, GEOS finds no convex corner."""
+    blocked = np.argwhere(np.random.default_rng(seed).random((10, 10)) < 0.3)
+    region = shapely.box(0, 0, 10, 10) - shapely.union_all(shapely.box(*blocked.T, *blocked.T + 1))
+    triangles = shapely.polygons(triangulate(region))
+    assert shapely.area(triangles).sum() == pytest.approx(region.area)
+    assert shapely.covers(region.buffer(1e-9), triangles).all()
