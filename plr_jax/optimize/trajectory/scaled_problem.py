@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from plr_jax._types import DimensionedFn
 from plr_jax.optimize.trajectory.clearance import Outlines, PaddedBoundary, convex_clearances, round_clearances
+from plr_jax.optimize.trajectory.compilation import jit_iterations
 
 _STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
 _RATES = (3e-3, 3e-6)  # learning rate at first and at last
@@ -68,7 +69,7 @@ def begin(paths: Float[Array, "batch rows robots dof"]) -> DescentState:
     return DescentState(weights, jax.vmap(_adam().init)(weights))
 
 
-@jax.jit
+@jit_iterations
 def advance(
     problem: ScaledProblem,
     paths: Float[Array, "batch rows robots dof"],

@@ -1,0 +1,35 @@
+"""How the iterations are compiled."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+
+
+def jit_iterations(iterate: Callable) -> Callable:
+    """``jax.jit`` for hundreds of small operations and their derivatives.
+
+    They compile and run faster without the code generator that XLA has for fused operations, where it can be chosen.
+    """
+
+    @functools.cache
+    def compiled() -> Callable:
+        return jax.jit(iterate, compiler_options=_known(_OPTIONS))
+
+    @functools.wraps(iterate)
+    def call(*args: Any) -> Any:
+        return compiled()(*args)
+
+    return call
+
+
+def _known(options: dict[str, bool]) -> dict[str, bool]:
+    """The options, if this version of XLA knows them."""
+    try:
+        jax.jit(lambda: 0, compiler_options=options)()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return options
