@@ -1,9 +1,9 @@
 """The race of Table II: how long the planners of OMPL take to a path that costs no more than BL's.
 
 For each variant of a scene's starts and goals, BL with PLRs plans once, and each planner of OMPL then gets one trial
-that ends when its path costs no more, or at a limit of a hundred times BL's seconds, but no less than 4 s and no
-more than 8 s: for slow scenes the limit, not a planner, sets the ratio. A trial that
-ends at the limit stays in the results as "not within" it. BL's seconds are from call to return, warm, lattices and
+that ends when its path costs no more, or at a limit of a hundred times BL's seconds, but no less than 4 s and no more
+than 8 s: for slow scenes the limit, not a planner, sets the ratio. A trial that ends there stays in the results as
+"not within" it. BL's seconds are from call to return, warm (compiled, and with the lattices of an earlier run),
 shortening included; building the PLRs is counted apart and beside it. OMPL's begin when its process has started and
 compiled. BL is then asked to improve its path for a while, which draws its part of cost over time.
 """

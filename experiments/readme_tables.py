@@ -199,8 +199,7 @@ def race(results: dict[str, Any]) -> str:
     return markdown(rows, numbers=6) + (
         f"\nMedians over {len(results['seeds'])} of the starts, one trial a planner, limits of "
         f"{limit['least']:g} to {limit['largest']:g} s. >: mostly none within the limit, and the ratio is that of "
-        "the limit. Ours are timed to the end of a plan in both comparisons. A lone robot's path was still bent in "
-        "this run, to a lower cost than in Table II.\n"
+        "the limit. Ours are timed to the end of a plan in both comparisons.\n"
     )
 
 

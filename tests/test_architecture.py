@@ -39,6 +39,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 PLR = PACKAGE / "plr"
 PLR_SOURCES = [path for path in SOURCES if path.is_relative_to(PLR)]
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.name}" for path in (PLR / "leaves").iterdir() if path.is_dir())
+LEAF_NAMES = {"plane", "continuous", "smooth"}
 
 
 def imported_modules(path: Path) -> set[str]:
@@ -97,11 +98,15 @@ def test_imports_inside_the_room_that_stores_point_downward(path):
         assert parts_of(path, PLR) - {part} <= PLR_IMPORTS.get(part, below(part, PLR_LAYERS))
 
 
-@pytest.mark.parametrize("path", PLR_SOURCES, ids=lambda path: str(path.relative_to(PLR)))
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_only_leaves_know_the_leaf_models(path):
-    """Outside of their folder, which lists them, and of the public list nothing imports one."""
-    if part_of(path, PLR) not in ("leaves", "__init__"):
-        assert not [name for name in imported_modules(path) if name.startswith(LEAF_MODELS)]
+    """Outside of their folder, which lists them, and of the public list nothing imports one or asks which it is."""
+    if (path.parent == PLR and path.name == "__init__.py") or path.is_relative_to(PLR / "leaves"):
+        return
+    assert not [name for name in imported_modules(path) if name.startswith(LEAF_MODELS)]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Compare | ast.MatchValue):
+            assert not {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)} & LEAF_NAMES
 
 
 def test_packages_and_modules_are_small():

@@ -79,10 +79,10 @@ def optimize_paths(
 
     Paths that are not valid, such as straight lines through obstacles, are initial guesses, and ``valid`` says which
     became valid. That is for a robot that passes by a few obstacles. A guess stays in its homotopy class, and a
-    motion that goes all the way through a wall is in none that is free: of guesses with four random way points in
-    :func:`plr_jax.scenes.maze` none became valid, and one in eight under a guide. Among many walls start from valid
-    paths: that of ``bl_plan``, or for a point that of :func:`plr_jax.descend`, which also joins way points of your
-    own, leg by leg.
+    motion that goes all the way through a wall is in none that is free: of random way points in
+    :func:`plr_jax.scenes.maze` none become a valid path, and a minority do under a guide. Among many walls start from
+    valid paths: that of ``bl_plan``, or for a point that of :func:`plr_jax.descend`, which also joins way points of
+    your own, leg by leg.
 
     Waiting costs nothing, so a team's path is cheapest if the robots meet where there is room. Descent finds such
     times only near those of the path. Retimings start it from the same motions at other times, at random, and the

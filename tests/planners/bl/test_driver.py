@@ -42,8 +42,8 @@ def test_scenes(scene):
     # The joint cost has the robots' own shortest ways as a bound, but for what inflating corners rounds off.
     alone = float(exact(problem)(problem.starts[None])[0])
     assert solution.cost >= (1 - 1e-3) * alone
-    if problem.dof == 2:
-        assert solution.cost <= 1.6 * alone
+    # Measured: up to 1.03 for discs, and up to 1.31 for rectangles, whose turns the bound leaves out.
+    assert solution.cost <= (1.05 if problem.dof == 2 else 1.35) * alone
 
 
 @pytest.mark.parametrize("seed", range(3))

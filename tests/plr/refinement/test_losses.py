@@ -20,8 +20,9 @@ def test_the_share_of_over_estimates_is_the_asked_one_on_new_points(share, bits)
     plr = construct(cone, Box([-1, -1], [1, 1]), max_leaves=60, leaf=Plane(coefficient_bits=bits))
     x, new = 2 * points(25_000, 2) - 1, 2 * points(40_000, 3) - 1
     refined, report = refine(plr, x, cone(x), loss=quantile(share))
-    assert abs(np.mean(np.asarray(refined(new), float) > cone(new)) - share) <= 0.01
-    assert abs(report.refined.held_out.over - share) <= 0.01
+    tolerance = min(0.01, 4 * np.sqrt(share / 4_000))  # of so many points that set the height
+    assert abs(np.mean(np.asarray(refined(new), float) > cone(new)) - share) <= tolerance
+    assert abs(report.refined.held_out.over - share) <= tolerance
     assert report.refined.held_out.loss < report.least_squares.held_out.loss
 
 

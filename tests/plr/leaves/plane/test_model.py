@@ -24,6 +24,23 @@ def test_floats_without_a_budget_and_integers_with_one():
     assert construct(walled, UNIT, max_leaves=5, leaf=Plane(coefficient_bits=12)).stored.bits == 12
 
 
+def test_without_a_budget_planes_may_be_as_deep_as_in_32_kilobytes():
+    """However few they are: next to a goal a plane errs the more, the wider it is."""
+
+    def steep(x):
+        return np.sqrt(cone(x))
+
+    few = construct(steep, UNIT, max_leaves=64)
+    assert few.cells.depth.max() == 9 and few.num_bytes < 1024
+    assert construct(steep, UNIT, max_leaves=64, max_bytes=1024).cells.depth.max() == 7
+
+
+def test_a_budget_larger_than_needed_makes_the_file_of_a_tolerance_smaller():
+    plain = construct(cone, UNIT, tolerance=0.01)
+    small = construct(cone, UNIT, tolerance=0.01, max_bytes=1 << 20)
+    assert small.num_bytes < 0.7 * plain.num_bytes and small.num_leaves <= plain.num_leaves + 8
+
+
 @pytest.mark.parametrize("bits", [3, 21, 31, 33, 0, -1])
 def test_bits_out_of_range_are_refused(bits):
     with pytest.raises(ValueError, match=f"coefficient_bits must be 32 .floats. or 4 to 20, got {bits}"):
