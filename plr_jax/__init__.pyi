@@ -1,3 +1,5 @@
+__version__: str
+
 from . import metrics as metrics
 from . import plot as plot
 from . import plr as plr

@@ -171,7 +171,7 @@ class PLR:
         return self._planes[0]
 
     def __repr__(self) -> str:
-        if np.ndim(self.file) != 1 or isinstance(self.file, jax.core.Tracer):
+        if np.ndim(self.file) != 1 or isinstance(self.file, Tracer):
             return f"PLR({self.leaf.name!r}, of arrays that are traced or stacked)"
         return (
             f"PLR({self.leaf.name!r}, dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, "
