@@ -18,6 +18,7 @@ from plr_jax.optimize.trajectory.clearance import (
     point_clearance,
     round_clearances,
 )
+from plr_jax.optimize.trajectory.compilation import jit_iterations
 
 # Compiled whole: operation by operation, they take longer to compile than to run.
 point_clearance, corner_clearance, round_clearances, convex_clearances = map(
@@ -158,4 +159,4 @@ def test_gradients_are_finite_where_robots_coincide_and_on_walls():
         def total(q, kernel=kernel, bodies=bodies):
             return sum(jnp.where(jnp.isfinite(part), part, 0.0).sum() for part in kernel(walls, bodies, q, q))
 
-        assert np.isfinite(jax.jit(jax.grad(total))(q)).all()
+        assert np.isfinite(jit_iterations(jax.grad(total))(q)).all()

@@ -1,5 +1,3 @@
-import subprocess
-import sys
 import warnings
 
 import jax
@@ -242,30 +240,16 @@ def test_bad_arguments_are_named(wall, change, message):
         refine(wall[0], **arguments)
 
 
-def test_arguments_of_another_kind_are_named():
-    """Outside of these tests, where annotations are not enforced."""
-    code = """
-import numpy as np
-from plr_jax.plr import construct, eikonal, refine
-x = np.random.default_rng(0).random((500, 2))
-cone = lambda x: np.hypot(*x.T)
-plr = construct(cone, ([0, 0], [1, 1]), max_leaves=4)
-for plr, options in ((cone, {}), (plr, {"loss": "quantile"}), (plr, {"penalties": eikonal()})):
-    try:
-        refine(plr, x, cone(x), **options)
-    except ValueError as error:
-        print(error)
-"""
-    environment = {"PYTHONPATH": ":".join(sys.path)}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    messages = (
-        "Only a PLR, as construct builds, can be refined",
-        "such as squared or quantile(0.05), got 'quantile'",
-        "list of functions, such as [eikonal()]",
-    )
-    for line, message in zip(done.stdout.splitlines(), messages, strict=True):
-        assert message in line
+@pytest.mark.usefixtures("unchecked_types")
+def test_arguments_of_another_kind_are_named(wall):
+    plr, x, distance = wall
+    for options, message in (
+        ({"plr": np.hypot}, "Only a PLR, as construct builds, can be refined"),
+        ({"loss": "quantile"}, r"such as squared or quantile\(0.05\), got 'quantile'"),
+        ({"penalties": eikonal()}, r"list of functions, such as \[eikonal\(\)\]"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            refine(**{"plr": plr, "x": x, "distance": distance, **options})
 
 
 def test_strict_promotion_of_types_changes_nothing(wall):
