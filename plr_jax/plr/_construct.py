@@ -55,10 +55,10 @@ def construct(
             for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for: planes in the plane 7
-            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, the others as often in half the bytes, 9 up to
-            32,768 as well; beyond, 14 times; in ``dim`` > 2 dimensions ``28 // dim`` times. That size is the smaller
-            of ``max_bytes`` and what ``max_leaves`` count: 2 bytes each, of planes ``4 * (dim + 1)``, but 32,768 in
-            all at the least: tables of PLRs of as many planes may differ in size.
+            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, the others as often in half the bytes; beyond, 14
+            times; in ``dim`` > 2 dimensions ``28 // dim`` times. That size is the smaller of ``max_bytes`` and what
+            ``max_leaves`` count: 2 bytes each, of planes ``4 * (dim + 1)``, but 32,768 in all at the least: tables of
+            PLRs of as many planes may differ in size.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes. Planes then have as few bits as serves the
             error best; without it they are 32-bit floats, in several times the bytes. No more leaves than half as

@@ -8,10 +8,10 @@ of its own, just as fine along each axis as its own leaves need.
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
 PLRs of one class and leaf model share compiled code: how many leaves there is room for and, by these, how many slots
-there are. Beyond 32 KB there is room for the next power of two, and slots as many where leaves need more than the
-class has. What is left is padding, which is never read.
+there are. Beyond 16,384 leaves (planes of 32 KB, others of 16) there is room for the next power of two, and slots as
+many where leaves need more than the class has. What is left is padding, which is never read.
 
-In the plane and on a line no leaves need more slots than the class of a budget of up to 32 KB has. Planes without a
+In the plane and on a line no leaves need more slots than the class of a budget up to there has. Planes without a
 budget may be as deep as if they had one of 32 KB, however small their file: in the plane up to 9 halvings along an
 axis, for which their class may have too few slots.
 """
@@ -34,11 +34,11 @@ FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
+MOST_ROWS = 2**14  # of a class whose tables are of one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_BLOCK_BITS = 16
-LARGEST_CLASS_BYTES = 2**15
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
@@ -142,7 +142,7 @@ def build_tables(
     leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
     rows = rows_of_class(of_class, leaf.least_bytes)
     slot_bits = max(slot_bits_of_rows(rows), (len(leaf_of_slot) - 1).bit_length())
-    if 1 << of_class > LARGEST_CLASS_BYTES:  # too large to be padded to what the class may need at the most
+    if rows > MOST_ROWS:  # too large to be padded to what the class may need at the most
         rows = padded_size(len(cells))
     table = padded(numbers.astype(np.float32), rows)
     index_type = np.uint16 if rows <= 2**16 else np.uint32
@@ -177,11 +177,12 @@ def slot_bits_of_rows(rows: int) -> int:
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int) -> int:
     """How often a cell may be halved along one axis, for a class of files or for any.
 
-    In the plane and on a line the slots of a class up to 32 KB then suffice; elsewhere the tables' size is bounded.
+    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; else the tables' size is bounded.
     """
-    if of_class is None or 1 << of_class > LARGEST_CLASS_BYTES or dim > 2:
+    rows = None if of_class is None else rows_of_class(of_class, least_bytes)
+    if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return slot_bits_of_rows(rows_of_class(of_class, least_bytes)) // dim
+    return slot_bits_of_rows(rows) // dim
 
 
 def max_entries(num_bytes: int) -> int:

@@ -47,7 +47,8 @@ def test_a_budget_of_bytes_bounds_the_leaves():
         ({"max_bytes": 32769}, 14),
         ({"max_bytes": 1024, "least_bytes": 1}, 7),  # twice the leaves
         ({"max_bytes": 2048, "least_bytes": 1}, 8),
-        ({"max_bytes": 8192, "least_bytes": 1}, 9),
+        ({"max_bytes": 16384, "least_bytes": 1}, 9),
+        ({"max_bytes": 16385, "least_bytes": 1}, 14),
         ({"tolerance": 0.1}, 14),
         ({"max_depth": 20}, 14),
         ({"max_leaves": 512}, 7),

@@ -27,7 +27,7 @@ from plr_jax.plr.leaves.plane.codec import (
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import LARGEST_CLASS_BYTES, Frame, Tables, table_corners
+from plr_jax.plr.query.tables import MOST_ROWS, Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
@@ -58,7 +58,7 @@ class Plane:
 
         In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
         """
-        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, LARGEST_CLASS_BYTES)
+        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, MOST_ROWS * self.least_bytes)
 
     def __post_init__(self):
         bits = self.coefficient_bits
