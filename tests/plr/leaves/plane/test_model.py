@@ -6,6 +6,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
+from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.plane_fits import midrange
 
@@ -32,6 +33,10 @@ def test_without_a_budget_planes_may_be_as_deep_as_in_32_kilobytes():
 
     few = construct(steep, UNIT, max_leaves=64)
     assert few.cells.depth.max() == 9 and few.num_bytes < 1024
+    needed = few.cells.depth.max(axis=0).sum()  # more than the class of a kilobyte has, so there are more
+    assert few.tables.blocks is None and len(few.tables.leaf_of_slot) == 2**needed > 2**14
+    x = np.random.default_rng(0).random((500, 2)).astype(np.float32)
+    np.testing.assert_array_equal(leaf_of(few, x), leaf_by_search(few, x))
     assert construct(steep, UNIT, max_leaves=64, max_bytes=1024).cells.depth.max() == 7
 
 
