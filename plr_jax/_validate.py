@@ -1,6 +1,7 @@
 """An independent check of a path. It shares no code with the collision tests that planners call.
 
-But for one question, which the workspace answers: whether a point squeezes between obstacles that touch.
+There is one exception: whether a point squeezes between obstacles that touch, the workspace is asked.
+
 Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
 Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
 middle of a piece bounds it throughout. Bisection goes on until the smallest clearance is known, and every

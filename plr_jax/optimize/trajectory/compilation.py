@@ -1,4 +1,4 @@
-"""How the iterations are compiled."""
+"""How the iterations are compiled: hundreds of small operations and their derivatives."""
 
 import functools
 from collections.abc import Callable
@@ -10,10 +10,7 @@ _OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 
 
 def jit_iterations(iterate: Callable) -> Callable:
-    """``jax.jit`` for hundreds of small operations and their derivatives.
-
-    They compile and run faster without the code generator that XLA has for fused operations, where it can be chosen.
-    """
+    """``jax.jit`` without XLA's slow code generator for fused operations, where this version has a choice."""
 
     @functools.cache
     def compiled() -> Callable:
