@@ -130,6 +130,14 @@ def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
+def run_members(
+    first: Int[np.ndarray, "runs+1"], which: Int[np.ndarray, "some"]
+) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
+    """Of runs that begin at ``first``, the items of some, and the place of each one's run among those asked for."""
+    run, place = runs(first[which + 1] - first[which])
+    return first[which][run] + place, run
+
+
 def shortened(value: object) -> str:
     """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
     try:

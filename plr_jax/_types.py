@@ -1,10 +1,11 @@
 """Array aliases and the function types in which discovering, storing and using distance meet."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 ArrayLike: TypeAlias = Any
 """Whatever ``numpy.asarray`` accepts; checked, with a clear error, where it comes in."""
@@ -23,7 +24,8 @@ the bounds. An oracle never answers NaN or a negative number; where a coordinate
 approximates one: it may be a little below zero near the goal, answers ``inf`` outside its domain and NaN where a
 coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
 
-What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`.
+What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
+:class:`SourcedFn`, :class:`CellwiseFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -59,6 +61,96 @@ class PiecewiseFunction(Protocol):
     def domain(self) -> Any: ...
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Points that distances run through: the distance of a point is that of a source and the straight way to it.
+
+    Attributes:
+        points: Where they are.
+        distances: Their own distances to the goal; ``inf`` for those that do not reach it.
+        parents: The source that each one's shortest path goes to next; its own index for the goal, and for those that
+            do not reach it.
+    """
+
+    points: Float[np.ndarray, "sources dim"]
+    distances: Float[np.ndarray, "sources"]
+    parents: Int[np.ndarray, "sources"]
+
+
+@runtime_checkable
+class SourcedFn(Protocol):
+    """A distance function that offers its sources."""
+
+    @property
+    def sources(self) -> Sources: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+class CellSources(Protocol):
+    """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
+
+    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of the piece's sources,
+    and at most the least of those that all of it sees, to within ``slack``. Pieces stand cell by cell, pairs piece by
+    piece, each piece with one at least; of what does not reach the goal there are none.
+
+    Attributes:
+        sources: All sources.
+        slack: By how much these bounds may err.
+        num_cells: How many cells.
+        cell: The cell of each piece.
+        pieces: Corners of the pieces, counterclockwise, ``(2, pieces, corners)``; the last is repeated.
+        center: A point inside each.
+        distance: Its exact distance.
+        best: Its source.
+        piece: The piece of each pair.
+        source: Its source.
+        by_all: Whether every point of the piece sees it.
+        first_piece: Where the pieces of each cell begin, and their number.
+        first_pair: Where the pairs of each piece begin, and their number.
+    """
+
+    sources: Sources
+    num_cells: int
+    cell: Int[np.ndarray, "pieces"]
+    pieces: Float[np.ndarray, "2 pieces corners"]
+    center: Float[np.ndarray, "pieces 2"]
+    distance: Float[np.ndarray, "pieces"]
+    best: Int[np.ndarray, "pieces"]
+    piece: Int[np.ndarray, "pairs"]
+    source: Int[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]
+
+    @property
+    def slack(self) -> float: ...
+    @property
+    def first_piece(self) -> Int[np.ndarray, "cells+1"]: ...
+    @property
+    def first_pair(self) -> Int[np.ndarray, "pieces+1"]: ...
+
+    def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
+        """Those of some of the cells, in any order, which may be repeated."""
+        ...
+
+    def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
+        """Those of boxes ``lo`` to ``hi``, each cut from one of the cells along an axis, at its upper or lower end."""
+        ...
+
+    def concatenate(self, several: Sequence[Any], /) -> "CellSources":
+        """Those of the cells of several, one after the other, at least one."""
+        ...
+
+
+@runtime_checkable
+class CellwiseFn(Protocol):
+    """A distance function in the plane that answers for whole cells, without samples."""
+
+    def cell_sources(self, domain: Any, /) -> CellSources:
+        """Those of a Box as one cell."""
+        ...
+
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 

@@ -68,6 +68,14 @@ class VisibilityTable:
         """Bytes of the table, without the boundary."""
         return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
 
+    def followed_by(self, other: "VisibilityTable") -> "VisibilityTable":
+        """The viewpoints of both, of one workspace, those of the other after these."""
+        first = np.concatenate([self.first, self.first[-1] + other.first[1:]])
+        key = np.concatenate([self.key, 4.0 * len(self.points) + other.key])
+        columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in ("points", "cut"))
+        edge = np.concatenate([self.edge, other.edge])
+        return VisibilityTable(self.boundary, self.tolerance, *columns, first, key, edge)
+
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
 

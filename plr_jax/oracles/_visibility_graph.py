@@ -1,18 +1,22 @@
 """Exact shortest-path distance among polygons in the plane."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import networkx
 import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
-from plr_jax._types import ArrayLike, Distances
+from plr_jax._types import ArrayLike, CellSources, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.box import Box
 from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
-from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles._cell_sources import Sight, visible_sources
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -85,6 +89,24 @@ class VisibilityGraph:
         """Bytes of the arrays that a query reads and another goal needs, including what their oracles share."""
         own = self._goal_table.num_bytes + self._turns.num_bytes + self._parents.nbytes + self.distances.nbytes
         return self._corners.num_bytes + own
+
+    @cached_property
+    def sources(self) -> Sources:
+        """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
+        parents = np.where(self._parents == NO_PARENT, np.arange(len(self._parents)), self._parents)
+        return Sources(self.graph.vertices, self.distances, parents)
+
+    def cell_sources(self, domain: Box) -> CellSources:
+        """Which sources points of a box may use, and which all of them can, piece by piece of free space.
+
+        Args:
+            domain: The box, as one cell, of which smaller ones can be cut.
+
+        Returns:
+            The pieces of free space in the box, and their sources.
+        """
+        sight = Sight(self.sources, shadows_of(self._goal_table.followed_by(self._corners.table)), self._turns)
+        return visible_sources(sight, self.workspace, domain)
 
     def to_networkx(self) -> networkx.Graph:
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""

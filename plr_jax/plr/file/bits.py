@@ -60,6 +60,10 @@ class BitWriter:
         self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
         return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
 
+    def write_signed(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+        """Append Exp-Golomb codes of signed numbers: twice the absolute value, minus one if it is positive."""
+        return self.write_coded(2 * np.abs(values) - (values > 0))
+
     @property
     def num_bits(self) -> int:
         """How many bits there are so far."""
@@ -125,6 +129,11 @@ class BitReader:
         if values.max() >= _MAX_CODED:
             raise ValueError("it holds a number that is too large")
         return values
+
+    def read_signed(self, num_values: int) -> Int[np.ndarray, "n"]:
+        """The next signed numbers, as :meth:`read_coded`."""
+        code = self.read_coded(num_values)
+        return np.where(code % 2, (code + 1) // 2, -(code // 2))
 
     def _take(self, num_bits: int) -> Int[np.ndarray, "bits"]:
         bits = self._bits[self._at : self._at + num_bits]

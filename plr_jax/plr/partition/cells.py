@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.box import Box
 
@@ -70,3 +70,8 @@ class Cells:
         position = np.repeat(self.position << halved, 2, axis=0)
         position[1::2] += halved
         return Cells(depth, position)
+
+    def halves(self, axis: Int[np.ndarray, "cells"], is_upper: Bool[np.ndarray, "cells"]) -> "Cells":
+        """The lower or the upper half of each cell along its axis."""
+        halved = np.eye(self.dim, dtype=np.int64)[axis]
+        return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])

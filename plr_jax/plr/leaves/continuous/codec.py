@@ -9,8 +9,7 @@ As bits:
 
 A value is ``offset + step * code``; masters, their order and their levels follow from the tree and the ties (see
 ``space.py``). What is stored of a code is by how much it differs from the rounded prediction from coarser ones: for
-smooth functions a few bits. Sets and Exp-Golomb codes are as in ``file/bits.py``. A signed number is twice its
-absolute value, minus one if it is positive.
+smooth functions a few bits. Sets, Exp-Golomb codes and those of signed numbers are as in ``file/bits.py``.
 """
 
 from dataclasses import dataclass
@@ -76,7 +75,7 @@ def write_values(body: BitWriter, stored: StoredValues) -> None:
     body.write_set(~partition.tied[partition.between_reachable()])
     surprise = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
     for level in _level_slices(space.level):
-        body.write_coded(_unsigned(surprise[level]))
+        body.write_signed(surprise[level])
 
 
 def read_values(body: BitReader, cells: Cells) -> StoredValues:
@@ -94,7 +93,7 @@ def read_values(body: BitReader, cells: Cells) -> StoredValues:
     space = partition.space
     code = np.zeros(len(space.masters), np.int64)
     for level in _level_slices(space.level):
-        surprise = _signed(body.read_coded(level.stop - level.start))
+        surprise = body.read_signed(level.stop - level.start)
         code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
     return StoredValues(partition, offset, step, code)
 
@@ -103,11 +102,3 @@ def _level_slices(level: Int[np.ndarray, "masters"]) -> list[slice]:
     """Runs of masters of one level, which depend on earlier ones alone."""
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
-
-
-def _unsigned(values: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    return 2 * np.abs(values) - (values > 0)
-
-
-def _signed(values: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    return np.where(values % 2, (values + 1) // 2, -(values // 2))

@@ -1,0 +1,92 @@
+"""Convex pieces of a region in the plane, many at once: cut by lines along the axes, measured.
+
+All of them stand in one array, coordinate by coordinate, a piece a row, its corners counterclockwise. A piece of fewer
+corners than rows have room for repeats its last one.
+"""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.geometry.polygons import triangulate
+from plr_jax.geometry.vectors import cross_product
+
+Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
+ROOM = 8
+"""Corners of a triangle cut by a box, at most 7, and one more."""
+
+
+def convex_pieces(region: Any) -> Float[np.ndarray, "2 pieces 3"]:
+    """Triangles that fill a region of polygons, counterclockwise."""
+    triangles = triangulate(region)
+    clockwise = cross_product(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) < 0
+    triangles[clockwise] = triangles[clockwise, ::-1]
+    return triangles.transpose(2, 0, 1)
+
+
+def clip(
+    pieces: Pieces, height: Float[np.ndarray, "pieces corners"], room: int = ROOM
+) -> Float[np.ndarray, "2 pieces room"]:
+    """What of each piece lies where a linear function, given at its corners, is not below zero.
+
+    Pieces must reach above zero; what touches it alone becomes a piece without area.
+    """
+    inside = height >= 0
+    following = _next(height)
+    crosses = inside != (following >= 0)
+    share = np.divide(height, height - following, out=np.zeros_like(height), where=crosses)
+    repeats = np.zeros(inside.shape, bool)
+    repeats[:, 1:] = (pieces[0, :, 1:] == pieces[0, :, :-1]) & (pieces[1, :, 1:] == pieces[1, :, :-1])
+    kept = np.stack([inside & ~repeats, crosses], axis=2).reshape(len(height), 2 * height.shape[1])
+    row, column = np.nonzero(kept)
+    count = kept.sum(axis=1)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    last = np.minimum(np.arange(room), np.maximum(count - 1, 0)[:, None])
+    result = np.empty((2, len(height), room))
+    for along, clipped in zip(pieces, result, strict=True):
+        met = along + share * (_next(along) - along)
+        points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
+        clipped[row, place] = points[row, column]
+        clipped[:] = np.take_along_axis(clipped, last, axis=1)
+    return result
+
+
+def areas(pieces: Pieces) -> Float[np.ndarray, "pieces"]:
+    """Area of each piece."""
+    x, y = pieces - pieces[:, :, :1]
+    return (x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1) / 2
+
+
+def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n room"]:
+    """Boxes as pieces."""
+    corner = np.minimum(np.arange(ROOM), 3)
+    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)[:, corner]
+    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)[:, corner]
+    return np.stack([x, y])
+
+
+def contain(pieces: Pieces, points: Float[np.ndarray, "pieces 2"], tolerance: float) -> Bool[np.ndarray, "pieces"]:
+    """Whether each piece holds its point, to the tolerance."""
+    dx, dy = points[:, :1] - pieces[0], points[:, 1:] - pieces[1]
+    ex, ey = _next(pieces[0]) - pieces[0], _next(pieces[1]) - pieces[1]
+    return (ex * dy - ey * dx >= -tolerance * np.sqrt(ex * ex + ey * ey)).all(axis=1)
+
+
+def clip_to_box(
+    pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
+) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
+    """What of the pieces lies in a box, and of which pieces it is; none without area."""
+    kept = np.arange(pieces.shape[1])
+    for axis in range(2):
+        for height in (lambda x: x[axis] - lo[axis], lambda x: hi[axis] - x[axis]):  # noqa: B023
+            reaches = (height(pieces) > 0).any(axis=1)
+            pieces, kept = pieces[:, reaches], kept[reaches]
+            pieces = clip(pieces, height(pieces))
+    some = areas(pieces) > 0
+    return pieces[:, some], kept[some]
+
+
+def _next(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
+    """What belongs to the next corner."""
+    return np.concatenate([values[:, 1:], values[:, :1]], axis=1)

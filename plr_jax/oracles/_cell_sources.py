@@ -1,0 +1,282 @@
+"""Which sources the points of a cell may use: all that some of them may, and those that every one of them can."""
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import run_members
+from plr_jax._types import Sources
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import difference_of_cones
+from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, clip, clip_to_box, convex_pieces
+from plr_jax.geometry.corners import TurnPoints
+from plr_jax.geometry.shadows import Shadows
+from plr_jax.geometry.workspace import Workspace
+
+_CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many
+_WHOLE = 1 - 1e-12
+"""Share of a cell's area that its pieces fill if nothing blocks any of it; a wall 1e-9 of it wide takes more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What tells which sources a piece may use: where they are, what they see, which paths bend around them.
+
+    Args:
+        sources: The sources, the goal first.
+        shadows: What they see.
+        turns: Those that bend a shortest path, and the points that come around them.
+    """
+
+    sources: Sources
+    shadows: Shadows
+    turns: TurnPoints
+
+    @cached_property
+    def turn_of_source(self) -> Int[np.ndarray, "sources"]:
+        """Index of each source among the turns; -1 for the goal, the last for those that no path bends around."""
+        index = np.full(len(self.sources.points), -1)
+        index[self.turns.vertex] = np.arange(len(self.turns.vertex))
+        return index
+
+    def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
+        """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
+        turn = self.turn_of_source[source]
+        may = np.ones(len(source), bool)
+        for normal in self.turns.normal[:, turn]:
+            height = (pieces[0] * normal[:, :1] + pieces[1] * normal[:, 1:]).max(axis=1)
+            may &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
+        return may | (source == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSources:
+    """The free convex pieces of cells, and pairs of a piece and a source that a point of it may use.
+
+    Pieces stand cell by cell, pairs piece by piece. Pieces of which nothing reaches the goal are left out. Nothing of
+    this knows tolerances: what is said of a piece holds to within ``slack``.
+
+    Attributes:
+        sight: Of the oracle.
+        num_cells: How many cells.
+        cell: The cell of each piece.
+        pieces: The pieces.
+        center: A point inside each.
+        distance: Its exact distance to the goal.
+        best: The source that its shortest path goes to.
+        piece: The piece of each pair.
+        source: Its source.
+        by_all: Whether every point of the piece sees it.
+    """
+
+    sight: Sight
+    num_cells: int
+    cell: Int[np.ndarray, "pieces"]
+    pieces: Pieces
+    center: Float[np.ndarray, "pieces 2"]
+    distance: Float[np.ndarray, "pieces"]
+    best: Int[np.ndarray, "pieces"]
+    piece: Int[np.ndarray, "pairs"]
+    source: Int[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]
+
+    @property
+    def sources(self) -> Sources:
+        """All sources of the oracle."""
+        return self.sight.sources
+
+    @property
+    def slack(self) -> float:
+        """How much any bound that follows may err, as free space is known to a tolerance."""
+        return 4 * self.sight.shadows.table.tolerance
+
+    @cached_property
+    def first_piece(self) -> Int[np.ndarray, "cells+1"]:
+        """First piece of each cell, and their number."""
+        return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
+
+    @cached_property
+    def first_pair(self) -> Int[np.ndarray, "pieces+1"]:
+        """First pair of each piece, and their number."""
+        return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
+
+    def of_cells(self, cells: Int[np.ndarray, "some"]) -> "VisibleSources":
+        """The same of some of the cells, in another order perhaps, and perhaps repeated."""
+        rows, cell = run_members(self.first_piece, cells)
+        return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
+
+    def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+        pairs, piece = run_members(self.first_pair, rows)
+        of_pieces = {name: getattr(self, name)[rows] for name in ("cell", "center", "distance", "best")}
+        return replace(
+            self,
+            pieces=self.pieces[:, rows],
+            piece=piece,
+            source=self.source[pairs],
+            by_all=self.by_all[pairs],
+            **of_pieces,
+        )
+
+    def parts(
+        self,
+        parent: Int[np.ndarray, "parts"],
+        axis: Int[np.ndarray, "parts"],
+        is_upper: Bool[np.ndarray, "parts"],
+        lo: Float[np.ndarray, "parts 2"],
+        hi: Float[np.ndarray, "parts 2"],
+    ) -> "VisibleSources":
+        """Of parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
+        inherited = self.of_cells(parent)
+        along, upper = axis[inherited.cell], is_upper[inherited.cell]
+        bound = np.where(upper, lo[inherited.cell, along], hi[inherited.cell, along])
+        height = np.where((along == 0)[:, None], *inherited.pieces) - bound[:, None]
+        height *= np.where(upper, 1.0, -1.0)[:, None]
+        highest, cut = height.max(axis=1), height.min(axis=1) < 0
+        reaches = np.flatnonzero(highest > 0)
+        inherited, height, cut = inherited._of_pieces(reaches), height[reaches], cut[reaches]
+        pieces = inherited.pieces.copy()
+        pieces[:, cut] = clip(pieces[:, cut], height[cut])
+        return _with_whole_cells(replace(inherited, pieces=pieces), cut, lo, hi)
+
+    @staticmethod
+    def concatenate(several: list["VisibleSources"]) -> "VisibleSources":
+        """Of the cells of several, one after the other, at least one."""
+        first, *others = several
+        if not others:
+            return first
+        cells = np.cumsum([0] + [each.num_cells for each in several])
+        pieces = np.cumsum([0] + [len(each.cell) for each in several])
+        names = [column.name for column in fields(VisibleSources)][4:]
+        columns = {name: np.concatenate([getattr(each, name) for each in several]) for name in names}
+        columns["piece"] = np.concatenate([each.piece + start for each, start in zip(several, pieces, strict=False)])
+        return VisibleSources(
+            sight=first.sight,
+            num_cells=int(cells[-1]),
+            cell=np.concatenate([each.cell + start for each, start in zip(several, cells, strict=False)]),
+            pieces=np.concatenate([each.pieces for each in several], axis=1),
+            **columns,
+        )
+
+
+def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleSources:
+    """Those of the domain as one cell: the triangles of free space, and all sources that each may use."""
+    pieces, _ = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
+    usable = np.append(0, sight.turns.vertex)
+    step = max(1, _CHUNK // len(usable))
+    found = []
+    for begin in range(0, pieces.shape[1], step):
+        part = pieces[:, begin : begin + step]
+        num_pieces = part.shape[1]
+        piece, source = np.repeat(np.arange(num_pieces), len(usable)), np.tile(usable, num_pieces)
+        every = np.ones(num_pieces, bool)
+        found.append(_settled(_unsettled(sight, np.zeros(num_pieces, int), part, piece, source), every))
+    if not found:
+        found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, 8)), np.zeros(0, int), np.zeros(0, int)))]
+    return replace(VisibleSources.concatenate(found), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
+
+
+def _unsettled(
+    sight: Sight,
+    cell: Int[np.ndarray, "pieces"],
+    pieces: Pieces,
+    piece: Int[np.ndarray, "pairs"],
+    source: Int[np.ndarray, "pairs"],
+) -> VisibleSources:
+    """Pieces of one cell of which nothing is known yet."""
+    unknown = np.zeros(len(cell))
+    return VisibleSources(
+        sight, 1, cell, pieces, pieces.mean(axis=2).T, unknown, cell, piece, source, np.zeros(len(piece), bool)
+    )
+
+
+def _with_whole_cells(
+    found: VisibleSources,
+    changed: Bool[np.ndarray, "pieces"],
+    lo: Float[np.ndarray, "cells 2"],
+    hi: Float[np.ndarray, "cells 2"],
+) -> VisibleSources:
+    """Settled, after the pieces of cells that lie in free space altogether are put together."""
+    area = areas(found.pieces)
+    total, count = (np.bincount(found.cell, weight, len(lo)) for weight in (area, None))
+    merged = (total >= _WHOLE * np.prod(hi - lo, axis=1)) & (count > 1)
+    stays = area > 0
+    if merged.any():
+        is_merged = merged[found.cell]
+        is_first = np.append(True, found.cell[1:] != found.cell[:-1])
+        stays = (stays & ~is_merged) | (is_merged & is_first)
+        whole = found.cell[is_merged & is_first]
+        found.pieces[:, is_merged & is_first] = boxes_as_pieces(lo[whole], hi[whole])
+        owner = np.where(is_merged, np.flatnonzero(is_first)[np.cumsum(is_first) - 1], np.arange(len(area)))
+        key = owner[found.piece] * np.int64(len(found.sources.points)) + found.source
+        _, index = np.unique(key, return_index=True)
+        found = replace(
+            found,
+            piece=owner[found.piece[index]],
+            source=found.source[index],
+            by_all=found.by_all[index] & ~is_merged[found.piece[index]],
+        )
+        changed = changed | is_merged
+    rows = np.flatnonzero(stays)
+    found, changed = found._of_pieces(rows), changed[rows]
+    return _settled(replace(found, num_cells=len(lo)), changed)
+
+
+def _settled(found: VisibleSources, changed: Bool[np.ndarray, "pieces"]) -> VisibleSources:
+    """After what no point of the changed pieces can use is left out, and pieces from which nothing leads to the goal.
+
+    What is seen of one's center is what is seen of all, or of a part; a source that another one beats wherever the
+    piece is, or the way by its center, is not needed.
+    """
+    center = found.center.copy()
+    center[changed] = found.pieces[:, changed].mean(axis=2).T
+    found = replace(found, center=center)
+    open_ = np.flatnonzero(changed[found.piece] & ~found.by_all)
+    bends = found.sight.may_bend(found.pieces[:, found.piece[open_]], found.source[open_])
+    keep = np.ones(len(found.piece), bool)
+    keep[open_[~bends]] = False
+    open_ = open_[bends]
+    piece, source = found.piece[open_], found.source[open_]
+    seen, alike = found.sight.shadows.see(source, found.pieces[:, piece], center[piece])
+    by_all, by_center = found.by_all.copy(), found.by_all | ~changed[found.piece]
+    by_all[open_], by_center[open_] = seen & alike, seen
+    keep[open_[alike & ~seen]] = False
+    found = replace(found, piece=found.piece[keep], source=found.source[keep], by_all=by_all[keep])
+    return _undominated(found, changed, by_center[keep])
+
+
+def _undominated(
+    found: VisibleSources, changed: Bool[np.ndarray, "pieces"], by_center: Bool[np.ndarray, "pairs"]
+) -> VisibleSources:
+    """With the distance at the centers of changed pieces, and without pairs that another one beats everywhere."""
+    sources, pairs = found.sources, np.flatnonzero(changed[found.piece] & by_center)
+    piece, source = found.piece[pairs], found.source[pairs]
+    length = sources.distances[source] + np.linalg.norm(found.center[piece] - sources.points[source], axis=1)
+    order = np.lexsort((~found.by_all[pairs], length, piece))
+    order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
+    best_pair, distance, best = np.full(len(changed), -1), found.distance.copy(), found.best.copy()
+    distance[changed] = np.inf
+    best_pair[piece[order]], distance[piece[order]], best[piece[order]] = pairs[order], length[order], source[order]
+    by_best = best_pair >= 0
+    by_best[by_best] = found.by_all[best_pair[by_best]]
+    several = np.bincount(found.piece, minlength=len(changed)) > 1
+    rivals = np.flatnonzero((changed & several & np.isfinite(distance))[found.piece])
+    rivals = rivals[best_pair[found.piece[rivals]] != rivals]
+    piece, source = found.piece[rivals], found.source[rivals]
+    apex = np.where(by_best[piece, None], sources.points[best[piece]], found.center[piece])
+    offset = np.where(by_best, sources.distances[best], distance)[piece]
+    lowest, _ = difference_of_cones(
+        found.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
+    )
+    keep = np.isfinite(distance)[found.piece]
+    keep[rivals[lowest > np.where(by_best[piece], -found.sight.shadows.table.tolerance, 0.0)]] = False
+    found = replace(
+        found,
+        distance=distance,
+        best=best,
+        piece=found.piece[keep],
+        source=found.source[keep],
+        by_all=found.by_all[keep],
+    )
+    return found._of_pieces(np.flatnonzero(np.isfinite(distance)))

@@ -1,0 +1,1 @@
+"""Proofs: how far the distance can be from what leaves hold, everywhere in them."""

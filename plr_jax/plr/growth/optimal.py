@@ -1,0 +1,191 @@
+"""The best dyadic partition at a price a leaf, of all that there are.
+
+Splitting best-first decides for an axis by what one split gains, and never takes it back. Here every box that a tree
+may hold is judged once, whichever splits lead to it, unless its cost is below the price of a leaf. Then the best tree
+follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and more
+boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them is
+taken.
+
+References:
+    Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.plr.growth.limits import Limits, check_memory, grow
+from plr_jax.plr.partition.cells import Cells
+
+_CHEAPER = 0.3  # of the price before
+_HALVINGS = 12  # of the range between the last two prices
+_MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
+_AT_ONCE = 1 << 14  # boxes
+_NUMBER_BITS = 31
+
+
+class Boxes(Protocol):
+    """Boxes of a domain, and what leaves there would be like.
+
+    Attributes:
+        cells: The boxes.
+        cost: What each adds to the error of a tree as a leaf.
+    """
+
+    @property
+    def cells(self) -> Cells: ...
+    @property
+    def cost(self) -> Float[np.ndarray, "boxes"]: ...
+    def __getitem__(self, index: Int[np.ndarray, "some"]) -> Any: ...
+
+    def append(self, *others: Any) -> Any:
+        """These boxes followed by others."""
+        ...
+
+    def halves(
+        self, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"], is_upper: Bool[np.ndarray, "new"]
+    ) -> Any:
+        """A half of each of some of the boxes."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """The leaves of a tree, best at a price a leaf."""
+
+    leaves: Boxes
+    price: float
+    is_final: bool
+
+    def __len__(self) -> int:
+        return len(self.leaves.cells)
+
+
+def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> Any:
+    """The leaves of the best tree within the limits; ``size`` is the bytes of a file of some leaves.
+
+    Raises:
+        ValueError: If the budget of bytes is too small for one leaf.
+    """
+    if (smallest := size(root)) > limits.max_bytes:
+        raise ValueError(
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {smallest} bytes; allow at least that."
+        )
+    levels = [_level_of(root)]
+
+    def fits(leaves: Boxes) -> bool:
+        return len(leaves.cells) <= limits.max_leaves and size(leaves) <= limits.max_bytes
+
+    def split_more(tree: Partition) -> Partition | None:
+        if tree.is_final:
+            return None
+        price = _CHEAPER * tree.price
+        _expand(levels, price, limits)
+        is_final = not any((_may_expand(level, limits).any(axis=0) & (level.boxes.cost > 0)).any() for level in levels)
+        price = 0.0 if is_final else price
+        leaves = _best_leaves(levels, price)
+        if fits(leaves):
+            return Partition(leaves, price, is_final)
+        low, high, best = price, tree.price, tree.leaves
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(max(low, 1e-6 * high) * high)
+            leaves = _best_leaves(levels, middle)
+            low, high, best = (low, middle, leaves) if fits(leaves) else (middle, high, best)
+        return Partition(best, high, True)
+
+    return grow(Partition(root, float(root.cost[0]), False), split_more, limits).leaves
+
+
+@dataclass(eq=False)
+class _Level:
+    """The boxes of one number of splits that were looked at.
+
+    ``child`` is where the halves of each stand in the next level, along each axis, -1 where they do not.
+    """
+
+    boxes: Any
+    number: Int[np.ndarray, "boxes dim"]
+    child: Int[np.ndarray, "dim 2 boxes"]
+
+
+def _level_of(boxes: Boxes) -> _Level:
+    cells = boxes.cells
+    number = (np.int64(1) << cells.depth) + cells.position
+    return _Level(boxes, number, np.full((cells.dim, 2, len(cells)), -1))
+
+
+def _may_expand(level: _Level, limits: Limits) -> Bool[np.ndarray, "dim boxes"]:
+    """Along which axes boxes may be halved that were not yet."""
+    depth = level.boxes.cells.depth.T
+    shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
+    return shallow & (depth - depth.min(axis=0) < _MAX_ASPECT_BITS) & (level.child[:, 0] < 0).all(axis=0)
+
+
+def _expand(levels: list[_Level], price: float, limits: Limits) -> None:
+    """Look at the halves of all boxes that cost more than the price of a leaf, and at theirs, and so on."""
+    for depth in range(limits.max_depth):
+        if depth == len(levels):
+            return
+        level = levels[depth]
+        axis, parent = np.nonzero(_may_expand(level, limits) & (level.boxes.cost > price))
+        if len(parent):
+            _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
+    check_memory(float(sum(len(level.number) for level in levels)))
+
+
+def _add_halves(
+    levels: list[_Level], depth: int, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"]
+) -> None:
+    """Both halves of boxes of one level along the given axes, each looked at once."""
+    level, dim = levels[depth], levels[depth].number.shape[1]
+    is_upper = np.arange(len(parent)) % 2 == 1
+    number = level.number[parent]
+    each = np.arange(len(parent))
+    number[each, axis] = 2 * number[each, axis] + is_upper
+    known = levels[depth + 1].number if depth + 1 < len(levels) else np.zeros((0, dim), np.int64)
+    keys = np.concatenate([known, number]) @ (np.int64(1) << (_NUMBER_BITS * np.arange(dim)))
+    _, first, index = np.unique(keys, return_index=True, return_inverse=True)
+    is_new = first >= len(known)
+    found = np.sort(first[is_new]) - len(known)
+    place = first.copy()  # of each distinct box in the next level
+    place[is_new] = len(known) + np.searchsorted(found, first[is_new] - len(known))
+    parts = [
+        level.boxes.halves(parent[some], axis[some], is_upper[some])
+        for some in np.split(found, range(_AT_ONCE, len(found), _AT_ONCE))
+        if len(some)
+    ]
+    if len(known):
+        old = levels[depth + 1]
+        boxes = old.boxes.append(*parts)
+        child = np.concatenate([old.child, np.full((dim, 2, len(found)), -1)], axis=2)
+        levels[depth + 1] = _Level(boxes, np.concatenate([known, number[found]]), child)
+    elif parts:
+        levels.append(_level_of(parts[0].append(*parts[1:])))
+    level.child[axis, is_upper.astype(int), parent] = place[index[len(known) :]]
+
+
+def _best_leaves(levels: list[_Level], price: float) -> Boxes:
+    """Leaves of the tree for which their costs and their prices together are least."""
+    below: Float[np.ndarray, "boxes"] = np.zeros(0)
+    choices = []
+    for level in reversed(levels):
+        dim, _, num_boxes = level.child.shape
+        total, choice = level.boxes.cost + price, np.full(num_boxes, -1)
+        for axis in range(dim):
+            lower, upper = level.child[axis]
+            halved = np.flatnonzero(lower >= 0)
+            both = below[lower[halved]] + below[upper[halved]]
+            cheaper = halved[both < total[halved]]
+            total[cheaper], choice[cheaper] = both[both < total[halved]], axis
+        below = total
+        choices.append(choice)
+    parts, here = [], np.zeros(1, np.int64)
+    for level, choice in zip(levels, reversed(choices), strict=True):
+        axis = choice[here]
+        parts.append(level.boxes[here[axis < 0]])
+        here, axis = here[axis >= 0], axis[axis >= 0]
+        here = level.child[axis, :, here].ravel()
+    return parts[0].append(*parts[1:])

@@ -1,0 +1,121 @@
+"""Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import run_members
+from plr_jax._types import CellSources
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import difference_of_cones
+from plr_jax.geometry.convex_pieces import areas
+from plr_jax.plr.certificate.bounds import bounds_of_pieces, grown_boxes
+from plr_jax.plr.partition.cells import Cells
+
+_MOST_OPTIONS = 4
+"""Sources tried for a leaf: those to which most of it goes, judged by the centers of its pieces."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConeBoxes:
+    """Boxes and the source of the best cone for each.
+
+    Attributes:
+        cells: The boxes.
+        source: Index of the best source, -1 where nothing of the box reaches the goal.
+        error: Proven bound of the cone's largest error in the box.
+        cost: Proven bound of the integral of its error over the box, 0 if errors are negligible.
+    """
+
+    domain: Box
+    negligible: float
+    cells: Cells
+    visible: CellSources
+    source: Int[np.ndarray, "boxes"]
+    error: Float[np.ndarray, "boxes"]
+    cost: Float[np.ndarray, "boxes"]
+
+    def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
+        return ConeBoxes(
+            self.domain,
+            self.negligible,
+            self.cells[index],
+            self.visible.of_cells(index),
+            self.source[index],
+            self.error[index],
+            self.cost[index],
+        )
+
+    def append(self, *others: "ConeBoxes") -> "ConeBoxes":
+        """These boxes followed by others."""
+        parts = (self, *others)
+        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in ("source", "error", "cost"))
+        return ConeBoxes(
+            self.domain,
+            self.negligible,
+            self.cells.append(*(other.cells for other in others)),
+            self.visible.concatenate([part.visible for part in parts]),
+            *columns,
+        )
+
+    def halves(
+        self, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"], is_upper: Bool[np.ndarray, "new"]
+    ) -> "ConeBoxes":
+        """A half of each of some of the boxes."""
+        cells = self.cells[parent].halves(axis, is_upper)
+        visible = self.visible.parts(parent, axis, is_upper, *grown_boxes(cells, self.domain))
+        return _fitted(self.domain, self.negligible, cells, visible)
+
+
+def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
+    """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
+    resolved = np.finfo(np.float32).eps / 4 * float(visible.distance.max(initial=0.0))
+    return _fitted(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
+
+
+def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+    """Boxes with the cone for each whose proven error has the least integral over its free part."""
+    area = areas(visible.pieces)
+    box, source = _options(visible, area)
+    piece, option = run_members(visible.first_piece, box)
+    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
+    error = np.maximum(-lower, upper)
+    first = np.flatnonzero(np.append(True, option[1:] != option[:-1])) if len(option) else option
+    largest = np.maximum.reduceat(error, first) if len(first) else error
+    integral = np.bincount(option, error * area[piece], len(box))
+    order = np.lexsort((largest, integral, box))
+    order = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
+    best, of_box, cost = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
+    best[box[order]], of_box[box[order]], cost[box[order]] = source[order], largest[order], integral[order]
+    return ConeBoxes(domain, negligible, cells, visible, best, of_box, np.where(of_box > negligible, cost, 0.0))
+
+
+def _options(
+    visible: CellSources, area: Float[np.ndarray, "pieces"]
+) -> tuple[Int[np.ndarray, "options"], Int[np.ndarray, "options"]]:
+    """Boxes and the sources tried for each: those that the centers of its pieces use, of the largest pieces first."""
+    count = len(visible.sources.points)
+    key, index = np.unique(visible.cell * np.int64(count) + visible.best, return_inverse=True)
+    box, source = np.divmod(key, count)
+    order = np.lexsort((-np.bincount(index, area, len(key)), box))
+    box, source = box[order], source[order]
+    rank = np.arange(len(box)) - np.searchsorted(box, box)
+    return box[rank < _MOST_OPTIONS], source[rank < _MOST_OPTIONS]
+
+
+@dataclass(frozen=True, eq=False)
+class _ConesAboveOptions:
+    """Cones minus those of the sources that are tried."""
+
+    visible: CellSources
+    source: Int[np.ndarray, "options"]
+    option: Int[np.ndarray, "rows"]
+
+    def __call__(
+        self, pieces: Any, apex: Float[np.ndarray, "n 2"], offset: Float[np.ndarray, "n"], row: Int[np.ndarray, "n"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        own, sources = self.source[self.option[row]], self.visible.sources
+        lowest, highest = difference_of_cones(pieces, apex, offset, sources.points[own], sources.distances[own])
+        return lowest, highest
