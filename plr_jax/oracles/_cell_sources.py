@@ -174,7 +174,9 @@ def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleS
         found.append(_settled(_unsettled(sight, np.zeros(num_pieces, int), part, piece, source), every))
     if not found:
         found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, 8)), np.zeros(0, int), np.zeros(0, int)))]
-    return replace(VisibleSources.concatenate(found), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
+    return replace(
+        VisibleSources.concatenate(found), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int)
+    )
 
 
 def _unsettled(

@@ -31,7 +31,7 @@ def encode(contents: Contents) -> bytes:
     """The bytes of the file that holds these leaves."""
     body = BitWriter()
     write_tree(body, contents.levels, contents.domain.dim)
-    contents.leaf.write(body, contents.cells, contents.stored)
+    contents.leaf.write(body, contents.domain, contents.cells, contents.stored)
     return Container(contents.domain, code_of_leaf(contents.leaf), len(contents.cells), body.to_bytes()).to_bytes()
 
 
@@ -45,7 +45,7 @@ def decode(data: bytes) -> Contents:
     cells = tree_of_levels(levels, dim).leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
-    stored = leaf.read(body, cells)
+    stored = leaf.read(body, container.domain, cells)
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
     return Contents(container.domain, leaf, levels, cells, stored)

@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
-from plr_jax.plr.leaves.base import LeafModel, values_at_centers
+from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import neighbor_of_largest_contact
 from plr_jax.plr.query.lookup import evaluate_tables, lookup
@@ -89,10 +89,10 @@ class PLR:
         Returns:
             The values in double precision, ``inf`` for leaves that answer ``inf``.
         """
-        basis = self.leaf.basis(local_coordinates(self, leaf, x))
-        coefficients = self._coefficients[leaf]
-        is_inf = np.isinf(coefficients[:, 0])
-        return np.where(is_inf, np.inf, np.sum(np.where(is_inf[:, None], 0.0, coefficients) * basis, axis=1))
+        is_inf = np.isinf(self._coefficients[leaf, 0])
+        coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
+        lo, hi = self.leaf_boxes
+        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x))
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
@@ -190,8 +190,8 @@ class PLR:
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
         is_inf = np.isinf(self._coefficients[:, 0])
         finite = np.where(is_inf[:, None], 0.0, self._coefficients)
-        center, half = values_at_centers(self.leaf, finite, self.dim)
         lo, hi = self.leaf_boxes
+        center, half = self.leaf.mean_planes(lo, hi, finite)
         slope = half * 2 / (hi - lo)
         return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
 
@@ -261,10 +261,10 @@ def _filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"
     coefficients = leaf.coefficients(cells, contents.stored)
     if not (np.abs(coefficients) < LARGEST).all():
         raise ValueError("its distances are too large for 32-bit floats; scale them down")
-    if unreachable.any():
+    if isinstance(leaf, LinearLeafModel) and unreachable.any():
         donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
         borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
-        center, half = values_at_centers(leaf, coefficients[donor], cells.dim)
+        center, half = linear_mean_planes(leaf, coefficients[donor], cells.dim)
         widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
         along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])

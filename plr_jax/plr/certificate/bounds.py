@@ -60,7 +60,9 @@ def bounds_of_pieces(
         return np.zeros(0), np.zeros(0)
     pairs, row = run_members(visible.first_pair, piece)
     source, sources = visible.source[pairs], visible.sources
-    lowest, highest = cones_above(visible.pieces[:, piece[row]], sources.points[source], sources.distances[source], row)
+    lowest, highest = cones_above(
+        visible.pieces[:, piece[row]], sources.points[source], sources.distances[source], row
+    )
     first = np.flatnonzero(np.append(True, row[1:] != row[:-1]))
     lower = np.minimum.reduceat(lowest, first)
     upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first)

@@ -23,6 +23,7 @@ from plr_jax.plr.partition.cells import Cells
 _CHEAPER = 0.3  # of the price before
 _HALVINGS = 12  # of the range between the last two prices
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
+_LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
 _AT_ONCE = 1 << 14  # boxes
 _NUMBER_BITS = 31
 
@@ -32,13 +33,16 @@ class Boxes(Protocol):
 
     Attributes:
         cells: The boxes.
-        cost: What each adds to the error of a tree as a leaf.
+        error: The largest error of each as a leaf, 0 if it does not matter.
+        integral: The integral of its error over its share of the domain.
     """
 
     @property
     def cells(self) -> Cells: ...
     @property
-    def cost(self) -> Float[np.ndarray, "boxes"]: ...
+    def error(self) -> Float[np.ndarray, "boxes"]: ...
+    @property
+    def integral(self) -> Float[np.ndarray, "boxes"]: ...
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Any: ...
 
     def append(self, *others: Any) -> Any:
@@ -82,21 +86,23 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
     def split_more(tree: Partition) -> Partition | None:
         if tree.is_final:
             return None
-        price = _CHEAPER * tree.price
-        _expand(levels, price, limits)
-        is_final = not any((_may_expand(level, limits).any(axis=0) & (level.boxes.cost > 0)).any() for level in levels)
+        price, least = _CHEAPER * tree.price, _LEAST_SHARE / len(tree)
+        _expand(levels, price, least, limits)
+        is_final = not any(
+            (_may_expand(level, limits).any(axis=0) & (_costs(level, least) > 0)).any() for level in levels
+        )
         price = 0.0 if is_final else price
-        leaves = _best_leaves(levels, price)
+        leaves = _best_leaves(levels, price, least)
         if fits(leaves):
             return Partition(leaves, price, is_final)
         low, high, best = price, tree.price, tree.leaves
         for _ in range(_HALVINGS):
             middle = np.sqrt(max(low, 1e-6 * high) * high)
-            leaves = _best_leaves(levels, middle)
+            leaves = _best_leaves(levels, middle, least)
             low, high, best = (low, middle, leaves) if fits(leaves) else (middle, high, best)
         return Partition(best, high, True)
 
-    return grow(Partition(root, float(root.cost[0]), False), split_more, limits).leaves
+    return grow(Partition(root, float(root.integral[0] + root.error[0]), False), split_more, limits).leaves
 
 
 @dataclass(eq=False)
@@ -124,13 +130,18 @@ def _may_expand(level: _Level, limits: Limits) -> Bool[np.ndarray, "dim boxes"]:
     return shallow & (depth - depth.min(axis=0) < _MAX_ASPECT_BITS) & (level.child[:, 0] < 0).all(axis=0)
 
 
-def _expand(levels: list[_Level], price: float, limits: Limits) -> None:
+def _costs(level: _Level, least_share: float) -> Float[np.ndarray, "boxes"]:
+    """What each box adds to the error of a tree: however small it is, it counts as if it were not."""
+    return level.boxes.integral + least_share * level.boxes.error
+
+
+def _expand(levels: list[_Level], price: float, least_share: float, limits: Limits) -> None:
     """Look at the halves of all boxes that cost more than the price of a leaf, and at theirs, and so on."""
     for depth in range(limits.max_depth):
         if depth == len(levels):
             return
         level = levels[depth]
-        axis, parent = np.nonzero(_may_expand(level, limits) & (level.boxes.cost > price))
+        axis, parent = np.nonzero(_may_expand(level, limits) & (_costs(level, least_share) > price))
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
     check_memory(float(sum(len(level.number) for level in levels)))
@@ -167,13 +178,13 @@ def _add_halves(
     level.child[axis, is_upper.astype(int), parent] = place[index[len(known) :]]
 
 
-def _best_leaves(levels: list[_Level], price: float) -> Boxes:
+def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Boxes:
     """Leaves of the tree for which their costs and their prices together are least."""
     below: Float[np.ndarray, "boxes"] = np.zeros(0)
     choices = []
     for level in reversed(levels):
         dim, _, num_boxes = level.child.shape
-        total, choice = level.boxes.cost + price, np.full(num_boxes, -1)
+        total, choice = _costs(level, least_share) + price, np.full(num_boxes, -1)
         for axis in range(dim):
             lower, upper = level.child[axis]
             halved = np.flatnonzero(lower >= 0)

@@ -2,10 +2,16 @@
 
 from plr_jax._arrays import shortened
 from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
 
-_MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1))  # in the order of their codes
+_MODELS: tuple[LeafModel, ...] = (
+    Plane(),
+    Continuous(order=0),
+    Continuous(order=1),
+    Cone(),
+)  # in the order of their codes
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:

@@ -49,9 +49,9 @@ class Parameters:
 class LeafModel(Protocol):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
-    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
-    ``basis(u) @ coefficients``. What is *stored* is the model's own affair: an object that its ``write`` puts into a
-    file and its ``read`` gives back.
+    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the value.
+    What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read`` gives
+    back.
     """
 
     @property
@@ -88,11 +88,11 @@ class LeafModel(Protocol):
         """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
         ...
 
-    def write(self, body: BitWriter, cells: Cells, stored: Any) -> None:
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
         """Append what a file keeps of the leaves."""
         ...
 
-    def read(self, body: BitReader, cells: Cells) -> Any:
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
         """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
         ...
 
@@ -103,6 +103,50 @@ class LeafModel(Protocol):
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients of every leaf's function, finite."""
         ...
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, which have boxes and finite coefficients, one a point."""
+        ...
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf: value at the center, half-differences between opposite faces' centers."""
+        ...
+
+    def numbers(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves count"]:
+        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
+        ...
+
+    def evaluate(
+        self,
+        tables: Tables,
+        leaf: UInt32[Array, "*batch"],
+        x: Float[Array, "*batch dim"],
+        outside: Bool[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
+        """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
+        ...
+
+
+@runtime_checkable
+class LinearLeafModel(LeafModel, Protocol):
+    """Leaves whose functions are linear in their coefficients.
+
+    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
+    ``basis(u) @ coefficients``.
+    """
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
@@ -126,27 +170,32 @@ class LeafModel(Protocol):
         """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
         ...
 
-    def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
-        ...
 
-    def evaluate(
-        self,
-        tables: Tables,
-        leaf: UInt32[Array, "*batch"],
-        x: Float[Array, "*batch dim"],
-        outside: Bool[Array, "*batch"],
-    ) -> Float[Array, "*batch"]:
-        """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
-        ...
+def as_linear(leaf: LeafModel) -> LinearLeafModel:
+    """A leaf model whose functions are linear in their coefficients; raises ``ValueError`` if they are not."""
+    if not isinstance(leaf, LinearLeafModel):
+        raise ValueError(
+            f"Leaves of kind {leaf.name!r} cannot be refined, nor are their faces sampled: their functions are not "
+            "linear in what is stored of them. Build a PLR of another kind, or a larger one."
+        )
+    return leaf
 
 
-def values_at_centers(
-    model: LeafModel, coefficients: Float[np.ndarray, "leaves terms"], dim: int
+def linear_values(
+    model: LinearLeafModel,
+    lo: Float[np.ndarray, "n dim"],
+    hi: Float[np.ndarray, "n dim"],
+    coefficients: Float[np.ndarray, "n terms"],
+    x: Float[np.ndarray, "n dim"],
+) -> Float[np.ndarray, "n"]:
+    """What :meth:`LeafModel.values` is of a linear model."""
+    return np.sum(model.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
+
+
+def linear_mean_planes(
+    model: LinearLeafModel, coefficients: Float[np.ndarray, "leaves terms"], dim: int
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """The mean plane of every leaf: its value at the center, and half-differences between opposite faces' centers."""
+    """What :meth:`LeafModel.mean_planes` is of a linear model."""
     ends = np.eye(dim)
     half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
     return coefficients @ model.basis(np.zeros((1, dim)))[0], half

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, with_stored
+from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.refinement.face_samples import Faces
 from plr_jax.plr.refinement.losses import Loss, Penalty, squared
 from plr_jax.plr.refinement.objective import minimize
@@ -108,7 +109,7 @@ def refine(
     refined, shift = _restored(plr, refinable.at(z), max_bytes), 0.0
     if share is not None:
         shift = _conformal_shift(refined, calibration, share)
-        refined = with_stored(plr, plr.leaf.raised(refined.stored, shift))
+        refined = with_stored(plr, as_linear(plr.leaf).raised(refined.stored, shift))
 
     def stage(plr: PLR) -> Stage:
         errors = [measure_errors(plr, s.x, s.distance, loss) if len(s.x) else None for s in (training, measured)]
@@ -195,7 +196,7 @@ def _set_aside(
 
 def _restored(plr: PLR, values: Float[np.ndarray, "parameters"], max_bytes: int | None) -> PLR:
     """The PLR with other parameters, stored with as many bits as before, or as many as fit."""
-    for stored in plr.leaf.restored(plr.stored, values):
+    for stored in as_linear(plr.leaf).restored(plr.stored, values):
         restored = with_stored(plr, stored)
         if max_bytes is None or restored.num_bytes <= max_bytes:
             return restored

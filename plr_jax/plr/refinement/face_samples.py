@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
 from plr_jax.plr._plr import PLR, local_coordinates
+from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import call_oracle
@@ -41,7 +42,7 @@ class Faces:
             ValueError: If the PLR has another partition, or leaves of another kind.
         """
         is_here = self.leaves.max(initial=0) < plr.num_leaves and self.x.shape[1] == plr.dim
-        is_here = is_here and plr.leaf.basis(np.zeros((1, plr.dim))).shape[1] == self.basis.shape[2]
+        is_here = is_here and as_linear(plr.leaf).basis(np.zeros((1, plr.dim))).shape[1] == self.basis.shape[2]
         if not (is_here and (np.abs(local_coordinates(plr, self.leaves, self.x[:, None]) - self.u) < _SAME).all()):
             raise ValueError(f"These faces are not those of {plr}; sample_faces gives its own.")
         below, above = (plr.values_in_leaves(leaf, self.x) for leaf in self.leaves.T)
@@ -80,5 +81,5 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
     u = local_coordinates(plr, leaves, x[:, None])
-    basis = plr.leaf.basis(u.reshape(-1, plr.dim))
+    basis = as_linear(plr.leaf).basis(u.reshape(-1, plr.dim))
     return Faces(x, leaves, u, basis.reshape(len(x), 2, basis.shape[1]))

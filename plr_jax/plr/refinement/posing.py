@@ -22,7 +22,14 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
 from plr_jax.plr._plr import PLR, leaf_of, local_coordinates
-from plr_jax.plr.leaves.base import Parameters, solve_sparse, values_at_centers, weighted_squares
+from plr_jax.plr.leaves.base import (
+    LinearLeafModel,
+    Parameters,
+    as_linear,
+    linear_mean_planes,
+    solve_sparse,
+    weighted_squares,
+)
 from plr_jax.plr.refinement.objective import Objective
 
 _POINTS_A_PARAMETER = 4  # that a leaf must have to be fitted to its points
@@ -66,12 +73,12 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
 
     Points of leaves that have too few of them get no weight, and nothing moves what those leaves alone depend on.
     """
-    leaf = leaf_of(plr, points.x)
+    model, leaf = as_linear(plr.leaf), leaf_of(plr, points.x)
     order = np.argsort(leaf, kind="stable")
     leaf, (x, distance, weight) = leaf[order], points.take(order)
     lo, hi = plr.leaf_boxes
-    basis = plr.leaf.basis(local_coordinates(plr, leaf, x))
-    parameters = plr.leaf.parameters(plr.cells, plr.stored)
+    basis = model.basis(local_coordinates(plr, leaf, x))
+    parameters = model.parameters(plr.cells, plr.stored)
     shape = (plr.num_leaves, basis.shape[1])
     num_points = np.bincount(leaf[weight > 0], minlength=len(lo))
     least_points = _POINTS_A_PARAMETER * math.ceil(len(parameters.values) / plr.num_leaves)
@@ -87,11 +94,11 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     moments = np.stack([sum_up(weight * error * term) for term in basis.T], axis=1)
     if not parameters.is_leafwise:
         held = np.where(has_enough, _HELD * share, _HELD_WITHOUT_POINTS / len(share))
-        normal += held[:, None, None] * _even_moments(plr)
+        normal += held[:, None, None] * _even_moments(model, plr.dim)
     parameters = replace(parameters, values=parameters.values - _least_squares(parameters, normal, moments))
     coefficients = _coefficients(parameters, shape)
     error = np.sum(coefficients[leaf] * basis, axis=1) - distance
-    center, half = values_at_centers(plr.leaf, np.eye(shape[1]), plr.dim)
+    center, half = linear_mean_planes(model, np.eye(shape[1]), plr.dim)
     unit = has_enough * _units(share, sum_up(weight * error**2), coefficients @ half)
     if parameters.is_leafwise:
         num_points = np.where(has_enough, num_points, 1)
@@ -123,9 +130,9 @@ def _coefficients(parameters: Parameters, shape: tuple[int, int]) -> Float[np.nd
     return np.bincount(parameters.row, moved, minlength=shape[0] * shape[1]).reshape(shape)
 
 
-def _even_moments(plr: PLR) -> Float[np.ndarray, "terms terms"]:
+def _even_moments(model: LinearLeafModel, dim: int) -> Float[np.ndarray, "terms terms"]:
     """The normal matrix of points spread evenly over a leaf, of weights that sum to 1."""
-    basis = plr.leaf.basis(np.random.default_rng(0).uniform(-1, 1, (_EVEN_POINTS, plr.dim)))
+    basis = model.basis(np.random.default_rng(0).uniform(-1, 1, (_EVEN_POINTS, dim)))
     return basis.T @ basis / _EVEN_POINTS
 
 

@@ -25,8 +25,8 @@ class ConeBoxes:
     Attributes:
         cells: The boxes.
         source: Index of the best source, -1 where nothing of the box reaches the goal.
-        error: Proven bound of the cone's largest error in the box.
-        cost: Proven bound of the integral of its error over the box, 0 if errors are negligible.
+        error: Proven bound of the cone's largest error in the box, 0 if it is negligible.
+        integral: Proven bound of the integral of its error over the box, as a share of the domain's area.
     """
 
     domain: Box
@@ -35,7 +35,7 @@ class ConeBoxes:
     visible: CellSources
     source: Int[np.ndarray, "boxes"]
     error: Float[np.ndarray, "boxes"]
-    cost: Float[np.ndarray, "boxes"]
+    integral: Float[np.ndarray, "boxes"]
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
         return ConeBoxes(
@@ -45,13 +45,15 @@ class ConeBoxes:
             self.visible.of_cells(index),
             self.source[index],
             self.error[index],
-            self.cost[index],
+            self.integral[index],
         )
 
     def append(self, *others: "ConeBoxes") -> "ConeBoxes":
         """These boxes followed by others."""
         parts = (self, *others)
-        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in ("source", "error", "cost"))
+        columns = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("source", "error", "integral")
+        )
         return ConeBoxes(
             self.domain,
             self.negligible,
@@ -87,9 +89,10 @@ def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) 
     integral = np.bincount(option, error * area[piece], len(box))
     order = np.lexsort((largest, integral, box))
     order = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
-    best, of_box, cost = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
-    best[box[order]], of_box[box[order]], cost[box[order]] = source[order], largest[order], integral[order]
-    return ConeBoxes(domain, negligible, cells, visible, best, of_box, np.where(of_box > negligible, cost, 0.0))
+    best, of_box, total = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
+    best[box[order]], of_box[box[order]] = source[order], np.where(largest > negligible, largest, 0.0)[order]
+    total[box[order]] = np.where(largest > negligible, integral, 0.0)[order] / np.prod(domain.width)
+    return ConeBoxes(domain, negligible, cells, visible, best, of_box, total)
 
 
 def _options(

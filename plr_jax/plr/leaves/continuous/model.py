@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
+from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
 from plr_jax.plr.leaves.continuous.basis import MAX_DIM_OF_ORDER, design, numbers_of_leaves, numbers_of_planes
 from plr_jax.plr.leaves.continuous.codec import StoredValues, read_values, write_values
 from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
@@ -70,11 +70,11 @@ class Continuous:
         stored = grow_tied(self.order, sampler, rules, limits)
         return stored.partition.tree.leaves, stored
 
-    def write(self, body: BitWriter, cells: Cells, stored: StoredValues) -> None:
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         """Append what the file keeps of the leaves."""
         write_values(body, stored)
 
-    def read(self, body: BitReader, cells: Cells) -> StoredValues:
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
         """What :meth:`write` appended."""
         return read_values(body, cells)
 
@@ -90,6 +90,25 @@ class Continuous:
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
         return design(self.order, (u + 1) / 2)
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return linear_values(self, lo, hi, coefficients, x)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]

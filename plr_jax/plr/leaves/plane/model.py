@@ -13,7 +13,7 @@ from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.best_first import Encoding, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
-from plr_jax.plr.leaves.base import Parameters, Rules, rounded_down
+from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
 from plr_jax.plr.leaves.plane.codec import (
     FLOAT_BITS,
     MAX_BITS,
@@ -108,11 +108,11 @@ class Plane:
             return [int(self.coefficient_bits)]
         return _BUDGET_BITS if np.isfinite(limits.max_bytes) else [FLOAT_BITS]
 
-    def write(self, body: BitWriter, cells: Cells, stored: StoredPlanes) -> None:
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
         """Append what the file keeps of the leaves."""
         write_planes(body, cells.depth, stored)
 
-    def read(self, body: BitReader, cells: Cells) -> StoredPlanes:
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
         """What :meth:`write` appended."""
         return read_planes(body, cells.depth)
 
@@ -128,6 +128,25 @@ class Plane:
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return linear_values(self, lo, hi, coefficients, x)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]

@@ -1,0 +1,161 @@
+"""A cone in every leaf: an offset and the distance to a source, which many leaves share."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from plr_jax._types import CellwiseFn, Sources
+from plr_jax.geometry.box import Box
+from plr_jax.plr.certificate.bounds import grown_domain
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.container import container_size
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.optimal import best_partition
+from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.cone.boxes import ConeBoxes, root_box
+from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.query.lookup import number_of_leaf
+from plr_jax.plr.query.tables import Frame, Tables, table_corners
+from plr_jax.plr.sampling.cell_fit import Sampler
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Cones ``offset + |x - source|``. Coefficients: the offset, the coordinates of the source.
+
+    Away from the lines where the next corner changes, that is what a distance among obstacles is.
+    """
+
+    name = "cone"
+    num_samples = 96
+    least_bytes = 1
+    is_deep = True
+
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """Half a byte each, and what some tens of sources take."""
+        return num_leaves // 2 + 256
+
+    def check_dim(self, dim: int) -> None:
+        """Cones are for any number of axes."""
+
+    def least_samples(self, dim: int) -> int:
+        """So many determine a cone, and show an error."""
+        return dim + 3
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredCones]:
+        """The best partition of all, where the distance function answers for whole cells."""
+        domain, oracle = sampler.domain, sampler.distance_fn
+        if not isinstance(oracle, CellwiseFn):
+            raise NotImplementedError
+        visible = oracle.cell_sources(grown_domain(domain))
+        if not len(visible.cell):
+            sampler.root()  # which says so
+
+        def stored(boxes: ConeBoxes) -> tuple[Cells, StoredCones]:
+            order = levels_of(boxes.cells)[1]
+            return boxes.cells[order], _stored(visible.sources, domain, boxes.source[order])
+
+        def size(boxes: ConeBoxes) -> int:
+            cells, cones = stored(boxes)
+            return container_size(cells.dim, len(cells), cones_bits(domain, cones))
+
+        return stored(best_partition(root_box(visible, domain, limits.tolerance), limits, size))
+
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
+        """Append what the file keeps of the leaves."""
+        write_cones(body, domain, stored)
+
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCones:
+        """What :meth:`write` appended."""
+        return read_cones(body, domain, len(cells))
+
+    def unreachable(self, stored: StoredCones) -> Bool[np.ndarray, "leaves"]:
+        """None: where nothing reaches the goal, leaves have the source of another one."""
+        return np.zeros(len(stored.source), bool)
+
+    def coefficients(self, cells: Cells, stored: StoredCones) -> Float[np.ndarray, "leaves terms"]:
+        """Offsets and sources."""
+        return np.column_stack([stored.sources.offsets, stored.sources.points])[stored.source]
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """Planes of the value at the center and of the slope between the centers of opposite faces."""
+        center, half = (lo + hi) / 2, np.empty_like(lo)
+        for axis in range(lo.shape[1]):
+            step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
+            above, below = (self.values(lo, hi, coefficients, center + sign * step) for sign in (1, -1))
+            half[:, axis] = (above - below) / 2
+        return self.values(lo, hi, coefficients, center), half
+
+    def numbers(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """The offset, and the source from the domain's rounded lower corner."""
+        return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - table_corners(domain)[0]])
+
+    def evaluate(
+        self,
+        tables: Tables,
+        leaf: UInt32[Array, "*batch"],
+        x: Float[Array, "*batch dim"],
+        outside: Bool[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
+        """Value of each point's cone."""
+        corner, terms = tables.frame[Frame.LO].astype(x.dtype), 1 + tables.dim
+        square = jnp.zeros(x.shape[:-1], x.dtype)
+        for axis in range(tables.dim):
+            source = number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype)
+            square += jnp.square((x[..., axis] - corner[axis]) - source)
+        return number_of_leaf(tables, leaf, 0, terms).astype(x.dtype) + _root(square)
+
+
+@jax.custom_jvp
+def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The square root, whose slope at zero, at a source itself, counts as zero."""
+    return jnp.sqrt(square)
+
+
+@_root.defjvp
+def _root_with_tangent(primals, tangents):
+    root = jnp.sqrt(primals[0])
+    return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
+
+
+def _stored(sources: Sources, domain: Box, source: Int[np.ndarray, "leaves"]) -> StoredCones:
+    """What a file keeps of leaves with these sources; where there is none, that of the leaf before."""
+    leaf = np.flatnonzero(source >= 0)
+    before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
+    source = source[leaf[np.maximum(before, 0)]]
+    kept = _with_parents(np.unique(source), sources.parents)
+    place = np.searchsorted(kept, np.arange(len(sources.parents)))
+    stored, index = store_sources(sources.points[kept], sources.distances[kept], place[sources.parents[kept]], domain)
+    return StoredCones(stored, index[place[source]])
+
+
+def _with_parents(used: Int[np.ndarray, "used"], parents: Int[np.ndarray, "sources"]) -> Int[np.ndarray, "kept"]:
+    """Indices of some sources, of their parents, and so on, ascending."""
+    kept = np.zeros(len(parents), bool)
+    while len(used):
+        kept[used] = True
+        used = np.unique(parents[used])
+        used = used[~kept[used]]
+    return np.flatnonzero(kept)
