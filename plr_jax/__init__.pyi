@@ -39,6 +39,7 @@ from .plr import Refinement as Refinement
 from .plr import RefinementInterrupted as RefinementInterrupted
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
+from .plr import certify as certify
 from .plr import construct as construct
 from .plr import cyclic_axis as cyclic_axis
 from .plr import evaluate as evaluate

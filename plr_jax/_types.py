@@ -134,6 +134,10 @@ class CellSources(Protocol):
         """Those of some of the cells, in any order, which may be repeated."""
         ...
 
+    def pieces_as_cells(self, pieces: Int[np.ndarray, "some"], /) -> "CellSources":
+        """Those of some of the pieces, each a cell of its own."""
+        ...
+
     def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
         """Those of boxes ``lo`` to ``hi``, each cut from one of the cells along an axis, at its upper or lower end."""
         ...

@@ -107,6 +107,10 @@ class VisibleSources:
         rows, cell = run_members(self.first_piece, cells)
         return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
 
+    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+        """Those of some pieces, each a cell of its own."""
+        return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
+
     def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
         pairs, piece = run_members(self.first_pair, rows)
         of_pieces = {name: getattr(self, name)[rows] for name in ("cell", "center", "distance", "best")}

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
@@ -24,6 +25,10 @@ class Rules(NamedTuple):
 
     should_split: ShouldSplitRule
     split: SplitRule
+
+
+UNIT = 2.0**-24
+"""Largest relative error of rounding to 32-bit floats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +145,25 @@ class LeafModel(Protocol):
         ...
 
 
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
+        ...
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
+        ...
+
+
 @runtime_checkable
 class LinearLeafModel(LeafModel, Protocol):
     """Leaves whose functions are linear in their coefficients.
@@ -199,6 +223,14 @@ def linear_mean_planes(
     ends = np.eye(dim)
     half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
     return coefficients @ model.basis(np.zeros((1, dim)))[0], half
+
+
+def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
+    """Largest coordinate of a point that a query rounds to 32 bits, along each axis.
+
+    Where the domain is far from the origin, points are counted from a corner before.
+    """
+    return np.maximum(np.maximum(np.abs(domain.lo), np.abs(domain.hi)), domain.width)
 
 
 def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

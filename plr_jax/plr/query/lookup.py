@@ -18,6 +18,24 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     return jnp.where(outside, answer, tables.leaf.evaluate(tables, leaf, x, outside))
 
 
+def bounds_of_tables(
+    tables: Tables, band: Float[Array, "2 rows"], x: Num[Array, "*batch dim"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Lower and upper bounds of the distance at each point: what is answered, and the band of its leaf, or of all.
+
+    Both are rounded outward; the lower one is at least 0.
+    """
+    value = evaluate_tables(tables, x)
+    if band.shape[1] == 1:
+        below, above = band[0, 0], band[1, 0]
+    else:
+        leaf = lookup(tables, jax.lax.stop_gradient(x.astype(value.dtype)))
+        below, above = _gather(band[0], leaf), _gather(band[1], leaf)
+    lower = jnp.nextafter(value + below.astype(value.dtype), jnp.asarray(-jnp.inf, value.dtype))
+    upper = jnp.nextafter(value + above.astype(value.dtype), jnp.asarray(jnp.inf, value.dtype))
+    return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
+
+
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
     """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
 

@@ -9,12 +9,14 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._types import CellwiseFn, Sources
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import difference_of_cones
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate.bounds import grown_domain
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
-from plr_jax.plr.leaves.base import Rules
+from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
 from plr_jax.plr.partition.cells import Cells
@@ -111,6 +113,28 @@ class Cone:
     ) -> Float[np.ndarray, "leaves terms"]:
         """The offset, and the source from the domain's rounded lower corner."""
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - table_corners(domain)[0]])
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes of other cones minus these, over convex pieces."""
+        return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the numbers, of the point, of differences, squares, sums and the root."""
+        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
+        length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
+        beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
+        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length)
 
     def evaluate(
         self,

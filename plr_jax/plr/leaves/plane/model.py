@@ -8,12 +8,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import cone_above_plane
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.best_first import Encoding, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
-from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    Parameters,
+    Rules,
+    largest_coordinates,
+    linear_mean_planes,
+    linear_values,
+    rounded_down,
+)
 from plr_jax.plr.leaves.plane.codec import (
     FLOAT_BITS,
     MAX_BITS,
@@ -182,6 +192,28 @@ class Plane:
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - table_corners(domain)[0]
         return np.column_stack([coefficients[:, 0] - np.sum(slope * to_center, axis=1), slope])
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes of cones minus planes, over convex pieces."""
+        slope = coefficients[:, 1:] * 2 / (hi - lo)
+        intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
+        return cone_above_plane(pieces, apex, offset, slope, intercept)
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
+        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
+        return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
 
     def evaluate(
         self,
