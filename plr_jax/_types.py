@@ -130,6 +130,14 @@ class CellSources(Protocol):
     @property
     def first_pair(self) -> Int[np.ndarray, "pieces+1"]: ...
 
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"], /) -> Bool[np.ndarray, "n k"]:
+        """Whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
+        ...
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"], /) -> Bool[np.ndarray, "n"]:
+        """Whether free points are seen by sources."""
+        ...
+
     def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
         """Those of some of the cells, in any order, which may be repeated."""
         ...

@@ -102,6 +102,23 @@ class VisibleSources:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
+    def hold(
+        self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]
+    ) -> Bool[np.ndarray, "n k"]:
+        """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
+        tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
+        x, y = self.pieces[:, piece]
+        for corner in range(x.shape[1]):
+            start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
+            ex, ey = x[:, corner, None] - start_x, y[:, corner, None] - start_y
+            height = ex * (points[:, :, 1] - start_y) - ey * (points[:, :, 0] - start_x)
+            inside &= height >= -tolerance * np.sqrt(ex * ex + ey * ey)
+        return inside
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are seen by sources."""
+        return self.sight.shadows.table.sees(source, points)
+
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> "VisibleSources":
         """The same of some of the cells, in another order perhaps, and perhaps repeated."""
         rows, cell = run_members(self.first_piece, cells)

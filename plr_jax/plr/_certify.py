@@ -11,9 +11,9 @@ from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._file import Contents
 from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr._plr import PLR, with_certificate
-from plr_jax.plr.certificate.bounds import grown_boxes, grown_domain
 from plr_jax.plr.certificate.branch_and_bound import prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.partition.cells import grown_domain
 from plr_jax.plr.partition.tree import tree_of_levels
 
 
@@ -82,7 +82,7 @@ def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
         parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
         nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
         is_upper = np.arange(len(nodes)) % 2 == 1
-        lo, hi = grown_boxes(tree.cells[nodes], contents.domain)
+        lo, hi = tree.cells[nodes].grown_boxes(contents.domain)
         visible = visible.parts(parent, axis, is_upper, lo, hi)
     order = np.argsort(np.concatenate(leaves))
     place = np.argsort(np.argsort(tree.node_of_leaf))

@@ -1,10 +1,16 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from plr_jax._arrays import as_number, require_integer, shortened
-from plr_jax._types import ArrayLike, DistanceFn
+from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
+from plr_jax.plr._certify import certificate_of, check_certifiable
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR, plr_of_leaves
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
@@ -12,6 +18,7 @@ from plr_jax.plr.leaves.base import LeafModel, Rules
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.tables import table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
+from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
@@ -28,6 +35,8 @@ def construct(
     max_leaves: int | None = None,
     max_bytes: int | None = None,
     tolerance: int | float | None = None,
+    certified: bool = False,
+    leaf_bounds: bool = False,
     compute_coefficients: FitRule = least_squares,
     should_split: ShouldSplitRule = largest_error,
     split: SplitRule = best_axis,
@@ -94,8 +103,11 @@ def construct(
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
+    proof = _proof(certified, leaf_bounds)
+    if proof is not Proof.NONE:
+        check_certifiable(distance_fn, domain.dim)
     limits = check_limits(
-        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance
+        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance, proof
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
@@ -115,7 +127,23 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
-    sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients)
+    answers_for_cells = isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0
+    memory = CellMemory(distance_fn, domain) if answers_for_cells else None
+    sampler = Sampler(
+        distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
+    )
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
-    return plr_of_leaves(Contents(domain, as_loaded, levels_of(cells)[0], cells, stored))
+    contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
+    if proof is not Proof.NONE:
+        contents = replace(contents, certificate=certificate_of(contents, distance_fn, proof))
+    return plr_of_leaves(contents)
+
+
+def _proof(certified: bool, leaf_bounds: bool) -> Proof:
+    for name, value in (("certified", certified), ("leaf_bounds", leaf_bounds)):
+        if not isinstance(value, bool | np.bool):
+            raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
+    if leaf_bounds and not certified:
+        raise ValueError("leaf_bounds=True needs certified=True: bounds of leaves are a part of the proof.")
+    return Proof.LEAVES if leaf_bounds else Proof.LARGEST if certified else Proof.NONE

@@ -11,7 +11,7 @@ from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.certificate.bounds import bounds_of_pieces, grown_boxes
+from plr_jax.plr.certificate.bounds import bounds_of_pieces
 from plr_jax.plr.partition.cells import Cells
 
 _MOST_OPTIONS = 4
@@ -67,7 +67,7 @@ class ConeBoxes:
     ) -> "ConeBoxes":
         """A half of each of some of the boxes."""
         cells = self.cells[parent].halves(axis, is_upper)
-        visible = self.visible.parts(parent, axis, is_upper, *grown_boxes(cells, self.domain))
+        visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
         return _fitted(self.domain, self.negligible, cells, visible)
 
 

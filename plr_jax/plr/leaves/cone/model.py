@@ -11,9 +11,7 @@ from plr_jax._types import CellwiseFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr.certificate.bounds import grown_domain
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
@@ -24,6 +22,7 @@ from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.cell_memory import CellMemory
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Cone:
         domain, oracle = sampler.domain, sampler.distance_fn
         if not isinstance(oracle, CellwiseFn):
             raise NotImplementedError
-        visible = oracle.cell_sources(grown_domain(domain))
+        visible = (CellMemory(oracle, domain) if sampler.memory is None else sampler.memory).sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # which says so
 
@@ -64,7 +63,7 @@ class Cone:
 
         def size(boxes: ConeBoxes) -> int:
             cells, cones = stored(boxes)
-            return container_size(cells.dim, len(cells), cones_bits(domain, cones))
+            return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
 
         return stored(best_partition(root_box(visible, domain, limits.tolerance), limits, size))
 
