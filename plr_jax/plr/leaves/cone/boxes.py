@@ -19,6 +19,19 @@ _MOST_OPTIONS = 4
 
 
 @dataclass(frozen=True, eq=False)
+class ConeLeaves:
+    """Leaves and the indices of their sources, -1 where nothing reaches the goal."""
+
+    cells: Cells
+    source: Int[np.ndarray, "leaves"]
+
+    def append(self, *others: "ConeLeaves") -> "ConeLeaves":
+        """These leaves followed by others."""
+        source = np.concatenate([self.source, *(other.source for other in others)])
+        return ConeLeaves(self.cells.append(*(other.cells for other in others)), source)
+
+
+@dataclass(frozen=True, eq=False)
 class ConeBoxes:
     """Boxes and the source of the best cone for each.
 
@@ -37,16 +50,9 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
-    def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
-        return ConeBoxes(
-            self.domain,
-            self.negligible,
-            self.cells[index],
-            self.visible.of_cells(index),
-            self.source[index],
-            self.error[index],
-            self.integral[index],
-        )
+    def leaves(self, index: Int[np.ndarray, "some"]) -> "ConeLeaves":
+        """Some of the boxes as leaves."""
+        return ConeLeaves(self.cells[index], self.source[index])
 
     def append(self, *others: "ConeBoxes") -> "ConeBoxes":
         """These boxes followed by others."""

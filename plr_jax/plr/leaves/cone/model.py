@@ -15,7 +15,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
-from plr_jax.plr.leaves.cone.boxes import ConeBoxes, root_box
+from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
@@ -57,12 +57,12 @@ class Cone:
         if not len(visible.cell):
             sampler.root()  # which says so
 
-        def stored(boxes: ConeBoxes) -> tuple[Cells, StoredCones]:
-            order = levels_of(boxes.cells)[1]
-            return boxes.cells[order], _stored(visible.sources, domain, boxes.source[order])
+        def stored(leaves: ConeLeaves) -> tuple[Cells, StoredCones]:
+            order = levels_of(leaves.cells)[1]
+            return leaves.cells[order], _stored(visible.sources, domain, leaves.source[order])
 
-        def size(boxes: ConeBoxes) -> int:
-            cells, cones = stored(boxes)
+        def size(leaves: ConeLeaves) -> int:
+            cells, cones = stored(leaves)
             return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
 
         return stored(best_partition(root_box(visible, domain, limits.tolerance), limits, size))
