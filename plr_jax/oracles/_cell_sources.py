@@ -102,9 +102,7 @@ class VisibleSources:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
-    def hold(
-        self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]
-    ) -> Bool[np.ndarray, "n k"]:
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
         tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
         x, y = self.pieces[:, piece]
