@@ -92,7 +92,7 @@ class SourcedFn(Protocol):
 class CellSources(Protocol):
     """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
 
-    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of the piece's sources,
+    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of its sources,
     and at most the least of those that all of it sees, to within ``slack``. Pieces stand cell by cell, pairs piece by
     piece, each piece with one at least; of what does not reach the goal there are none.
 
@@ -147,7 +147,7 @@ class CellSources(Protocol):
         ...
 
     def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
-        """Those of boxes ``lo`` to ``hi``, each cut from one of the cells along an axis, at its upper or lower end."""
+        """Those of boxes ``lo`` to ``hi``, each cut from a cell along an axis, at its upper or lower end."""
         ...
 
     def concatenate(self, several: Sequence[Any], /) -> "CellSources":

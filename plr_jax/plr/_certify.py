@@ -21,8 +21,9 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
     """Prove bounds of the distance for a PLR that exists.
 
     Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
-    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this oracle,
-    to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is the proof.
+    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this
+    oracle, to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is
+    the proof.
 
     Args:
         plr: The PLR, of any leaf model, in the plane.

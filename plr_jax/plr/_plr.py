@@ -88,7 +88,7 @@ class PLR:
     def _proven_band(self) -> Float[Array, "2 rows"]:
         if self.band is None:
             raise ValueError(
-                "Nothing is proven of this PLR: build it with construct(..., certified=True), or certify(plr, oracle)."
+                "Nothing is proven of this PLR: build it with certified=True, or use certify(plr, oracle)."
             )
         return self.band
 

@@ -30,8 +30,8 @@ class ConstructionInterrupted(UserWarning):
 class Limits:
     """When to stop: see :func:`construct`.
 
-    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have room
-    for the ``proof``; if there is one, errors are those that are proven.
+    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have
+    room for the ``proof``; if there is one, errors are those that are proven.
     """
 
     max_depth: int

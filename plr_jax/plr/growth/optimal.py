@@ -2,9 +2,9 @@
 
 Splitting best-first decides for an axis by what one split gains, and never takes it back. Here every box that a tree
 may hold is judged once, whichever splits lead to it, unless its cost is below the price of a leaf. Then the best tree
-follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and more
-boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them is
-taken.
+follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and
+more boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them
+is taken.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -36,7 +36,9 @@ class Leaves(Protocol):
     """Some boxes as leaves: all that a file keeps of them follows."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
 
     def append(self, *others: Any) -> Any:
         """These leaves followed by others."""
@@ -44,20 +46,22 @@ class Leaves(Protocol):
 
 
 class Boxes(Protocol):
-    """Boxes of a domain, and what leaves there would be like.
-
-    Attributes:
-        cells: The boxes.
-        error: The largest error of each as a leaf, 0 if it does not matter.
-        integral: The integral of its error over its share of the domain.
-    """
+    """Boxes of a domain, and what leaves there would be like."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
+
     @property
-    def error(self) -> Float[np.ndarray, "boxes"]: ...
+    def error(self) -> Float[np.ndarray, "boxes"]:
+        """The largest error of each as a leaf, 0 if it does not matter."""
+        ...
+
     @property
-    def integral(self) -> Float[np.ndarray, "boxes"]: ...
+    def integral(self) -> Float[np.ndarray, "boxes"]:
+        """The integral of each one's error over its share of the domain."""
+        ...
 
     def leaves(self, index: Int[np.ndarray, "some"]) -> Any:
         """Some of the boxes as leaves."""
@@ -97,7 +101,7 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
     tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
     if not search.fits(tree):
         raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow at least that."
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow as many."
         )
     return grow(tree, search.next, limits).leaves
 
@@ -231,7 +235,7 @@ def _add_halves(
 
 def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Any:
     """Leaves of the tree for which their costs and their prices together are least."""
-    below: Float[np.ndarray, "boxes"] = np.zeros(0)
+    below: Float[np.ndarray, boxes] = np.zeros(0)
     choices = []
     for level in reversed(levels):
         dim, _, num_boxes = level.child.shape

@@ -54,9 +54,9 @@ class Parameters:
 class LeafModel(Protocol):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
-    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the value.
-    What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read`` gives
-    back.
+    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
+    value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
+    gives back.
     """
 
     @property

@@ -1,22 +1,23 @@
 """Cones as they are stored: a small table of sources, and for every leaf which of them is its own.
 
-Most maps are drawn on a lattice: a grid, two decimals. Sources that lie on it, as corners do, have coordinates that are
-multiples of one fraction; of others, such as a goal, they are multiples of a power of two about ``2**-26`` of the
+Most maps are drawn on a lattice: a grid, two decimals. Sources that lie on it, as corners do, have coordinates that
+are multiples of one fraction; of others, such as a goal, they are multiples of a power of two about ``2**-26`` of the
 domain's width. A source is followed by its *parent*, to which its own shortest path goes next, so its offset, its
 distance to the goal, needs no number: it is that of the parent and the way there. A *root*, such as the goal, has a
 number of its own.
 
 What a file keeps of the leaves, as bits:
 
-    number of sources that are not on the lattice, in 20 bits, and if there are some: the exponent of their power of two,
+    number of sources that are not on the lattice, in 20 bits, and if there are some: the exponent of their power of
+    two,
       plus 2**15, in 16 bits, and their coordinates
     number of those that are, in 20 bits, and if there are some: the fraction is 1 over a number of 16 bits; and their
       coordinates
     which sources are roots, 1 bit each, and their offsets as 32-bit floats
     parents of the others, each in as many bits as the largest index needs
     the rank of every leaf's source among those lately used, the latest first (at first they stand in order): for all
-      leaves, is it 0; for the rest, is it 1; for the rest, is it 2, 1 bit each; of what is left by how much it is more
-      than 3, as codes
+      leaves, is it 0; for the rest, is it 1; for the rest, is it 2, 1 bit each; of what is left by how much it is
+      more than 3, as codes
 
 Coordinates of some sources, which are sorted by them:
 
@@ -126,7 +127,7 @@ def _lattice(
     """The coarsest fraction of which nearly all coordinates are multiples, to within rounding, and which are not."""
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
     may_be_off = max(1, int(_MOST_OFF_LATTICE * len(points)))
-    for fraction in _LATTICES[_LATTICES < 2.0**-exponent]:
+    for fraction in _LATTICES[2.0**-exponent > _LATTICES]:
         scaled = points * fraction
         is_off = (np.abs(scaled - np.rint(scaled)) > fraction * rounding).any(axis=1)
         if np.count_nonzero(is_off) <= min(may_be_off, len(points) - 1):
