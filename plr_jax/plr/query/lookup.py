@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
-from plr_jax.plr.query.tables import FRACTION_BITS, WORD_BITS, Blocks, Frame, Tables
+from plr_jax.plr.query.blocks import Blocks
+from plr_jax.plr.query.grid import FRACTION_BITS, WORD_BITS
+from plr_jax.plr.query.tables import Frame, Tables
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:

@@ -23,40 +23,22 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt16, UInt32
+from jaxtyping import Array, Float, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size, runs
+from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
+from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
-FRACTION_BITS = 23  # of a 32-bit float
-WORD_BITS = 32
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
 MOST_ROWS = 2**14  # of a class whose tables are of one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
-_MAX_BLOCK_BITS = 16
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """The coarse level of a two-level table; ``None`` in its place means one flat table.
-
-    A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
-    each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
-    first word has no room come in further words. One word is read with one gather, which is what a query costs.
-    Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
-    """
-
-    words: tuple[UInt32[Array, "blocks"], ...]
-    shift: UInt32[Array, "dim"]
-    axes: tuple[int, ...] = field(metadata={"static": True})
-    width: int = field(metadata={"static": True})
 
 
 @jax.tree_util.register_dataclass
@@ -136,10 +118,10 @@ def build_tables(
     bits = cells.depth.max(axis=0)
     of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
     flat = bits.sum() <= MAX_FLAT_BITS
-    block_bits = 0 * bits if flat else _choose_block_bits(cells, bits, max_entries(num_bytes))
-    shape = _block_shapes(cells, block_bits)
+    block_bits = 0 * bits if flat else choose_block_bits(cells, bits, max_entries(num_bytes))
+    shape = block_shapes(cells, block_bits)
     offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
-    leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
+    leaf_of_slot = leaves_of_slots(cells, block_bits, shape, offset)
     rows = rows_of_class(of_class, leaf.least_bytes)
     slot_bits = max(slot_bits_of_rows(rows), (len(leaf_of_slot) - 1).bit_length())
     if rows > MOST_ROWS:  # too large to be padded to what the class may need at the most
@@ -152,7 +134,7 @@ def build_tables(
     return Tables(
         frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
         bits=jnp.asarray(bits.astype(np.uint32)),
-        blocks=None if flat else _pack_blocks(shape, offset, below),
+        blocks=None if flat else pack_blocks(shape, offset, below),
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << slot_bits)),
         numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
@@ -201,110 +183,3 @@ def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
-
-
-def _pack_blocks(
-    shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
-) -> Blocks:
-    """The words of all blocks; the first has the offset above the axes for which there is room."""
-    width = max(1, int(shape.max()).bit_length())
-    room = (WORD_BITS - int(offset[-1]).bit_length()) // width
-    first, words, axes = offset[:-1], [], []
-    while not words or sum(axes) < shape.shape[1]:
-        here = shape[:, sum(axes) : sum(axes) + room]
-        word = np.zeros(len(shape), np.int64) if words else first
-        for column in here.T[::-1]:
-            word = (word << width) | column
-        words.append(jnp.asarray(word.astype(np.uint32)))
-        axes.append(here.shape[1])
-        room = WORD_BITS // width
-    return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
-
-
-def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Coarse bits along each axis: those with which words and blocks' own tables take the fewest bytes."""
-    best, fewest = None, np.inf
-    block_bits = np.zeros_like(bits)
-    while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
-        block_bits[np.argmax(bits - block_bits)] += 1
-        if np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1)) > max_entries:
-            break  # so many pairs of a leaf and a block that meet; finer blocks meet more leaves
-        slots = np.sum(2.0 ** _block_shapes(cells, block_bits).sum(axis=1))
-        size = 4 * 2.0 ** block_bits.sum() + 2 * slots
-        if slots <= max_entries and size < fewest:
-            best, fewest = block_bits.copy(), size
-    if best is None:
-        raise ValueError(
-            f"The leaves are too deep for a query's tables: {bits.tolist()} splits along the axes. Lower max_depth."
-        )
-    return best
-
-
-def _block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Bits of every block's own table: the deepest split below the block among the leaves it meets."""
-    below = np.maximum(cells.depth - block_bits, 0)
-    leaf, block = _leaves_in_blocks(cells, block_bits)
-    shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
-    np.maximum.at(shape, _row_major(block, block_bits), below[leaf])
-    return shape
-
-
-def _leaves_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, "dim"]
-) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """All pairs of a leaf and a block that meet: the leaf's index and the block's, along each axis."""
-    first = np.where(
-        cells.depth >= block_bits,
-        cells.position >> np.maximum(cells.depth - block_bits, 0),
-        cells.position << np.maximum(block_bits - cells.depth, 0),
-    )
-    return _enumerate_boxes(first, np.int64(1) << np.maximum(block_bits - cells.depth, 0))
-
-
-def _enumerate_boxes(
-    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
-) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Integer points of many boxes: the box's index and the point, for each."""
-    box, rest = runs(count.prod(axis=1))
-    points = np.empty((len(box), first.shape[1]), np.int64)
-    for axis in reversed(range(first.shape[1])):
-        rest, digit = np.divmod(rest, count[box, axis])
-        points[:, axis] = first[box, axis] + digit
-    return box, points
-
-
-def _leaves_of_slots(
-    cells: Cells,
-    block_bits: Int[np.ndarray, "dim"],
-    shape: Int[np.ndarray, "blocks dim"],
-    offset: Int[np.ndarray, "blocks_plus_one"],
-) -> UInt32[np.ndarray, "slots"]:
-    """The leaf of every slot of the tables of all blocks.
-
-    Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
-    there to the start of the next, whichever leaf's that is.
-    """
-    leaf, block = _leaves_in_blocks(cells, block_bits)
-    index = _row_major(block, block_bits)
-    bits = shape[index]
-    below = np.maximum(cells.depth[leaf] - block_bits, 0)
-    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (bits - below)
-    count = np.int64(1) << (bits - below)
-    count[:, -1] = 1
-    pair, slot = _enumerate_boxes(first, count)
-    start = offset[index[pair]] + _row_major(slot, bits[pair])
-    leaf_of_start = np.zeros(offset[-1], np.uint32)
-    is_start = np.zeros(offset[-1], bool)
-    leaf_of_start[start], is_start[start] = leaf[pair], True
-    starts = np.flatnonzero(is_start)
-    return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
-
-
-def _row_major(
-    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
-) -> Int[np.ndarray, "n"]:
-    """Index of each slot in a table of ``2**bits`` slots along the axes."""
-    index = np.zeros(len(slots), np.int64)
-    for axis in range(slots.shape[1]):
-        index = (index << bits[..., axis]) | slots[:, axis]
-    return index

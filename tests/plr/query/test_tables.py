@@ -8,8 +8,8 @@ from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.blocks import pack_blocks
 from plr_jax.plr.query.tables import (
-    _pack_blocks,
     build_tables,
     byte_class,
     max_axis_depth,
@@ -33,7 +33,7 @@ def test_axes_that_do_not_fit_the_first_word_come_in_more(dim, num_words):
     shape = rng.integers(0, 8, size=(50, dim))
     offset = np.append(rng.integers(0, 2**17, size=50), 2**17 - 1)
     shift = rng.integers(0, 23, size=dim)
-    blocks = _pack_blocks(shape, offset, shift)
+    blocks = pack_blocks(shape, offset, shift)
     np.testing.assert_array_equal(blocks.shift, shift)
     assert len(blocks.words) == num_words and sum(blocks.axes) == dim
     words = [np.asarray(word).astype(int) for word in blocks.words]
