@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Int, UInt32
 
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.grid import WORD_BITS, block_shapes, enumerate_boxes, leaves_in_blocks, row_major
+from plr_jax.plr.query.grid import WORD_BITS, block_shapes, enumerate_boxes, num_pairs, row_major, slots_in_blocks
 
 _MAX_BLOCK_BITS = 16
 
@@ -54,8 +54,8 @@ def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: i
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
         block_bits[np.argmax(bits - block_bits)] += 1
-        if np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1)) > max_entries:
-            break  # so many pairs of a leaf and a block that meet; finer blocks meet more leaves
+        if num_pairs(cells, block_bits) > max_entries:
+            break  # finer blocks meet more leaves
         slots = np.sum(2.0 ** block_shapes(cells, block_bits).sum(axis=1))
         size = 4 * 2.0 ** block_bits.sum() + 2 * slots
         if slots <= max_entries and size < fewest:
@@ -78,15 +78,10 @@ def leaves_of_slots(
     Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
     there to the start of the next, whichever leaf's that is.
     """
-    leaf, block = leaves_in_blocks(cells, block_bits)
-    index = row_major(block, block_bits)
-    bits = shape[index]
-    below = np.maximum(cells.depth[leaf] - block_bits, 0)
-    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (bits - below)
-    count = np.int64(1) << (bits - below)
+    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
     pair, slot = enumerate_boxes(first, count)
-    start = offset[index[pair]] + row_major(slot, bits[pair])
+    start = offset[block[pair]] + row_major(slot, shape[block[pair]])
     leaf_of_start = np.zeros(offset[-1], np.uint32)
     is_start = np.zeros(offset[-1], bool)
     leaf_of_start[start], is_start[start] = leaf[pair], True
