@@ -95,7 +95,14 @@ def construct(
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
     limits = check_limits(
-        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance
+        domain.dim,
+        model.least_bytes,
+        model.has_deep_trees,
+        model.bytes_without_budget,
+        max_depth,
+        max_leaves,
+        max_bytes,
+        tolerance,
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
