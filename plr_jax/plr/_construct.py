@@ -119,7 +119,15 @@ def construct(
     if proof is not Proof.NONE:
         check_certifiable(distance_fn, domain.dim)
     limits = check_limits(
-        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance, proof
+        domain.dim,
+        model.least_bytes,
+        model.has_deep_trees or proof is not Proof.NONE,
+        model.bytes_without_budget,
+        max_depth,
+        max_leaves,
+        max_bytes,
+        tolerance,
+        proof,
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
