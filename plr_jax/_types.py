@@ -25,7 +25,7 @@ approximates one: it may be a little below zero near the goal, answers ``inf`` o
 coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`SourcedFn`, :class:`CellwiseFn`.
+:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -34,7 +34,7 @@ JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
 """Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf`` where it has no estimate.
 
-What one may offer besides: :class:`SeparableHeuristic`.
+What one may offer besides: :class:`SeparableHeuristic`, :class:`BoundingFn`.
 """
 
 
@@ -185,6 +185,15 @@ class StackableDistanceFn(Protocol):
             The function. What it answers for a robot is what that robot's function would answer.
         """
         ...
+
+
+@runtime_checkable
+class BoundingFn(Protocol):
+    """A distance function, or a heuristic, that says whether it is a lower bound: nowhere above the truth."""
+
+    @property
+    def is_lower_bound(self) -> bool: ...
+    def __call__(self, x: Any, /) -> ArrayLike: ...
 
 
 @runtime_checkable

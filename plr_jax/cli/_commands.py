@@ -111,7 +111,8 @@ def build(
     report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
     others = ", ".join(f"{name} {error:.3g}" for name, error in errors.items() if name != plr.leaf.name)
-    typer.echo(f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven{f' ({others})' if others else ''}")
+    proven = f"{plr.leaf.name}: no error above {plr.max_error:.3g}, proven"
+    typer.echo(f"leaf    {proven} ({others})" if others else f"leaf    {proven}")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     typer.echo(
         f"        mean is {100 * report.mean / report.max_distance:.2g} % of the largest distance, "

@@ -80,6 +80,11 @@ class VisibilityGraph:
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
 
     @property
+    def is_lower_bound(self) -> bool:
+        """True: no path of a robot whose reference point keeps to its free space is shorter."""
+        return True
+
+    @property
     def dim(self) -> int:
         """Number of coordinates of a point: 2."""
         return 2
