@@ -15,7 +15,7 @@ def four_each(dim, num_leaves):
     return 4 * num_leaves
 
 
-def limits(dim=2, least_bytes=2, has_deep_trees=False, **given):
+def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
     return check_limits(dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES))
 
 
