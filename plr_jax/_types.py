@@ -112,17 +112,26 @@ class CellSources(Protocol):
         first_pair: Where the pairs of each piece begin, and their number.
     """
 
-    sources: Sources
-    num_cells: int
-    cell: Int[np.ndarray, "pieces"]
-    pieces: Float[np.ndarray, "2 pieces corners"]
-    center: Float[np.ndarray, "pieces 2"]
-    distance: Float[np.ndarray, "pieces"]
-    best: Int[np.ndarray, "pieces"]
-    piece: Int[np.ndarray, "pairs"]
-    source: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]
-
+    @property
+    def sources(self) -> Sources: ...
+    @property
+    def num_cells(self) -> int: ...
+    @property
+    def cell(self) -> Int[np.ndarray, "pieces"]: ...
+    @property
+    def pieces(self) -> Float[np.ndarray, "2 pieces corners"]: ...
+    @property
+    def center(self) -> Float[np.ndarray, "pieces 2"]: ...
+    @property
+    def distance(self) -> Float[np.ndarray, "pieces"]: ...
+    @property
+    def best(self) -> Int[np.ndarray, "pieces"]: ...
+    @property
+    def piece(self) -> Int[np.ndarray, "pairs"]: ...
+    @property
+    def source(self) -> Int[np.ndarray, "pairs"]: ...
+    @property
+    def by_all(self) -> Bool[np.ndarray, "pairs"]: ...
     @property
     def slack(self) -> float: ...
     @property

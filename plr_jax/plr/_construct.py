@@ -7,7 +7,7 @@ import numpy as np
 from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._certify import certificate_of, check_certifiable
+from plr_jax.plr._certify import as_certifiable, certificate_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate.certificate import Proof
@@ -116,8 +116,7 @@ def construct(
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
     proof = _proof(certified, leaf_bounds)
-    if proof is not Proof.NONE:
-        check_certifiable(distance_fn, domain.dim)
+    certifiable = None if proof is Proof.NONE else as_certifiable(distance_fn, domain.dim)
     limits = check_limits(
         domain.dim,
         model.least_bytes,
@@ -147,16 +146,17 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
-    answers_for_cells = isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0
-    memory = CellMemory(distance_fn, domain) if answers_for_cells else None
+    memory = None
+    if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0:
+        memory = CellMemory(distance_fn, domain)
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
     )
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
     contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
-    if proof is not Proof.NONE:
-        contents = replace(contents, certificate=certificate_of(contents, distance_fn, proof))
+    if certifiable is not None:
+        contents = replace(contents, certificate=certificate_of(contents, certifiable, proof))
     return plr_of_leaves(contents)
 
 

@@ -55,9 +55,10 @@ def bl_plan(
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost is within ``cost_factor`` of the lower
-        bound; EXHAUSTED if the frontier ran empty on the finest lattice (the given ``step``, or 1/2048 of the
-        bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
+        The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
+        is within ``cost_factor`` of the lower bound; EXHAUSTED if the frontier ran empty on the finest lattice (the
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with
+        or without a path.
 
     Raises:
         ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than

@@ -13,7 +13,10 @@ from plr_jax.plr.query.stack import TableStack
 class BoundedFn(Protocol):
     """A PLR of which something is proven."""
 
-    band: Float[Array, "2 rows"] | None
+    @property
+    def band(self) -> Float[Array, "2 rows"] | None:
+        """The proof."""
+        ...
 
     @property
     def dim(self) -> int:
