@@ -25,7 +25,8 @@ _FAR, _BEYOND = (
     8.0,
     1.15,
 )  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
-_HALVINGS = 10  # of the range between the last two prices
+_FIRST_RATE, _LEAST_ROOM, _UNLIMITED = 2.0, 20.0, 1e6  # the first tree has leaves as the price to the power of -1/2
+_ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
 _LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
 _AT_ONCE = 1 << 14  # boxes
@@ -137,27 +138,35 @@ class _Search:
         self._before = now
         return larger if self.fits(larger) else self._largest(now, larger, least_share)
 
+    def _share(self, tree: _Tree) -> float:
+        """Of what the limits allow, how much a tree takes."""
+        return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
+
     def _next_price(self, now: _Tree) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
-        room = self._limits.max_leaves / len(now)
-        if np.isfinite(self._limits.max_bytes):
-            room = min(room, self._limits.max_bytes / now.num_bytes)
-        before = self._before
-        if before is None or len(before) == len(now) or room > _FAR:
+        room, before = 1 / self._share(now), self._before
+        if before is None:
+            return now.price * max(room, _LEAST_ROOM) ** -_FIRST_RATE if room < _UNLIMITED else _CHEAPER * now.price
+        if len(before) == len(now) or room > _FAR:
             return _CHEAPER * now.price
         rate = np.log(len(now) / len(before)) / np.log(before.price / now.price)
         return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
 
     def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:
         """The largest tree that fits, of prices between one that does and one that does not."""
-        low, high = beyond.price, fits.price
-        for _ in range(_HALVINGS):
-            middle = self.tree(float(np.sqrt(max(low, 1e-6 * high) * high)), least_share)
+        largest = fits
+        for attempt in range(_ATTEMPTS):
+            low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
+            sizes = np.log([self._share(fits), self._share(beyond)])
+            aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
+            middle = self.tree(float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high))), least_share)
             if self.fits(middle):
-                fits, high = middle, middle.price
+                fits = largest = middle
             else:
-                low = middle.price
-        return replace(fits, is_final=True)
+                beyond = middle
+            if self._share(largest) > _FULL:
+                break
+        return replace(largest, is_final=True)
 
 
 @dataclass(eq=False)
