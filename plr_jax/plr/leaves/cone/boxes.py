@@ -79,20 +79,26 @@ def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
 
 def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
     """Boxes with the cone for each whose proven error has the least integral over its free part."""
-    area = areas(visible.pieces)
-    box, source = _options(visible, area)
-    piece, option = run_members(visible.first_piece, box)
-    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
-    error = np.maximum(-lower, upper)
-    first = np.flatnonzero(np.append(True, option[1:] != option[:-1])) if len(option) else option
-    largest = np.maximum.reduceat(error, first) if len(first) else error
-    integral = np.bincount(option, error * area[piece], len(box))
+    box, source = _options(visible, areas(visible.pieces))
+    largest, integral = proven_errors(visible, box, source)
     order = np.lexsort((largest, integral, box))
     order = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
     best, of_box, total = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
     best[box[order]], of_box[box[order]] = source[order], np.where(largest > negligible, largest, 0.0)[order]
     total[box[order]] = np.where(largest > negligible, integral, 0.0)[order] / np.prod(domain.width)
     return ConeBoxes(domain, negligible, cells, visible, best, of_box, total)
+
+
+def proven_errors(
+    visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
+) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
+    """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
+    piece, option = run_members(visible.first_piece, box)
+    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
+    error = np.maximum(-lower, upper)
+    first = np.flatnonzero(np.append(True, option[1:] != option[:-1])) if len(option) else option
+    largest = np.maximum.reduceat(error, first) if len(first) else error
+    return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
 
 
 def _options(

@@ -17,11 +17,15 @@ from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.leaves.base import Rules
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
+from plr_jax.plr.leaves.cone.sight import boxes_in_doubt, sources_in_sight
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
+
+_CHANGES_A_BYTE = 8
+"""How many leaves may be given another source in a byte, or nearly: it is mostly that of a leaf beside them."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +60,19 @@ class Cone:
         if not len(visible.cell):
             sampler.root()  # which says so
 
-        def stored(boxes: ConeBoxes) -> tuple[Cells, StoredCones]:
+        def stored(boxes: ConeBoxes, source: Int[np.ndarray, "boxes"]) -> tuple[Cells, StoredCones]:
             order = levels_of(boxes.cells)[1]
-            return boxes.cells[order], _stored(visible.sources, domain, boxes.source[order])
+            return boxes.cells[order], _stored(visible.sources, domain, source[order])
 
-        def size(boxes: ConeBoxes) -> int:
-            cells, cones = stored(boxes)
+        def size(boxes: ConeBoxes, source: Int[np.ndarray, "boxes"]) -> int:
+            cells, cones = stored(boxes, source)
             return container_size(cells.dim, len(cells), cones_bits(domain, cones))
 
-        return stored(best_partition(root_box(visible, domain, limits.tolerance), limits, size))
+        def size_with_changes(boxes: ConeBoxes) -> int:
+            return size(boxes, boxes.source) + len(boxes_in_doubt(boxes)) // _CHANGES_A_BYTE
+
+        best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_changes)
+        return stored(best, sources_in_sight(best, sampler, lambda source: size(best, source) <= limits.max_bytes))
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
