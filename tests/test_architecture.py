@@ -22,12 +22,12 @@ LAYERS = [
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
     ["partition"],
-    ["query", "sampling", "file"],
+    ["query", "sampling", "file", "certificate"],
     ["growth"],
     ["leaves"],
     ["_file"],
     ["_plr"],
-    ["_construct", "_io", "refinement"],
+    ["_construct", "_io", "_trace", "refinement"],
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
@@ -16,10 +15,11 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
-from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, linear_mean_planes
+from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, as_sourced, linear_mean_planes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import neighbor_of_largest_contact
-from plr_jax.plr.query.lookup import evaluate_tables, lookup
+from plr_jax.plr.query.lookup import evaluate_tables, lookup, waypoints_in_tables
+from plr_jax.plr.query.points import as_array, require_points
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
 
@@ -51,6 +51,20 @@ class PLR:
         if x.dtype == np.float64 and self._far_corner is not None and x.shape[-1:] == (self.dim,):
             return _evaluate(self._tables_from_corner, x - self._far_corner)
         return _evaluate(self.tables, x)
+
+    def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
+        """Where to go straight to from each point: the source of the leaf that holds it.
+
+        A leaf may name the very source that a point is at: for whole paths, see :func:`trace`. Takes points as
+        :func:`evaluate` does, and raises what it raises; or ``ValueError`` if leaves have no sources, as only those
+        of cones do. Answers points in the same precision, NaN outside the domain and for NaN. Of NumPy's 64-bit
+        points in a domain far from the origin, it answers NumPy's.
+        """
+        as_sourced(self.leaf)
+        x = x if isinstance(x, jax.Array) else as_array(x)
+        if x.dtype != np.float64 or self._far_corner is None or x.shape[-1:] != (self.dim,):
+            return _waypoint(self.tables, x)
+        return self._far_corner + np.asarray(_waypoint(self._tables_from_corner, x - self._far_corner), np.float64)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
@@ -305,29 +319,14 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
 @jax.jit
 def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
     """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
-    if x.ndim == 0 or x.shape[-1] != tables.dim:
-        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    _require_real(x)
+    require_points(tables, x)
     return evaluate_tables(tables, x)
 
 
-def _require_real(x: Array | np.ndarray) -> None:
-    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
-        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-
-
-def as_array(x: ArrayLike) -> np.ndarray:
-    """Points on the host. Integers become floats here, where they cannot wrap around."""
-    try:
-        x = np.asarray(x)
-    except ValueError as error:
-        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
-    if x.dtype in (np.float32, np.float64):
-        return x
-    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
-        return x.astype(np.float64)
-    _require_real(x)  # which JAX cannot even be shown
-    return x
+@jax.jit
+def _waypoint(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
+    require_points(tables, x)
+    return waypoints_in_tables(tables, x)
 
 
 def local_coordinates(

@@ -135,6 +135,18 @@ class Cone:
             square += jnp.square((x[..., axis] - corner[axis]) - source)
         return number_of_leaf(tables, leaf, 0, terms).astype(x.dtype) + _root(square)
 
+    def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
+        """All sources, with their parents, and the index of every leaf's own."""
+        sources = stored.sources
+        return Sources(sources.points, sources.offsets, sources.parent), stored.source
+
+    def waypoints(
+        self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
+    ) -> Float[Array, "*batch dim"]:
+        """The source of the leaf of each point."""
+        numbers = [number_of_leaf(tables, leaf, 1 + axis, 1 + tables.dim) for axis in range(tables.dim)]
+        return tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(numbers, axis=-1).astype(x.dtype)
+
 
 @jax.custom_jvp
 def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

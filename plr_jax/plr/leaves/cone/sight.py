@@ -63,7 +63,7 @@ def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSour
 
 
 def _pairs(boxes: ConeBoxes) -> Pairs:
-    """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees the source."""
+    """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it."""
     visible = boxes.visible
     count = len(visible.sources.points)
     key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
