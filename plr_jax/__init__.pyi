@@ -41,6 +41,7 @@ from .plr import Traces as Traces
 from .plr import TraceStatus as TraceStatus
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
+from .plr import certify as certify
 from .plr import construct as construct
 from .plr import cyclic_axis as cyclic_axis
 from .plr import evaluate as evaluate

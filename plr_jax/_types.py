@@ -89,10 +89,11 @@ class SourcedFn(Protocol):
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
+@runtime_checkable
 class CellSources(Protocol):
     """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
 
-    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of the piece's sources,
+    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of its sources,
     and at most the least of those that all of it sees, to within ``slack``. Pieces stand cell by cell, pairs piece by
     piece, each piece with one at least; of what does not reach the goal there are none.
 
@@ -126,16 +127,28 @@ class CellSources(Protocol):
     @property
     def slack(self) -> float: ...
     @property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]: ...
+    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]: ...
     @property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]: ...
+    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]: ...
+
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"], /) -> Bool[np.ndarray, "n k"]:
+        """Whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""
+        ...
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"], /) -> Bool[np.ndarray, "n"]:
+        """Whether free points are seen by sources."""
+        ...
 
     def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
         """Those of some of the cells, in any order, which may be repeated."""
         ...
 
+    def pieces_as_cells(self, pieces: Int[np.ndarray, "some"], /) -> "CellSources":
+        """Those of some of the pieces, each a cell of its own."""
+        ...
+
     def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
-        """Those of boxes ``lo`` to ``hi``, each cut from one of the cells along an axis, at its upper or lower end."""
+        """Those of boxes ``lo`` to ``hi``, each cut from a cell along an axis, at its upper or lower end."""
         ...
 
     def concatenate(self, several: Sequence[Any], /) -> "CellSources":

@@ -172,9 +172,7 @@ class Workspace:
         result[finite] = np.where(free, distance, -distance)
         return result
 
-    def is_visible(
-        self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None
-    ) -> Bool[np.ndarray, "n"]:
+    def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
         """Whether whole segments lie in closed free space.
 
         A segment may slide along walls and pass through corners. One that passes through a point in which

@@ -45,6 +45,8 @@ class Sight:
         """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
         turn = self.turn_of_source[source]
         may = np.ones(len(source), bool)
+        if not len(self.turns.vertex):
+            return may  # nothing but the goal, in a convex room
         for normal in self.turns.normal[:, turn]:
             height = (pieces[0] * normal[:, :1] + pieces[1] * normal[:, 1:]).max(axis=1)
             may &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
@@ -93,19 +95,38 @@ class VisibleSources:
         return 4 * self.sight.shadows.table.tolerance
 
     @cached_property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]:
+    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
         """First piece of each cell, and their number."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]:
+    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
+
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
+        """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
+        tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
+        x, y = self.pieces[:, piece]
+        for corner in range(x.shape[1]):
+            start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
+            ex, ey = x[:, corner, None] - start_x, y[:, corner, None] - start_y
+            height = ex * (points[:, :, 1] - start_y) - ey * (points[:, :, 0] - start_x)
+            inside &= height >= -tolerance * np.sqrt(ex * ex + ey * ey)
+        return inside
+
+    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are seen by sources."""
+        return self.sight.shadows.table.sees(source, points)
 
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> "VisibleSources":
         """The same of some of the cells, in another order perhaps, and perhaps repeated."""
         rows, cell = run_members(self.first_piece, cells)
         return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
+
+    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+        """Those of some pieces, each a cell of its own."""
+        return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
         pairs, piece = run_members(self.first_pair, rows)

@@ -1,5 +1,6 @@
 """Room 2, store: piecewise linear regressions over a binary space partition."""
 
+from plr_jax.plr._certify import certify
 from plr_jax.plr._construct import construct
 from plr_jax.plr._io import load, save
 from plr_jax.plr._plr import PLR, evaluate, from_bytes
@@ -29,6 +30,7 @@ __all__ = [
     "Traces",
     "best_axis",
     "center_error",
+    "certify",
     "construct",
     "cyclic_axis",
     "eikonal",

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import Container, read_tree, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, tree_of_levels
-from plr_jax.plr.query.tables import FRACTION_BITS
+from plr_jax.plr.query.grid import FRACTION_BITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,7 @@ class Contents:
     levels: list[Level]
     cells: Cells
     stored: Any
+    certificate: Certificate | None = None
 
 
 def encode(contents: Contents) -> bytes:
@@ -32,7 +34,12 @@ def encode(contents: Contents) -> bytes:
     body = BitWriter()
     write_tree(body, contents.levels, contents.domain.dim)
     contents.leaf.write(body, contents.domain, contents.cells, contents.stored)
-    return Container(contents.domain, code_of_leaf(contents.leaf), len(contents.cells), body.to_bytes()).to_bytes()
+    proof = Proof.NONE
+    if contents.certificate is not None:
+        contents.certificate.write(body)
+        proof = contents.certificate.proof
+    code, num_leaves = code_of_leaf(contents.leaf), len(contents.cells)
+    return Container(contents.domain, code, num_leaves, body.to_bytes(), int(proof)).to_bytes()
 
 
 def decode(data: bytes) -> Contents:
@@ -46,9 +53,12 @@ def decode(data: bytes) -> Contents:
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
     stored = leaf.read(body, container.domain, cells)
+    if container.proof_code not in tuple(Proof):
+        raise ValueError(f"it has a proof of kind {container.proof_code}, this release knows kinds 0 to {max(Proof)}")
+    certificate = read_certificate(body, Proof(container.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.domain, leaf, levels, cells, stored)
+    return Contents(container.domain, leaf, levels, cells, stored, certificate)
 
 
 def decode_cells(data: bytes) -> Cells:

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
@@ -14,11 +15,12 @@ from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells, encode
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
-from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel, as_sourced, linear_mean_planes
+from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.faces import neighbor_of_largest_contact
-from plr_jax.plr.query.lookup import evaluate_tables, lookup, waypoints_in_tables
+from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
 from plr_jax.plr.query.points import as_array, require_points
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
@@ -38,19 +40,64 @@ class PLR:
     Attributes:
         tables: What a query reads, derived from ``file`` alone.
         file: The bytes that :func:`save` writes, padded with zeros to a power of two.
+        band: Proven lower and upper bounds of the distance minus an answer, for each leaf or for all alike, see
+            :meth:`bounds`; None if nothing is proven.
     """
 
     tables: Tables
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+    band: Float[Array, "2 rows"] | None = None
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
+        return _evaluate(*self._placed(x))
+
+    def _placed(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
+        """Tables to ask and points to ask them for."""
         if isinstance(x, jax.Array):
-            return _evaluate(self.tables, x)
+            return self.tables, x
         x = as_array(x)
         if x.dtype == np.float64 and self._far_corner is not None and x.shape[-1:] == (self.dim,):
-            return _evaluate(self._tables_from_corner, x - self._far_corner)
-        return _evaluate(self.tables, x)
+            return self._tables_from_corner, x - self._far_corner
+        return self.tables, x
+
+    def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Proven bounds of the distance at each point from which the goal can be reached.
+
+        The proof is about the distance function that :func:`construct` or :func:`certify` was given, in free space to
+        the workspace's tolerance, and covers what a query rounds.
+
+        Args:
+            x: Points, ``(..., dim)``, as for :func:`evaluate`.
+
+        Returns:
+            Lower bounds, at least 0, and upper bounds, ``(...)`` each. Both are ``inf`` outside the domain, NaN where
+            a coordinate is. In obstacles, and where the goal cannot be reached, they mean nothing.
+
+        Raises:
+            ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
+        """
+        return _bounds(self._proven_band, *self._placed(x))
+
+    @property
+    def lower(self) -> "LowerBound":
+        """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does."""
+        self._proven_band  # noqa: B018 (which raises an error that says what to do)
+        return LowerBound(self)
+
+    @property
+    def _proven_band(self) -> Float[Array, "2 rows"]:
+        if self.band is None:
+            raise ValueError(
+                "Nothing is proven of this PLR: build it with certified=True, or use certify(plr, oracle)."
+            )
+        return self.band
+
+    @property
+    def max_error(self) -> float | None:
+        """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
+        certificate = self._contents.certificate
+        return None if certificate is None else certificate.max_error
 
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
         """Where to go straight to from each point: the source of the leaf that holds it.
@@ -61,10 +108,10 @@ class PLR:
         points in a domain far from the origin, it answers NumPy's.
         """
         as_sourced(self.leaf)
-        x = x if isinstance(x, jax.Array) else as_array(x)
-        if x.dtype != np.float64 or self._far_corner is None or x.shape[-1:] != (self.dim,):
-            return _waypoint(self.tables, x)
-        return self._far_corner + np.asarray(_waypoint(self._tables_from_corner, x - self._far_corner), np.float64)
+        tables, placed = self._placed(x)
+        source = _waypoint(tables, placed)
+        corner = None if tables is self.tables else self._far_corner
+        return source if corner is None else corner + np.asarray(source, np.float64)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
@@ -91,7 +138,7 @@ class PLR:
             raise ValueError("A stack needs one PLR a robot, at least one, got none.")
         is_near = [plr._far_corner is None for plr in plrs]
         tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
-        return TableStack(tuple(tables), tuple(plr._far_corner for plr in plrs))
+        return TableStack(tuple(tables), (None,) * len(plrs), tuple(plr._far_corner for plr in plrs))
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
@@ -198,7 +245,7 @@ class PLR:
 
     @cached_property
     def _coefficients(self) -> Float[np.ndarray, "leaves terms"]:
-        return _filled_coefficients(self._contents)
+        return filled_coefficients(self._contents)
 
     @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
@@ -231,6 +278,32 @@ class PLR:
         return self.tables.from_corner(self.domain)
 
 
+@dataclass(frozen=True, eq=False)
+class LowerBound:
+    """A PLR's proven lower bound as a distance function: see :attr:`PLR.lower`.
+
+    Attributes:
+        plr: The PLR.
+    """
+
+    plr: PLR
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.plr.dim
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """The lower of :meth:`PLR.bounds`."""
+        return self.plr.bounds(x)[0]
+
+    @staticmethod
+    def stack(fns: Sequence["LowerBound"]) -> TableStack:
+        """One function of all robots' lower bounds, as :meth:`PLR.stack`."""
+        plain = PLR.stack([fn.plr for fn in fns])
+        return replace(plain, bands=tuple(fn.plr.band for fn in fns))
+
+
 def from_bytes(data: bytes) -> PLR:
     """The PLR that a file's bytes hold.
 
@@ -257,39 +330,26 @@ def plr_of_leaves(contents: Contents) -> PLR:
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
-    numbers = leaf.numbers(domain, cells, _filled_coefficients(contents))
+    numbers = leaf.numbers(domain, cells, filled_coefficients(contents))
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
-    return PLR(build_tables(domain, cells, numbers, leaf, len(data)), file)
-
-
-def _filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:
-    """Coefficients of all leaves.
-
-    An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
-    corner, so that a free point beside or in a wall has an answer. Of one that touches none the first is ``inf``, the
-    others are 0.
-    """
-    leaf, cells, unreachable = contents.leaf, contents.cells, contents.leaf.unreachable(contents.stored)
-    coefficients = leaf.coefficients(cells, contents.stored)
-    if not (np.abs(coefficients) < LARGEST).all():
-        raise ValueError("its distances are too large for 32-bit floats; scale them down")
-    if isinstance(leaf, LinearLeafModel) and unreachable.any():
-        donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
-        borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
-        center, half = linear_mean_planes(leaf, coefficients[donor], cells.dim)
-        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
-        place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
-        along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
-        coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
-        coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
-    return coefficients
+    tables = build_tables(domain, cells, numbers, leaf, len(data))
+    if contents.certificate is None:
+        return PLR(tables, file)
+    band = contents.certificate.bounds().astype(np.float32)
+    rows = band.shape[1] if band.shape[1] == 1 else padded_size(band.shape[1])
+    return PLR(tables, file, jnp.asarray(padded(band.T, rows).T))
 
 
 def with_stored(plr: PLR, stored: Any) -> PLR:
-    """A PLR of the same partition and model that stores something else."""
-    return plr_of_leaves(replace(plr._contents, stored=stored))
+    """A PLR of the same partition and model that stores something else, of which nothing is proven."""
+    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None))
+
+
+def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
+    """The same PLR with another proof."""
+    return plr_of_leaves(replace(plr._contents, certificate=certificate))
 
 
 def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -321,6 +381,12 @@ def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
     """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
     require_points(tables, x)
     return evaluate_tables(tables, x)
+
+
+@jax.jit
+def _bounds(band: Float[Array, "2 rows"], tables: Tables, x: Array) -> tuple[Float[Array, "*batch"], ...]:
+    require_points(tables, x)
+    return bounds_of_tables(tables, band, x)
 
 
 @jax.jit

@@ -36,7 +36,7 @@ def maze(request):
 def of_sources(code, parent, root_offset=None, source=0):
     """The file of one leaf that names a source of some, in steps of a hundredth of the unit square."""
     offsets = np.zeros(len(code)) if root_offset is None else np.array(root_offset)
-    sources = StoredSources(100, 0, np.array(code), np.array(parent), offsets)
+    sources = StoredSources(0, 0, 100, np.array(code), np.array(parent), offsets)
     cells = Cells.root(2)
     stored = StoredCones(sources, np.array([source]))
     return encode(Contents(UNIT, leaf_model("cone"), levels_of(cells)[0], cells, stored))
@@ -67,7 +67,9 @@ def test_outside_the_domain_there_is_no_path(plr):
     traces = trace(plr, starts)
     assert traces.status.tolist() == [TraceStatus.OUTSIDE] * 2 + [TraceStatus.ARRIVED] + [TraceStatus.OUTSIDE] * 2
     lost = traces.status == TraceStatus.OUTSIDE
-    assert np.isnan(traces.paths[lost]).all() and not traces.counts[lost].any() and np.isinf(traces.lengths[lost]).all()
+    assert (
+        np.isnan(traces.paths[lost]).all() and not traces.counts[lost].any() and np.isinf(traces.lengths[lost]).all()
+    )
 
 
 @pytest.mark.parametrize("workspace", [None, ROOM])
@@ -113,8 +115,7 @@ def test_legs_through_walls_are_told(plr):
     starts = np.array([[0.9, 0.1], [0.2, 0.9], [5, 5]])
     expected = [TraceStatus.CROSSES_WALL, TraceStatus.ARRIVED, TraceStatus.OUTSIDE]
     assert trace(unaware, starts, ROOM).status.tolist() == expected
-    shut = Workspace(((0, 0), (1, 1)), [WALL, [(0, 0.3), (0.3, 0.3), (0.3, 0.32), (0, 0.32)]])
-    assert trace(plr, [[0.9, 0.1]], shut).arrived[0] and trace(plr, [[0.9, 0.1]], HALF_WALL).arrived[0]
+    assert trace(plr, [[0.9, 0.1]], ROOM).arrived[0] and trace(plr, [[0.9, 0.1]], HALF_WALL).arrived[0]
     shut = Workspace(((0, 0), (1, 1)), [WALL, [(0.1, 0.3), (0.4, 0.3), (0.4, 0.32), (0.1, 0.32)]])
     assert trace(plr, [[0.9, 0.1]], shut).status.tolist() == [TraceStatus.CROSSES_WALL]
     assert trace(plr, [[0.45, 0.2]], ROOM).status.tolist() == [TraceStatus.CROSSES_WALL]  # from within a wall
@@ -125,7 +126,7 @@ def test_corners_that_the_file_rounds_are_no_walls():
     workspace = Workspace(((0, 0), (1, 1)), [octagon])
     exact = VisibilityGraph(workspace, GOAL)
     plr = construct(exact, UNIT, leaf="cone", max_bytes=1024)
-    assert not plr.stored.sources.fraction
+    assert plr.stored.sources.num_fine > 4
     starts = workspace.sample_free(500, seed=0)
     traces = trace(plr, starts, workspace)
     assert np.mean(traces.arrived) > 0.98
@@ -164,7 +165,7 @@ def test_waypoints_compiled_closed_over_as_argument_and_one_by_one(plr):
     x = jnp.asarray(np.append(ROOM.sample_free(50, seed=3), [[2, 2], [np.nan, 0.5]], axis=0))
     expected = np.asarray(plr.waypoint(x))
     assert np.isnan(expected[-2:]).all() and np.isfinite(expected[:-2]).all()
-    np.testing.assert_array_equal(jax.jit(lambda x: plr.waypoint(x))(x), expected)
+    np.testing.assert_array_equal(jax.jit(plr.waypoint)(x), expected)
     np.testing.assert_array_equal(jax.jit(lambda plr, x: plr.waypoint(x))(plr, x), expected)
     np.testing.assert_array_equal(jax.vmap(plr.waypoint)(x), expected)
     np.testing.assert_array_equal(jax.jit(lambda plr: plr.waypoint(np.asarray(x)))(plr), expected)

@@ -5,21 +5,18 @@ sources that any of it may use. Where no source is seen by all, it is at most th
 there, which is free.
 """
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import run_members
 from plr_jax._types import CellSources
-from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr.partition.cells import Cells
-
-_ROUNDING = 2.0**-22
-"""Widths of the domain by which a query may place a point beside its cell: twice the last bit of a lookup."""
 
 
+@runtime_checkable
 class ConesAbove(Protocol):
     """Smallest and largest value, over pieces, of cones minus what leaves hold.
 
@@ -33,20 +30,13 @@ class ConesAbove(Protocol):
         offset: Float[np.ndarray, "n"],
         row: Int[np.ndarray, "n"],
         /,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]: ...
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Of cones with these apexes and offsets, one a piece."""
+        ...
 
 
-def grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-    """Corners of boxes that hold all points for which queries may ask a cell."""
-    lo, hi = cells.boxes(domain)
-    margin = _ROUNDING * domain.width
-    return lo - margin, hi + margin
-
-
-def grown_domain(domain: Box) -> Box:
-    """The domain as such a box."""
-    lo, hi = grown_boxes(Cells.root(domain.dim), domain)
-    return Box(lo[0], hi[0])
+BelowCones: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+"""The method of that name of a leaf model."""
 
 
 def bounds_of_pieces(
@@ -71,3 +61,21 @@ def bounds_of_pieces(
         of = piece[hidden]
         _, upper[hidden] = cones_above(visible.pieces[:, of], visible.center[of], visible.distance[of], hidden)
     return lower, upper
+
+
+def proven_errors(
+    visible: CellSources, below_cones: BelowCones, functions: tuple[Float[np.ndarray, "cells _"], ...]
+) -> Float[np.ndarray, "cells"]:
+    """Bound of the largest error in each cell, 0 where nothing of it reaches the goal.
+
+    What cells hold is given as :meth:`LeafModel.below_cones` takes it: their corners, and coefficients.
+    """
+
+    def of_rows(*cones: Any) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        pieces, apex, offset, row = cones
+        return below_cones(*(each[visible.cell[row]] for each in functions), pieces, apex, offset)
+
+    lower, upper = bounds_of_pieces(visible, np.arange(len(visible.cell)), of_rows)
+    errors = np.zeros(visible.num_cells)
+    np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
+    return errors

@@ -6,7 +6,7 @@ All numbers are little-endian. Layout of version 2:
     u8      version
     u8      number of axes
     u8      code of the leaf model
-    u8      reserved, 0
+    u8      what it keeps of a proof: 0 nothing, 1 the largest error, 2 bounds of every leaf as well
     u32     number of leaves
     u32     size of the whole file in bytes
     f64     lower corner of the domain, one number an axis; then the upper corner
@@ -15,6 +15,7 @@ All numbers are little-endian. Layout of version 2:
                 node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
               what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
                 lower half first
+              what it keeps of a proof (see ``plr/certificate/certificate.py``)
     u32     CRC-32 of all bytes before
 """
 
@@ -44,12 +45,15 @@ class Container:
     leaf_code: int
     num_leaves: int
     body: bytes
+    proof_code: int = 0
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
         content = np.concatenate([self.domain.lo, self.domain.hi]).astype("<f8").tobytes() + self.body
         size = HEADER_SIZE + len(content) + _CRC.size
-        header = _HEADER.pack(_MAGIC, VERSION, self.domain.dim, self.leaf_code, 0, self.num_leaves, size)
+        header = _HEADER.pack(
+            _MAGIC, VERSION, self.domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size
+        )
         return header + content + _CRC.pack(zlib.crc32(header + content))
 
     @staticmethod
@@ -63,7 +67,7 @@ class Container:
             raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
         if len(data) < HEADER_SIZE + _CRC.size:
             raise ValueError("the data end too early")
-        _, _, dim, leaf_code, _, num_leaves, size = _HEADER.unpack_from(data)
+        _, _, dim, leaf_code, proof_code, num_leaves, size = _HEADER.unpack_from(data)
         if len(data) != size:
             number = f"{len(data)}" if len(data) < size else "more"
             raise ValueError(f"it has {number} bytes, its header states {size}: the file is truncated or corrupt")
@@ -74,7 +78,7 @@ class Container:
         if dim == 0 or len(content) < 16 * dim:
             raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
         corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64)
-        return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :])
+        return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :], proof_code)
 
 
 def container_size(dim: int, num_leaves: int, num_bits: int) -> int:

@@ -10,6 +10,8 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, require_integer
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.container import container_size
 from plr_jax.plr.partition.tree import MAX_DEPTH
 from plr_jax.plr.query.tables import byte_class, max_axis_depth, rows_of_class
 
@@ -28,7 +30,8 @@ class ConstructionInterrupted(UserWarning):
 class Limits:
     """When to stop: see :func:`construct`.
 
-    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables.
+    No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have
+    room for the ``proof``; if there is one, errors are those that are proven.
     """
 
     max_depth: int
@@ -36,16 +39,23 @@ class Limits:
     max_leaves: int
     max_bytes: float
     tolerance: float
+    proof: Proof = Proof.NONE
+
+    def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
+        """Bytes of a file of so many leaves, of which the model keeps so many bits."""
+        return container_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves))
 
 
 def check_limits(
     dim: int,
-    least_bytes: int,
+    least_bytes: int | float,
+    has_deep_trees: bool,
     bytes_without_budget: Callable[[int, int], int],
     max_depth: int | None,
     max_leaves: int | None,
     max_bytes: int | None,
     tolerance: int | float | None,
+    proof: Proof,
 ) -> Limits:
     """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
     for name, value, least in (
@@ -71,10 +81,11 @@ def check_limits(
         check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
     return Limits(
         max_depth=max_depth,
-        max_axis_depth=max_axis_depth(dim, table_class, least_bytes),
+        max_axis_depth=max_axis_depth(dim, table_class, least_bytes, has_deep_trees),
         max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),
+        proof=proof,
     )
 
 

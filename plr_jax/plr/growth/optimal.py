@@ -2,9 +2,9 @@
 
 Splitting best-first decides for an axis by what one split gains, and never takes it back. Here every box that a tree
 may hold is judged once, whichever splits lead to it, unless its cost is below the price of a leaf. Then the best tree
-follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and more
-boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them is
-taken.
+follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and
+more boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them
+is taken.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -12,7 +12,7 @@ References:
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,30 +20,54 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
-_CHEAPER = 0.3  # of the price before
-_HALVINGS = 12  # of the range between the last two prices
+_CHEAPER, _LEAST_CHEAPER = 0.05, 0.7  # of the price before, far from the limits and near them
+_FAR, _BEYOND = (
+    8.0,
+    1.15,
+)  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
+_HALVINGS = 10  # of the range between the last two prices
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
 _LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
 _AT_ONCE = 1 << 14  # boxes
 _NUMBER_BITS = 31
 
 
+@runtime_checkable
+class Leaves(Protocol):
+    """Some boxes as leaves: all that a file keeps of them follows."""
+
+    @property
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
+
+    def append(self, *others: Any) -> Any:
+        """These leaves followed by others."""
+        ...
+
+
+@runtime_checkable
 class Boxes(Protocol):
-    """Boxes of a domain, and what leaves there would be like.
-
-    Attributes:
-        cells: The boxes.
-        error: The largest error of each as a leaf, 0 if it does not matter.
-        integral: The integral of its error over its share of the domain.
-    """
+    """Boxes of a domain, and what leaves there would be like."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
+
     @property
-    def error(self) -> Float[np.ndarray, "boxes"]: ...
+    def error(self) -> Float[np.ndarray, "boxes"]:
+        """The largest error of each as a leaf, 0 if it does not matter."""
+        ...
+
     @property
-    def integral(self) -> Float[np.ndarray, "boxes"]: ...
-    def __getitem__(self, index: Int[np.ndarray, "some"]) -> Any: ...
+    def integral(self) -> Float[np.ndarray, "boxes"]:
+        """The integral of each one's error over its share of the domain."""
+        ...
+
+    def leaves(self, index: Int[np.ndarray, "some"]) -> Any:
+        """Some of the boxes as leaves."""
+        ...
 
     def append(self, *others: Any) -> Any:
         """These boxes followed by others."""
@@ -57,11 +81,12 @@ class Boxes(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Partition:
-    """The leaves of a tree, best at a price a leaf."""
+class _Tree:
+    """The leaves of the best tree at a price a leaf, and the bytes of their file."""
 
-    leaves: Boxes
+    leaves: Any
     price: float
+    num_bytes: int
     is_final: bool
 
     def __len__(self) -> int:
@@ -74,35 +99,67 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
     Raises:
         ValueError: If the budget of bytes is too small for one leaf.
     """
-    if (smallest := size(root)) > limits.max_bytes:
+    search = _Search(root, limits, size)
+    tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
+    if not search.fits(tree):
         raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {smallest} bytes; allow at least that."
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow as many."
         )
-    levels = [_level_of(root)]
+    return grow(tree, search.next, limits).leaves
 
-    def fits(leaves: Boxes) -> bool:
-        return len(leaves.cells) <= limits.max_leaves and size(leaves) <= limits.max_bytes
 
-    def split_more(tree: Partition) -> Partition | None:
-        if tree.is_final:
+class _Search:
+    """The search of a price: what was looked at so far, and the two last trees."""
+
+    def __init__(self, root: Boxes, limits: Limits, size: Callable[[Any], int]) -> None:
+        self._levels, self._limits, self._size = [_level_of(root)], limits, size
+        self._before: _Tree | None = None
+
+    def tree(self, price: float, least_share: float, is_final: bool = False) -> _Tree:
+        """The best tree of what was looked at."""
+        leaves = _best_leaves(self._levels, price, least_share)
+        num_bytes = self._size(leaves) if np.isfinite(self._limits.max_bytes) else 0
+        return _Tree(leaves, price, num_bytes, is_final)
+
+    def fits(self, tree: _Tree) -> bool:
+        """Whether a tree is within the limits."""
+        return len(tree) <= self._limits.max_leaves and tree.num_bytes <= self._limits.max_bytes
+
+    def next(self, now: _Tree) -> _Tree | None:
+        """A larger tree, after more boxes were looked at; None if there is none."""
+        if now.is_final:
             return None
-        price, least = _CHEAPER * tree.price, _LEAST_SHARE / len(tree)
-        _expand(levels, price, least, limits)
+        price, least_share = self._next_price(now), _LEAST_SHARE / len(now)
+        _expand(self._levels, price, least_share, self._limits)
         is_final = not any(
-            (_may_expand(level, limits).any(axis=0) & (_costs(level, least) > 0)).any() for level in levels
+            (_may_expand(level, self._limits).any(axis=0) & (_costs(level, least_share) > 0)).any()
+            for level in self._levels
         )
-        price = 0.0 if is_final else price
-        leaves = _best_leaves(levels, price, least)
-        if fits(leaves):
-            return Partition(leaves, price, is_final)
-        low, high, best = price, tree.price, tree.leaves
-        for _ in range(_HALVINGS):
-            middle = np.sqrt(max(low, 1e-6 * high) * high)
-            leaves = _best_leaves(levels, middle, least)
-            low, high, best = (low, middle, leaves) if fits(leaves) else (middle, high, best)
-        return Partition(best, high, True)
+        larger = self.tree(0.0 if is_final else price, least_share, is_final)
+        self._before = now
+        return larger if self.fits(larger) else self._largest(now, larger, least_share)
 
-    return grow(Partition(root, float(root.integral[0] + root.error[0]), False), split_more, limits).leaves
+    def _next_price(self, now: _Tree) -> float:
+        """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
+        room = self._limits.max_leaves / len(now)
+        if np.isfinite(self._limits.max_bytes):
+            room = min(room, self._limits.max_bytes / now.num_bytes)
+        before = self._before
+        if before is None or len(before) == len(now) or room > _FAR:
+            return _CHEAPER * now.price
+        rate = np.log(len(now) / len(before)) / np.log(before.price / now.price)
+        return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
+
+    def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:
+        """The largest tree that fits, of prices between one that does and one that does not."""
+        low, high = beyond.price, fits.price
+        for _ in range(_HALVINGS):
+            middle = self.tree(float(np.sqrt(max(low, 1e-6 * high) * high)), least_share)
+            if self.fits(middle):
+                fits, high = middle, middle.price
+            else:
+                low = middle.price
+        return replace(fits, is_final=True)
 
 
 @dataclass(eq=False)
@@ -178,9 +235,9 @@ def _add_halves(
     level.child[axis, is_upper.astype(int), parent] = place[index[len(known) :]]
 
 
-def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Boxes:
+def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Any:
     """Leaves of the tree for which their costs and their prices together are least."""
-    below: Float[np.ndarray, "boxes"] = np.zeros(0)
+    below: Float[np.ndarray, boxes] = np.zeros(0)
     choices = []
     for level in reversed(levels):
         dim, _, num_boxes = level.child.shape
@@ -196,7 +253,7 @@ def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Boxe
     parts, here = [], np.zeros(1, np.int64)
     for level, choice in zip(levels, reversed(choices), strict=True):
         axis = choice[here]
-        parts.append(level.boxes[here[axis < 0]])
+        parts.append(level.boxes.leaves(here[axis < 0]))
         here, axis = here[axis >= 0], axis[axis >= 0]
         here = level.child[axis, :, here].ravel()
     return parts[0].append(*parts[1:])

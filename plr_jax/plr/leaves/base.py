@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
@@ -25,6 +26,10 @@ class Rules(NamedTuple):
 
     should_split: ShouldSplitRule
     split: SplitRule
+
+
+UNIT = 2.0**-24
+"""Largest relative error of rounding to 32-bit floats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +55,9 @@ class Parameters:
 class LeafModel(Protocol):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
-    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the value.
-    What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read`` gives
-    back.
+    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
+    value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
+    gives back.
     """
 
     @property
@@ -66,8 +71,13 @@ class LeafModel(Protocol):
         ...
 
     @property
-    def least_bytes(self) -> int:
-        """Bytes of a file that a leaf takes at the least, a power of two."""
+    def least_bytes(self) -> int | float:
+        """Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction."""
+        ...
+
+    @property
+    def has_deep_trees(self) -> bool:
+        """Whether small trees are deep, for which a query's tables have pages: see ``query/pages.py``."""
         ...
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
@@ -137,7 +147,28 @@ class LeafModel(Protocol):
         x: Float[Array, "*batch dim"],
         outside: Bool[Array, "*batch"],
     ) -> Float[Array, "*batch"]:
-        """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
+        """Value at each point, in JAX: that of the leaf whose numbers ``number_of_leaf`` finds at ``leaf``.
+
+        If a point is ``outside`` the domain, any number will do.
+        """
+        ...
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
+        ...
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
         ...
 
 
@@ -225,6 +256,14 @@ def linear_mean_planes(
     ends = np.eye(dim)
     half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
     return coefficients @ model.basis(np.zeros((1, dim)))[0], half
+
+
+def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
+    """Largest coordinate of a point that a query rounds to 32 bits, along each axis.
+
+    Where the domain is far from the origin, points are counted from a corner before.
+    """
+    return np.maximum(np.maximum(np.abs(domain.lo), np.abs(domain.hi)), domain.width)
 
 
 def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

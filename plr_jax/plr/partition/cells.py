@@ -7,6 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.box import Box
 
+PLACING = 2.0**-22
+"""How far beside its cell, in widths of the domain, a query may place a point: twice the last bit of a place."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -54,6 +57,11 @@ class Cells:
             domain.lo + domain.width * ((self.position + 1) * size),
         )
 
+    def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        """Corners of boxes that hold all points for which a query may ask a cell, which places points in 32 bits."""
+        lo, hi = self.boxes(domain)
+        return lo - PLACING * domain.width, hi + PLACING * domain.width
+
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
         """Points of the domain at the local coordinates ``u`` (``[-1, 1]`` spans a cell) of every cell."""
         x = np.empty((len(self), *u.shape))
@@ -75,3 +83,9 @@ class Cells:
         """The lower or the upper half of each cell along its axis."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
+
+
+def grown_domain(domain: Box) -> Box:
+    """The box that holds all points for which a query may ask a domain."""
+    lo, hi = Cells.root(domain.dim).grown_boxes(domain)
+    return Box(lo[0], hi[0])

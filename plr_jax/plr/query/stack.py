@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from plr_jax._arrays import padded_size
-from plr_jax.plr.query.lookup import evaluate_tables
+from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables
 from plr_jax.plr.query.tables import Tables
 
 # The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
@@ -20,10 +20,11 @@ _CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copi
 class TableStack:
     """The tables of several PLRs, one a robot, and the corners far from the origin from which some count coordinates.
 
-    See :meth:`PLR.stack`.
+    See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
     """
 
     tables: tuple[Tables, ...]
+    bands: tuple[Float[Array, "2 rows"] | None, ...]
     far_corners: tuple[Float[np.ndarray, "_"] | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
@@ -32,7 +33,7 @@ class TableStack:
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)
         # All calls are under way before the first result is waited for.
-        answers = [_evaluate(self.tables, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
+        answers = [_evaluate(self.tables, self.bands, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
         for begin, answer in zip(starts, answers, strict=True):
             columns = distances[:, begin : begin + _CHUNK]
             for column, of_robot in zip(columns, answer, strict=True):
@@ -58,6 +59,12 @@ class TableStack:
 
 
 @jax.jit
-def _evaluate(tables: tuple[Tables, ...], q: Float[Array, "n robots dof"]) -> tuple[Float[Array, "n"], ...]:
+def _evaluate(
+    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 rows"] | None, ...], q: Float[Array, "n robots dof"]
+) -> tuple[Float[Array, "n"], ...]:
     """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
-    return tuple(evaluate_tables(table, q[:, i, : table.dim]) for i, table in enumerate(tables))
+    parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
+    return tuple(
+        evaluate_tables(table, part) if band is None else bounds_of_tables(table, band, part)[0]
+        for table, band, part in zip(tables, bands, parts, strict=True)
+    )

@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import as_distances, as_values
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.pattern import Pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares, masked_cells
 
@@ -89,7 +91,8 @@ _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("ce
 class Sampler:
     """How cells are sampled and fitted: what stays the same throughout a construction.
 
-    Cells of which too little was seen are sampled again with the dense pattern.
+    Cells of which too little was seen are sampled again with the dense pattern. Where there is a ``memory``, it
+    answers instead of the distance function.
     """
 
     distance_fn: DistanceFn
@@ -99,12 +102,17 @@ class Sampler:
     dense_pattern: Pattern
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
+    memory: CellMemory | None = None
 
     def __call__(self, cells: Cells) -> CellFit:
         """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
         pattern = self.pattern
-        x = cells.points(pattern.u, self.domain).reshape(-1, cells.dim)
-        distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
+        points = cells.points(pattern.u, self.domain)
+        x = points.reshape(-1, cells.dim)
+        if self.memory is None:
+            distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
+        else:
+            distance = self.memory.distances(cells, points)
         reachable = np.isfinite(distance)
         weight = reachable.astype(np.float64)
         if self.weight_fn is not None:
@@ -132,6 +140,25 @@ class Sampler:
                 "tiny part of the domain, raise num_samples."
             )
         return fit
+
+
+def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
+    """With planes for cells whose free pieces no sample met: tangents at the center of the largest."""
+    unseen = np.flatnonzero(~fit.reachable.any(axis=1))
+    if sampler.memory is None or not len(unseen):
+        return fit
+    visible = sampler.memory.sources(fit.cells[unseen])
+    order = np.lexsort((-areas(visible.pieces), visible.cell))
+    first = order[np.append(True, np.diff(visible.cell[order]) > 0)[: len(order)]]
+    cell, middle = unseen[visible.cell[first]], visible.center[first]
+    toward = middle - visible.sources.points[visible.best[first]]
+    length = np.linalg.norm(toward, axis=1, keepdims=True)
+    slope = np.divide(toward, length, out=np.zeros_like(toward), where=length > 0)
+    lo, hi = (corner[cell] for corner in fit.cells.boxes(sampler.domain))
+    center, half = fit.center.copy(), fit.half.copy()
+    center[cell] = visible.distance[first] + (slope * ((lo + hi) / 2 - middle)).sum(axis=1)
+    half[cell] = slope * (hi - lo) / 2
+    return replace(fit, center=center, half=half)
 
 
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:

@@ -11,11 +11,31 @@ from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.certificate.bounds import bounds_of_pieces, grown_boxes
+from plr_jax.plr.certificate.bounds import bounds_of_pieces
 from plr_jax.plr.partition.cells import Cells
 
 _MOST_OPTIONS = 4
 """Sources tried for a leaf: those to which most of it goes, judged by the centers of its pieces."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConeLeaves:
+    """Leaves and the indices of their sources, -1 where nothing reaches the goal; and the boxes that they are."""
+
+    cells: Cells
+    source: Int[np.ndarray, "leaves"]
+    parts: list[tuple["ConeBoxes", Int[np.ndarray, "_"]]]
+
+    def append(self, *others: "ConeLeaves") -> "ConeLeaves":
+        """These leaves followed by others."""
+        source = np.concatenate([self.source, *(other.source for other in others)])
+        parts = [part for leaves in (self, *others) for part in leaves.parts]
+        return ConeLeaves(self.cells.append(*(other.cells for other in others)), source, parts)
+
+    def boxes(self) -> "ConeBoxes":
+        """The leaves as boxes, with all that is known of them."""
+        first, *others = (boxes[index] for boxes, index in self.parts)
+        return first.append(*others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +57,13 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
+    def leaves(self, index: Int[np.ndarray, "some"]) -> "ConeLeaves":
+        """Some of the boxes as leaves."""
+        return ConeLeaves(self.cells[index], self.source[index], [(self, index)])
+
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
-        return ConeBoxes(
-            self.domain,
-            self.negligible,
-            self.cells[index],
-            self.visible.of_cells(index),
-            self.source[index],
-            self.error[index],
-            self.integral[index],
-        )
+        columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
+        return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)
 
     def append(self, *others: "ConeBoxes") -> "ConeBoxes":
         """These boxes followed by others."""
@@ -67,20 +84,20 @@ class ConeBoxes:
     ) -> "ConeBoxes":
         """A half of each of some of the boxes."""
         cells = self.cells[parent].halves(axis, is_upper)
-        visible = self.visible.parts(parent, axis, is_upper, *grown_boxes(cells, self.domain))
+        visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
         return _fitted(self.domain, self.negligible, cells, visible)
 
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
     """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
-    resolved = np.finfo(np.float32).eps / 4 * float(visible.distance.max(initial=0.0))
+    resolved = float(np.finfo(np.float32).eps / 4 * visible.distance.max(initial=0.0))
     return _fitted(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
 
 
 def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
     """Boxes with the cone for each whose proven error has the least integral over its free part."""
     box, source = _options(visible, areas(visible.pieces))
-    largest, integral = proven_errors(visible, box, source)
+    largest, integral = errors_of_options(visible, box, source)
     order = np.lexsort((largest, integral, box))
     order = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
     best, of_box, total = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
@@ -89,7 +106,7 @@ def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) 
     return ConeBoxes(domain, negligible, cells, visible, best, of_box, total)
 
 
-def proven_errors(
+def errors_of_options(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
     """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""

@@ -1,6 +1,6 @@
 """A cone in every leaf: an offset and the distance to a source, which many leaves share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -9,23 +9,24 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._types import CellwiseFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.certificate.bounds import grown_domain
+from plr_jax.geometry.cone_differences import difference_of_cones
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
-from plr_jax.plr.leaves.base import Rules
-from plr_jax.plr.leaves.cone.boxes import ConeBoxes, root_box
+from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
+from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
-from plr_jax.plr.leaves.cone.sight import boxes_in_doubt, sources_in_sight
+from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.cell_memory import CellMemory
 
-_CHANGES_A_BYTE = 8
-"""How many leaves may be given another source in a byte, or nearly: it is mostly that of a leaf beside them."""
+_ROOM = 64
+"""One byte for so many is left for sources to be changed to others that are in sight."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Cone:
 
     name = "cone"
     num_samples = 96
-    least_bytes = 1
-    is_deep = True
+    least_bytes = 0.5
+    has_deep_trees = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Half a byte each, and what some tens of sources take."""
@@ -56,23 +57,26 @@ class Cone:
         domain, oracle = sampler.domain, sampler.distance_fn
         if not isinstance(oracle, CellwiseFn):
             raise NotImplementedError
-        visible = oracle.cell_sources(grown_domain(domain))
+        visible = (CellMemory(oracle, domain) if sampler.memory is None else sampler.memory).sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # which says so
 
-        def stored(boxes: ConeBoxes, source: Int[np.ndarray, "boxes"]) -> tuple[Cells, StoredCones]:
-            order = levels_of(boxes.cells)[1]
-            return boxes.cells[order], _stored(visible.sources, domain, source[order])
+        def stored(leaves: ConeLeaves) -> tuple[Cells, StoredCones]:
+            order = levels_of(leaves.cells)[1]
+            return leaves.cells[order], _stored(visible.sources, domain, leaves.source[order])
 
-        def size(boxes: ConeBoxes, source: Int[np.ndarray, "boxes"]) -> int:
-            cells, cones = stored(boxes, source)
-            return container_size(cells.dim, len(cells), cones_bits(domain, cones))
+        def size(leaves: ConeLeaves) -> int:
+            cells, cones = stored(leaves)
+            return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
 
-        def size_with_changes(boxes: ConeBoxes) -> int:
-            return size(boxes, boxes.source) + len(boxes_in_doubt(boxes)) // _CHANGES_A_BYTE
+        def fits(source: Int[np.ndarray, "leaves"]) -> bool:
+            return size(replace(best, source=source)) <= limits.max_bytes
 
-        best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_changes)
-        return stored(best, sources_in_sight(best, sampler, lambda source: size(best, source) <= limits.max_bytes))
+        def size_with_room(leaves: ConeLeaves) -> int:
+            return size(leaves) * (_ROOM + 1) // _ROOM
+
+        best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
+        return stored(replace(best, source=sources_in_sight(best.boxes(), sampler, fits)))
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
@@ -119,6 +123,28 @@ class Cone:
     ) -> Float[np.ndarray, "leaves terms"]:
         """The offset, and the source from the domain's rounded lower corner."""
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - table_corners(domain)[0]])
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes of other cones minus these, over convex pieces."""
+        return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the numbers, of the point, of differences, squares, sums and the root."""
+        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
+        length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
+        beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
+        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length)
 
     def evaluate(
         self,

@@ -6,29 +6,22 @@ is larger than the cone says, for if it were in sight, the way by it would be as
 
 from bisect import bisect_left
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.leaves.cone.boxes import ConeBoxes, proven_errors
+from plr_jax.plr.leaves.cone.boxes import ConeBoxes, errors_of_options
 from plr_jax.plr.sampling.cell_fit import Sampler, call_oracle
 
-_PRICE = 3e-4
-"""Error that counts as much as a way that meets a wall, in widths of the domain."""
+_PRICE = 30.0
+"""Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
 _LEAST_SHORTFALL = 1e-9
 """Widths of the domain by which a distance is above a cone for certain."""
 
-BoxSources = Int[np.ndarray, "boxes"]
-Pairs = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]
-
-
-def boxes_in_doubt(boxes: ConeBoxes) -> Int[np.ndarray, "doubted"]:
-    """Those of which a part may not see the source."""
-    box, source, by_all = _pairs(boxes)
-    is_safe = boxes.source < 0
-    is_safe[box[by_all & (source == boxes.source[box])]] = True
-    return np.flatnonzero(~is_safe)
+BoxSources: TypeAlias = Int[np.ndarray, "boxes"]
+Pairs: TypeAlias = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]
 
 
 def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSources], bool]) -> BoxSources:
@@ -37,29 +30,39 @@ def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSour
     No box errs more than the one that errs most did: what is proven of all of them holds as before. Of the changes,
     the most useful first, as many are made as fit.
     """
-    doubted = boxes_in_doubt(boxes)
-    box, source, by_all = (column[np.isin(_pairs(boxes)[0], doubted)] for column in _pairs(boxes))
-    if not len(box):
-        return boxes.source
-    largest, integral = proven_errors(boxes.visible, box, source)
-    cost = _costs(boxes[doubted], sampler, np.searchsorted(doubted, box), source)
-    is_own = source == boxes.source[box]
-    too_large = (largest > max(boxes.error.max(), boxes.negligible)) & ~is_own
-    order = np.lexsort((integral, ~is_own, ~by_all, cost, too_large, box))
-    best = order[np.append(True, box[order[1:]] != box[order[:-1]])]
-    gain = np.bincount(box[is_own], cost[is_own], len(boxes.source))[box[best]] - cost[best]
-    gain *= np.bincount(boxes.visible.cell, areas(boxes.visible.pieces), len(boxes.source))[box[best]]
-    changes = best[np.argsort(-gain)]
-    changes = changes[~is_own[changes]]
+    box, source = _changes(boxes, sampler)
 
     def changed(count: int) -> BoxSources:
         result = boxes.source.copy()
-        result[box[changes[:count]]] = source[changes[:count]]
+        result[box[:count]] = source[:count]
         return result
 
-    if fits(changed(len(changes))):
-        return changed(len(changes))
-    return changed(bisect_left(range(1, len(changes)), True, key=lambda count: not fits(changed(count))))
+    if fits(changed(len(box))):
+        return changed(len(box))
+    return changed(bisect_left(range(1, len(box)), True, key=lambda count: not fits(changed(count))))
+
+
+def _changes(boxes: ConeBoxes, sampler: Sampler) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
+    """Boxes that are better off with another source, and which; those that gain most, over all their area, first."""
+    box, source, by_all = _pairs(boxes)
+    is_doubted = boxes.source >= 0
+    is_doubted[box[by_all & (source == boxes.source[box])]] = False
+    box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
+    if not len(box):
+        return box, source
+    doubted, count = np.flatnonzero(is_doubted), len(boxes.source)
+    price = _PRICE * float(boxes.integral.sum())
+    cost = _costs(boxes[doubted], sampler, np.searchsorted(doubted, box), source, price)
+    largest, integral = errors_of_options(boxes.visible, box, source)
+    is_own = source == boxes.source[box]
+    is_barred = ~is_own & (largest > max(boxes.error.max(), boxes.negligible))
+    order = np.lexsort((integral, ~is_own, ~by_all, cost, is_barred, box))
+    best = order[np.append(True, box[order[1:]] != box[order[:-1]])]
+    gain = np.bincount(box[is_own], cost[is_own], count)[box[best]] - cost[best]
+    gain *= np.bincount(boxes.visible.cell, areas(boxes.visible.pieces), count)[box[best]]
+    best = best[np.argsort(-gain, kind="stable")]
+    best = best[~is_own[best]]
+    return box[best], source[best]
 
 
 def _pairs(boxes: ConeBoxes) -> Pairs:
@@ -72,9 +75,13 @@ def _pairs(boxes: ConeBoxes) -> Pairs:
 
 
 def _costs(
-    boxes: ConeBoxes, sampler: Sampler, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
+    boxes: ConeBoxes,
+    sampler: Sampler,
+    box: Int[np.ndarray, "options"],
+    source: Int[np.ndarray, "options"],
+    price: float,
 ) -> Float[np.ndarray, "options"]:
-    """Mean error of each source in its box, plus the price of the share of it from where a wall is in the way."""
+    """Mean error of each source in its box, plus a price times the share of it from where a wall is in the way."""
     pattern, sources, width = sampler.pattern, boxes.visible.sources, float(boxes.domain.width.max())
     x = boxes.cells.points(pattern.u, boxes.domain)
     distance = call_oracle(sampler.distance_fn, x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
@@ -82,4 +89,4 @@ def _costs(
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
     cone = sources.distances[source, None] + np.linalg.norm(x[box] - sources.points[source, None], axis=2)
     above = np.where(np.isfinite(distance), distance, 0.0)[box] - cone
-    return np.sum(weight[box] * (np.abs(above) + _PRICE * width * (above > _LEAST_SHORTFALL * width)), axis=1)
+    return np.sum(weight[box] * (np.abs(above) + price * (above > _LEAST_SHORTFALL * width)), axis=1)

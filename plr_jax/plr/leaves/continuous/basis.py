@@ -6,6 +6,7 @@ the multilinear functions, so they follow from the same values. A hanging corner
 cubic of the leaf it hangs on; half a cubic is the cubic of its own end points, so nothing jumps there either.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +63,34 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
             2 * table.shape[0], along.shape[1] * table.shape[1], along.shape[2] * table.shape[2]
         )
     return table.reshape(-1, table.shape[2])
+
+
+def enclosing_planes(
+    order: int,
+    numbers: Float[np.ndarray, "n terms"],
+    center: Float[np.ndarray, "n 2"],
+    reach: Float[np.ndarray, "n 2"],
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    """Planes near functions in the plane, in boxes that reach so far from a center, from 0 to 1 along each cell.
+
+    Value and slope of each at the center, and how far at most the function is from it: the sum of what terms of
+    higher order amount to where they are largest.
+    """
+    count = POWERS[order]
+    powers = (numbers @ monomials(order, 2)).reshape(-1, count, count)
+    shifts = (_shifted_powers(count, center[:, axis]) for axis in range(2))
+    powers = np.einsum("npq,npa,nqb->nab", powers, *shifts)
+    x, y = (np.abs(reach[:, axis, None]) ** np.arange(count) for axis in range(2))
+    terms = np.abs(powers) * x[:, :, None] * y[:, None]
+    terms[:, 0, 0] = terms[:, 1, 0] = terms[:, 0, 1] = 0.0
+    return powers[:, 0, 0], np.stack([powers[:, 1, 0], powers[:, 0, 1]], axis=1), terms.sum(axis=(1, 2))
+
+
+def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
+    """Powers of ``t`` as polynomials of ``t - center``."""
+    power, of_difference = np.arange(count)[:, None], np.arange(count)
+    ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
+    return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
 def _derivatives(

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.plr.file.bits import BitWriter
-from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
 from plr_jax.plr.leaves.base import Rules, solve_sparse, weighted_squares
@@ -124,7 +123,7 @@ class _Rounds:
         stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
         body = BitWriter()
         write_values(body, stored)
-        num_bytes = container_size(fit.cells.dim, len(fit), body.num_bits)
+        num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
 
 

@@ -7,10 +7,28 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import cone_above_plane
+from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
-from plr_jax.plr.leaves.continuous.basis import MAX_DIM_OF_ORDER, design, numbers_of_leaves, numbers_of_planes
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    Parameters,
+    Rules,
+    largest_coordinates,
+    linear_mean_planes,
+    linear_values,
+    rounded_down,
+)
+from plr_jax.plr.leaves.continuous.basis import (
+    MAX_DIM_OF_ORDER,
+    POWERS,
+    design,
+    enclosing_planes,
+    monomials,
+    numbers_of_leaves,
+    numbers_of_planes,
+)
 from plr_jax.plr.leaves.continuous.codec import StoredValues, read_values, write_values
 from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
 from plr_jax.plr.leaves.continuous.growth import grow_tied
@@ -39,6 +57,7 @@ class Continuous:
 
     num_samples = 96
     least_bytes = 1
+    has_deep_trees = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Two each: most of the values at corners are shared, and small as surpluses."""
@@ -135,6 +154,37 @@ class Continuous:
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf."""
         return numbers_of_polynomials(self.order, cells, coefficients)
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of cones minus polynomials, each of which is a plane but for a remainder, over convex pieces."""
+        first, last = pieces.min(axis=2).T, pieces.max(axis=2).T
+        width = hi - lo
+        value, slope, remainder = enclosing_planes(
+            self.order, coefficients, ((first + last) / 2 - lo) / width, (last - first) / 2 / width
+        )
+        slope = slope / width
+        intercept = value - (slope * (first + last)).sum(axis=1) / 2
+        lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
+        return lowest - remainder, highest + remainder
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the point's place in its cell, and of the polynomial there."""
+        finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
+        powers = np.abs(finite @ monomials(self.order, cells.dim))
+        highest = POWERS[self.order]
+        places = largest_coordinates(domain) / domain.width + 4
+        of_place = (highest - 1) * np.ldexp(1.0, cells.depth) @ places
+        return 1.02 * UNIT * powers.sum(axis=1) * (2 * highest * cells.dim + 1 + of_place)
 
     def evaluate(
         self,

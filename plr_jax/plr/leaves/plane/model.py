@@ -8,12 +8,24 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.cone_differences import cone_above_plane
+from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.plr.certificate.bounds import proven_errors
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import container_size
 from plr_jax.plr.growth.best_first import Encoding, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
-from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
+from plr_jax.plr.growth.rules import largest_error
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    Parameters,
+    Rules,
+    largest_coordinates,
+    linear_mean_planes,
+    linear_values,
+    rounded_down,
+)
 from plr_jax.plr.leaves.plane.codec import (
     FLOAT_BITS,
     MAX_BITS,
@@ -28,7 +40,7 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import MOST_ROWS, Frame, Tables, table_corners
-from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
+from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
 _SAMPLES_AT_ONCE = 2**20
@@ -52,6 +64,7 @@ class Plane:
     name = "plane"
     num_samples = 192
     least_bytes = 2
+    has_deep_trees = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
@@ -81,7 +94,12 @@ class Plane:
         at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            priority, axis = np.asarray(rules.should_split(fit), float), np.asarray(rules.split(fit))
+            fit = with_unseen_planes(fit, sampler)
+            if rules.should_split is largest_error and limits.proof is not Proof.NONE:
+                priority = self._proven_errors(fit, sampler)
+            else:
+                priority = np.asarray(rules.should_split(fit), float)
+            axis = np.asarray(rules.split(fit))
             return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
 
         def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -98,10 +116,22 @@ class Plane:
             return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
 
         root = nodes_of(sampler.root(), np.array([np.inf]))
-        encoding = Encoding(self._choices(limits), _size, _rounding_error)
+
+        def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
+            cells = nodes.cells[leaf]
+            return limits.file_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
+
+        encoding = Encoding(self._choices(limits), size, _rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_nodes, limits, encoding)
         leaf = leaf[levels_of(nodes.cells[leaf])[1]]
         return nodes.cells[leaf], _stored(nodes, leaf, bits)
+
+    def _proven_errors(self, fit: CellFit, sampler: Sampler) -> Float[np.ndarray, "cells"]:
+        """Of the planes of cells."""
+        assert sampler.memory is not None, "what has a proof answers for cells"
+        planes = np.column_stack([np.where(np.isfinite(fit.center), fit.center, 0.0), fit.half])
+        functions = *fit.cells.boxes(sampler.domain), planes
+        return proven_errors(sampler.memory.sources(fit.cells), self.below_cones, functions)
 
     def _choices(self, limits: Limits) -> Sequence[int]:
         if self.coefficient_bits is not None:
@@ -183,6 +213,28 @@ class Plane:
         to_center = (lo + hi) / 2 - table_corners(domain)[0]
         return np.column_stack([coefficients[:, 0] - np.sum(slope * to_center, axis=1), slope])
 
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes of cones minus planes, over convex pieces."""
+        slope = coefficients[:, 1:] * 2 / (hi - lo)
+        intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
+        return cone_above_plane(pieces, apex, offset, slope, intercept)
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
+        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
+        return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
+
     def evaluate(
         self,
         tables: Tables,
@@ -196,11 +248,6 @@ class Plane:
         for axis in range(tables.dim):
             value += number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype) * (x[..., axis] - corner[axis])
         return jnp.asarray(value)
-
-
-def _size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-    cells = nodes.cells[leaf]
-    return container_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
 
 
 def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:

@@ -1,0 +1,113 @@
+"""Proving how far a PLR can be from the distance function that it stands for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._arrays import shortened
+from plr_jax._types import CellSources, CellwiseFn, DistanceFn
+from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.plr._file import Contents
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._plr import PLR, with_certificate
+from plr_jax.plr.certificate.branch_and_bound import prove_bounds
+from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.partition.cells import grown_domain
+from plr_jax.plr.partition.tree import tree_of_levels
+
+
+def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
+    """Prove bounds of the distance for a PLR that exists.
+
+    Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
+    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this
+    oracle, to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is
+    the proof.
+
+    Args:
+        plr: The PLR, of any leaf model, in the plane.
+        oracle: The distance function, one that answers for whole cells, as ``VisibilityGraph`` does.
+        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
+
+    Returns:
+        The same PLR with the proof, in ``max_error`` and ``bounds``; its file is larger by as much.
+
+    Raises:
+        ValueError: If it is no PLR in the plane, the oracle does not answer for cells, or a leaf answers ``inf``
+            although some of its points reach the goal: then nothing can be proven.
+    """
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
+    check_certifiable(oracle, plr.dim)
+    proof = Proof.LEAVES if leaf_bounds else Proof.LARGEST
+    return with_certificate(plr, certificate_of(plr._contents, oracle, proof))
+
+
+def check_certifiable(oracle: DistanceFn, dim: int) -> None:
+    """Raise ``ValueError`` if nothing can be proven about a distance function."""
+    if dim != 2 or not isinstance(oracle, CellwiseFn):
+        raise ValueError(
+            "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
+            f"got {shortened(oracle)} in {dim} dimensions. Build the PLR without one, and measure its error."
+        )
+
+
+def certificate_of(contents: Contents, oracle: CellwiseFn, proof: Proof) -> Certificate:
+    """The proof for leaves."""
+    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
+    coefficients = filled_coefficients(contents)
+    visible = _of_leaves(oracle.cell_sources(grown_domain(domain)), contents)
+    if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
+        lo, hi = cells.boxes(domain)
+        at = np.unique(visible.cell)[blind[0]]
+        raise ValueError(
+            f"Nothing can be proven: the leaf from {lo[at].tolist()} to {hi[at].tolist()} answers inf, although some "
+            "of its points reach the goal, which no sample met. Build the PLR with certified=True."
+        )
+    coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
+    functions = _Functions(contents, coefficients, *cells.boxes(domain))
+    bounds = prove_bounds(functions, visible, each_leaf=proof is Proof.LEAVES)
+    return Certificate.of(bounds, leaf.rounding(domain, cells, coefficients), proof)
+
+
+def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
+    """The sources of all leaves as cells, found down the tree."""
+    tree = tree_of_levels(contents.levels, contents.domain.dim)
+    visible, nodes, parts, leaves = root, np.zeros(1, np.int64), [], []
+    while len(nodes):
+        is_leaf = tree.child[nodes] < 0
+        parts.append(visible.of_cells(np.flatnonzero(is_leaf)))
+        leaves.append(nodes[is_leaf])
+        inner = np.flatnonzero(~is_leaf)
+        parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
+        nodes = (tree.child[nodes[inner], None] + np.arange(2)).ravel()
+        is_upper = np.arange(len(nodes)) % 2 == 1
+        lo, hi = tree.cells[nodes].grown_boxes(contents.domain)
+        visible = visible.parts(parent, axis, is_upper, lo, hi)
+    order = np.argsort(np.concatenate(leaves))
+    place = np.argsort(np.argsort(tree.node_of_leaf))
+    return root.concatenate(parts).of_cells(order[place])
+
+
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """What the leaves hold, for :func:`prove_bounds`."""
+
+    contents: Contents
+    coefficients: Float[np.ndarray, "leaves terms"]
+    lo: Float[np.ndarray, "leaves dim"]
+    hi: Float[np.ndarray, "leaves dim"]
+
+    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        return self.contents.leaf.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
+
+    def below_cones(
+        self,
+        leaf: Int[np.ndarray, "n"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        functions = self.lo[leaf], self.hi[leaf], self.coefficients[leaf]
+        return self.contents.leaf.below_cones(*functions, pieces, apex, offset)

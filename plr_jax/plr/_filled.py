@@ -1,0 +1,32 @@
+"""Coefficients of all leaves of a file: what is stored, and for leaves without a function that of a neighbor."""
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax.plr._file import Contents
+from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
+from plr_jax.plr.partition.faces import neighbor_of_largest_contact
+from plr_jax.plr.query.tables import LARGEST
+
+
+def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:
+    """Coefficients of all leaves.
+
+    An unreachable leaf continues the (mean) plane of the reachable one with which it shares the largest face, edge or
+    corner, so that a free point beside or in a wall has an answer. Of one that touches none the first is ``inf``, the
+    others are 0.
+    """
+    leaf, cells, unreachable = contents.leaf, contents.cells, contents.leaf.unreachable(contents.stored)
+    coefficients = leaf.coefficients(cells, contents.stored)
+    if not (np.abs(coefficients) < LARGEST).all():
+        raise ValueError("its distances are too large for 32-bit floats; scale them down")
+    if isinstance(leaf, LinearLeafModel) and unreachable.any():
+        donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
+        borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
+        center, half = linear_mean_planes(leaf, coefficients[donor], cells.dim)
+        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
+        place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
+        along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
+        coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
+        coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
+    return coefficients

@@ -1,0 +1,85 @@
+"""What an oracle says of cells, remembered: a cell inherits from the one that it is a half of."""
+
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._types import CellSources, CellwiseFn
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells, grown_domain
+
+_Key: TypeAlias = tuple[int, ...]
+_PAIRS_AT_ONCE = 1 << 19  # of a point and a source
+
+
+class CellMemory:
+    """The sources of the cells of a growing partition, in the plane."""
+
+    def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
+        self._oracle, self._domain = oracle, domain
+        self._parts = [oracle.cell_sources(grown_domain(domain))]
+        self._place: dict[_Key, tuple[int, int]] = {_keys(Cells.root(2))[0]: (0, 0)}
+
+    def sources(self, cells: Cells) -> CellSources:
+        """Those of some cells, each a half of one that was asked for before, or one of those itself."""
+        keys = _keys(cells)
+        new = [i for i, key in enumerate(keys) if key not in self._place]
+        if new:
+            self._remember(cells[np.array(new)], [keys[i] for i in new])
+        return self._recall(keys)
+
+    def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
+        """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
+        found, visible = np.full(x.shape[:2], np.inf), self.sources(cells)
+        at_once = max(1, _PAIRS_AT_ONCE // x.shape[1])
+        for begin in range(0, len(visible.source), at_once):
+            self._lower(found, visible, np.arange(begin, min(begin + at_once, len(visible.source))), x)
+        return found
+
+    def _lower(
+        self,
+        found: Float[np.ndarray, "cells k"],
+        visible: CellSources,
+        pairs: Int[np.ndarray, "pairs"],
+        x: Float[np.ndarray, "cells k 2"],
+    ) -> None:
+        """Lower distances to those by way of some pairs, at points in their pieces that see the source."""
+        piece, source, sources = visible.piece[pairs], visible.source[pairs], visible.sources
+        points = x[visible.cell[piece]]
+        dx, dy = points[:, :, 0] - sources.points[source, :1], points[:, :, 1] - sources.points[source, 1:]
+        length = sources.distances[source][:, None] + np.sqrt(dx * dx + dy * dy)
+        usable = visible.hold(piece, points) & (length < found[visible.cell[piece]])
+        unsure = usable & ~visible.by_all[pairs, None]
+        row, column = np.nonzero(unsure)
+        usable[row, column] = visible.see(source[row], points[row, column])
+        row, column = np.nonzero(usable)
+        np.minimum.at(found, (visible.cell[piece[row]], column), length[row, column])
+
+    def _remember(self, cells: Cells, keys: list[_Key]) -> None:
+        parents, axis = np.empty(len(cells), object), np.zeros(len(cells), np.int64)
+        for i, (d0, d1, p0, p1) in enumerate(keys):
+            parents[i] = (d0 - 1, d1, p0 >> 1, p1)
+            if d0 == 0 or parents[i] not in self._place:
+                parents[i], axis[i] = (d0, d1 - 1, p0, p1 >> 1), 1
+        is_upper = cells.position[np.arange(len(cells)), axis] % 2 == 1
+        distinct = sorted(set(parents), key=self._place.__getitem__)
+        number = {key: i for i, key in enumerate(distinct)}
+        parent = np.array([number[key] for key in parents])
+        order = np.argsort(parent, kind="stable")
+        lo, hi = cells[order].grown_boxes(self._domain)
+        part = self._recall(distinct).parts(parent[order], axis[order], is_upper[order], lo, hi)
+        for place, i in enumerate(order.tolist()):
+            self._place[keys[i]] = len(self._parts), place
+        self._parts.append(part)
+
+    def _recall(self, keys: list[_Key]) -> CellSources:
+        part, place = np.array([self._place[key] for key in keys]).T
+        order = np.argsort(part, kind="stable")
+        runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
+        parts = [self._parts[part[run[0]]].of_cells(place[run]) for run in runs]
+        return parts[0].concatenate(parts).of_cells(np.argsort(order))
+
+
+def _keys(cells: Cells) -> list[_Key]:
+    return list(map(tuple, np.concatenate([cells.depth, cells.position], axis=1).tolist()))
