@@ -37,6 +37,8 @@ from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
 from .plr import Refinement as Refinement
 from .plr import RefinementInterrupted as RefinementInterrupted
+from .plr import Traces as Traces
+from .plr import TraceStatus as TraceStatus
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
 from .plr import certify as certify
@@ -51,6 +53,7 @@ from .plr import maximum_depth as maximum_depth
 from .plr import midrange as midrange
 from .plr import refine as refine
 from .plr import save as save
+from .plr import trace as trace
 from .robots.disc import DiscRobot as DiscRobot
 from .robots.point import PointRobot as PointRobot
 from .robots.polygon import PolygonRobot as PolygonRobot

@@ -30,7 +30,7 @@ PLR_LAYERS = [
     ["_filled"],
     ["_plr"],
     ["_certify"],
-    ["_construct", "_io", "refinement"],
+    ["_construct", "_io", "_trace", "refinement"],
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {

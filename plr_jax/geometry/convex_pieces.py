@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.geometry.polygons import triangulate
 from plr_jax.geometry.vectors import cross_product
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
@@ -19,6 +18,8 @@ ROOM = 8
 
 def convex_pieces(region: Any) -> Float[np.ndarray, "2 pieces 3"]:
     """Triangles that fill a region of polygons, counterclockwise."""
+    from plr_jax.geometry.polygons import triangulate  # needs Shapely, which a query does not
+
     triangles = triangulate(region)
     clockwise = cross_product(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) < 0
     triangles[clockwise] = triangles[clockwise, ::-1]

@@ -117,8 +117,11 @@ class Workspace:
 
     @cached_property
     def _tolerant(self) -> Any:
-        """Free space grown by the tolerance, prepared for many queries."""
-        grown = self.free_space.buffer(self.tolerance, join_style="mitre")
+        return self._grown(self.tolerance)
+
+    def _grown(self, tolerance: float) -> Any:
+        """Free space grown by a tolerance, prepared for many queries."""
+        grown = self.free_space.buffer(tolerance, join_style="mitre")
         shapely.prepare(grown)
         return grown
 
@@ -169,7 +172,7 @@ class Workspace:
         result[finite] = np.where(free, distance, -distance)
         return result
 
-    def is_visible(self, a: ArrayLike, b: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
         """Whether whole segments lie in closed free space.
 
         A segment may slide along walls and pass through corners. One that passes through a point in which
@@ -178,39 +181,43 @@ class Workspace:
         Args:
             a: Start points, ``(n, 2)``.
             b: End points, ``(n, 2)``.
+            tolerance: How far outside free space points still count as free, for ends that are known no better, such
+                as those that a file rounds; None: the workspace's own.
 
         Returns:
             True where every point of the segment is free (to ``tolerance``); False where an end is not
             finite.
 
         Raises:
-            ValueError: If the shapes are others or differ.
+            ValueError: If the shapes are others or differ, or the tolerance is negative or not finite.
         """
         a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
             raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
-        visible = self.is_free(a) & self.is_free(b)
+        tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
+        free = self._tolerant if tolerance == self.tolerance else self._grown(tolerance)
+        visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
-        visible[moving] = shapely.covers(self._tolerant, segments)
+        visible[moving] = shapely.covers(free, segments)
         if not self.squeeze and len(self.boundary.contacts):
             moving = moving[visible[moving]]
-            visible[moving] = ~self._squeezes(a[moving], b[moving])
+            visible[moving] = ~self._squeezes(a[moving], b[moving], tolerance)
         return visible
 
-    def _squeezes(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def _squeezes(
+        self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
+    ) -> Bool[np.ndarray, "n"]:
         """Whether segments in free space change from one sector to another in a point contact."""
         boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
         contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
         segments = shapely.linestrings(np.stack([a, b], axis=1))
-        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=self.tolerance)
+        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=tolerance)
         for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
             ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
-            if np.linalg.norm(ends, axis=1).min() <= self.tolerance:
+            if np.linalg.norm(ends, axis=1).min() <= tolerance:
                 continue
-            inside = [
-                boundary.in_sector(e, ends, self.tolerance) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)
-            ]
+            inside = [boundary.in_sector(e, ends, tolerance) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)]
             squeezes[s] |= not any(both.all() for both in inside)
         return squeezes
 

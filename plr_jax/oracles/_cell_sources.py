@@ -45,6 +45,8 @@ class Sight:
         """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
         turn = self.turn_of_source[source]
         may = np.ones(len(source), bool)
+        if not len(self.turns.vertex):
+            return may  # nothing but the goal, in a convex room
         for normal in self.turns.normal[:, turn]:
             height = (pieces[0] * normal[:, :1] + pieces[1] * normal[:, 1:]).max(axis=1)
             may &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
@@ -93,12 +95,12 @@ class VisibleSources:
         return 4 * self.sight.shadows.table.tolerance
 
     @cached_property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]:
+    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
         """First piece of each cell, and their number."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]:
+    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 

@@ -4,6 +4,7 @@ from plr_jax.plr._certify import certify
 from plr_jax.plr._construct import construct
 from plr_jax.plr._io import load, save
 from plr_jax.plr._plr import PLR, evaluate, from_bytes
+from plr_jax.plr._trace import Traces, TraceStatus, trace
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
 from plr_jax.plr.leaves.continuous.model import Continuous
@@ -25,6 +26,8 @@ __all__ = [
     "Planes",
     "Refinement",
     "RefinementInterrupted",
+    "TraceStatus",
+    "Traces",
     "best_axis",
     "center_error",
     "certify",
@@ -44,4 +47,5 @@ __all__ = [
     "sample_faces",
     "save",
     "squared",
+    "trace",
 ]

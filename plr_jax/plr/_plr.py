@@ -18,10 +18,10 @@ from plr_jax.plr._file import Contents, decode, decode_cells, encode
 from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
-from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
-from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves
+from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
 
@@ -98,6 +98,20 @@ class PLR:
         """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
+
+    def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
+        """Where to go straight to from each point: the source of the leaf that holds it.
+
+        A leaf may name the very source that a point is at: for whole paths, see :func:`trace`. Takes points as
+        :func:`evaluate` does, and raises what it raises; or ``ValueError`` if leaves have no sources, as only those
+        of cones do. Answers points in the same precision, NaN outside the domain and for NaN. Of NumPy's 64-bit
+        points in a domain far from the origin, it answers NumPy's.
+        """
+        as_sourced(self.leaf)
+        tables, placed = self._placed(x)
+        source = waypoints_of_points(tables, placed)
+        corner = None if tables is self.tables else self._far_corner
+        return source if corner is None else corner + np.asarray(source, np.float64)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:

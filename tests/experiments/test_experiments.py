@@ -16,7 +16,7 @@ from experiments import _gradient_tables, hostile_files, readme_tables
 ROOT = Path(__file__).parents[2]
 SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
-    *("continuity", "descent", "trajectory", "refinement", "sba_star"),
+    *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace"),
 ]
 TESTED_ELSEWHERE = {"benchmark", "readme_tables", "hostile_files"}
 
@@ -63,6 +63,12 @@ def test_smoke_and_redraw(name, smoke):
         path.unlink()
     run_script(name, "--draw", "--output", folder)
     assert all(path.stat().st_size > 0 for path in drawn)
+
+
+def test_traces_arrive_along_shortest_ways(smoke):
+    (row,) = record_in(smoke("trace"), "trace")["results"]["rows"]
+    assert row["map"] == "maze" and row["starts"] == 200 and row["arrived"] == 1
+    assert row["clear"] >= 0.99 and 1 - 1e-6 <= row["ratio"]["mean"] < 1.00001 and row["bytes"] <= row["budget"]
 
 
 def test_table2_solves_with_every_heuristic_and_all_paths_are_valid(smoke):

@@ -255,3 +255,12 @@ def test_bounds_whose_area_is_no_number_are_refused():
 def test_bad_input_is_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_visibility_to_a_tolerance():
+    workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.6, 0), (0.6, 0.5), (0.4, 0.5)]])
+    a, b = np.array([[0.1, 0.5 - 1e-6]]), np.array([[0.9, 0.5 - 1e-6]])
+    for tolerance, visible in ((None, False), (0, False), (5e-7, False), (2e-6, True)):
+        assert workspace.is_visible(a, b, tolerance).tolist() == [visible]
+    with pytest.raises(ValueError, match="tolerance must be a finite number of at least 0, got -1"):
+        workspace.is_visible(a, b, -1)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
@@ -208,6 +209,31 @@ def as_linear(leaf: LeafModel) -> LinearLeafModel:
         raise ValueError(
             f"Leaves of kind {leaf.name!r} cannot be refined, nor are their faces sampled: their functions are not "
             "linear in what is stored of them. Build a PLR of another kind, or a larger one."
+        )
+    return leaf
+
+
+@runtime_checkable
+class SourcedLeafModel(LeafModel, Protocol):
+    """Leaves that name a source each: paths to the goal go straight there, and on from source to source."""
+
+    def sources(self, stored: Any) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
+        """All sources, with their parents, and the index of every leaf's own."""
+        ...
+
+    def waypoints(
+        self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
+    ) -> Float[Array, "*batch dim"]:
+        """The source of the leaf of each point, in JAX and in the precision of the points."""
+        ...
+
+
+def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
+    """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
+    if not isinstance(leaf, SourcedLeafModel):
+        raise ValueError(
+            f"Leaves of kind {leaf.name!r} have no sources, so they do not say where to go next. Build the PLR with "
+            "leaf='cone', or follow it with descend."
         )
     return leaf
 

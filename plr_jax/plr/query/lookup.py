@@ -39,6 +39,14 @@ def bounds_of_tables(
     return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
 
 
+def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
+    x = jax.lax.stop_gradient(x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32))
+    outside, answer = outside_domain(tables, x)
+    source = tables.leaf.waypoints(tables, find_row(tables, x), x)
+    return jnp.where((outside | jnp.isnan(answer))[..., None], jnp.nan, source)
+
+
 def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
     """Index of the leaf that holds each point, to within the last bit of a 32-bit fraction of the domain.
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from plr_jax._types import ArrayLike
-from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup
+from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
 from plr_jax.plr.query.tables import Tables
 
 find_leaves = jax.jit(lookup)
@@ -24,6 +24,13 @@ def bound_points(band: Float[Array, "2 rows"], tables: Tables, x: Array) -> tupl
     """Checks points and gives bounds."""
     _check_points(tables, x)
     return bounds_of_tables(tables, band, x)
+
+
+@jax.jit
+def waypoints_of_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
+    """Checks points and gives sources."""
+    _check_points(tables, x)
+    return waypoints_in_tables(tables, x)
 
 
 def as_array(x: ArrayLike) -> np.ndarray:

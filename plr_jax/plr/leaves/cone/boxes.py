@@ -20,15 +20,22 @@ _MOST_OPTIONS = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """Leaves and the indices of their sources, -1 where nothing reaches the goal."""
+    """Leaves and the indices of their sources, -1 where nothing reaches the goal; and the boxes that they are."""
 
     cells: Cells
     source: Int[np.ndarray, "leaves"]
+    parts: list[tuple["ConeBoxes", Int[np.ndarray, "_"]]]
 
     def append(self, *others: "ConeLeaves") -> "ConeLeaves":
         """These leaves followed by others."""
         source = np.concatenate([self.source, *(other.source for other in others)])
-        return ConeLeaves(self.cells.append(*(other.cells for other in others)), source)
+        parts = [part for leaves in (self, *others) for part in leaves.parts]
+        return ConeLeaves(self.cells.append(*(other.cells for other in others)), source, parts)
+
+    def boxes(self) -> "ConeBoxes":
+        """The leaves as boxes, with all that is known of them."""
+        first, *others = (boxes[index] for boxes, index in self.parts)
+        return first.append(*others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +59,11 @@ class ConeBoxes:
 
     def leaves(self, index: Int[np.ndarray, "some"]) -> "ConeLeaves":
         """Some of the boxes as leaves."""
-        return ConeLeaves(self.cells[index], self.source[index])
+        return ConeLeaves(self.cells[index], self.source[index], [(self, index)])
+
+    def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
+        columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
+        return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)
 
     def append(self, *others: "ConeBoxes") -> "ConeBoxes":
         """These boxes followed by others."""
@@ -114,17 +125,24 @@ def _best_cones(
     """Of boxes that have pieces: the best source, its largest error, and the integral of its error."""
     if not visible.num_cells:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-    area = areas(visible.pieces)
-    box, source = _options(visible, area)
-    piece, option = run_members(visible.first_piece, box)
-    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
-    error = np.maximum(-lower, upper)
-    first = np.flatnonzero(np.append(True, option[1:] != option[:-1]))
-    largest = np.maximum.reduceat(error, first)
-    integral = np.bincount(option, error * area[piece], len(box))
+    box, source = _options(visible, areas(visible.pieces))
+    largest, integral = errors_of_options(visible, box, source)
     order = np.lexsort((largest, integral, box))
     order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
     return source[order], largest[order], integral[order]
+
+
+def errors_of_options(
+    visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
+) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
+    """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
+    piece, option = run_members(visible.first_piece, box)
+    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
+    error = np.maximum(-lower, upper)
+    if not len(option):
+        return np.zeros(0), np.zeros(0)
+    largest = np.maximum.reduceat(error, np.flatnonzero(np.append(True, option[1:] != option[:-1])))
+    return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
 
 
 def _options(

@@ -1,6 +1,6 @@
 """A cone in every leaf: an offset and the distance to a source, which many leaves share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,16 @@ from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
+from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
+
+_ROOM = 64
+"""One byte for so many is left for sources to be changed to others that are in sight."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,14 @@ class Cone:
             cells, cones = stored(leaves)
             return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
 
-        return stored(best_partition(root_box(visible, domain, limits.tolerance), limits, size))
+        def fits(source: Int[np.ndarray, "leaves"]) -> bool:
+            return size(replace(best, source=source)) <= limits.max_bytes
+
+        def size_with_room(leaves: ConeLeaves) -> int:
+            return size(leaves) * (_ROOM + 1) // _ROOM
+
+        best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
+        return stored(replace(best, source=sources_in_sight(best.boxes(), sampler, fits)))
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
@@ -149,6 +160,18 @@ class Cone:
             source = number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype)
             square += jnp.square((x[..., axis] - corner[axis]) - source)
         return number_of_leaf(tables, leaf, 0, terms).astype(x.dtype) + _root(square)
+
+    def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
+        """All sources, with their parents, and the index of every leaf's own."""
+        sources = stored.sources
+        return Sources(sources.points, sources.offsets, sources.parent), stored.source
+
+    def waypoints(
+        self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
+    ) -> Float[Array, "*batch dim"]:
+        """The source of the leaf of each point."""
+        numbers = [number_of_leaf(tables, leaf, 1 + axis, 1 + tables.dim) for axis in range(tables.dim)]
+        return tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(numbers, axis=-1).astype(x.dtype)
 
 
 @jax.custom_jvp

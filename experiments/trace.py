@@ -1,0 +1,86 @@
+"""Ways home read from PLRs of cones alone: how many arrive, how many meet a wall, how much longer they are.
+
+On each map, at each size: paths from random free starts, each leg tested by Shapely, how deep it is inside walls.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+from matplotlib.figure import Figure
+
+from experiments._results import run
+from experiments.benchmarks._maps import load_maps
+from plr_jax import Traces, TraceStatus, VisibilityGraph, Workspace, construct, trace
+
+START_SEED = 0
+SIZES = {"maze": [512, 1_024], "thin_maze": [512, 1_024], "arena": [2_048, 4_096], "den312d": [4_096]}
+"""Bytes of the PLRs of each map."""
+DEPTH = 1e-5
+"""How deep inside walls a path may be, in widths of the map, and still count as clear."""
+_COLUMNS = ["map", "bytes", "leaves", "arrived", "clear", "length over exact"]
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    num_starts, sizes = (200, {"maze": [1_024]}) if smoke else (10_000, SIZES)
+    rows = []
+    for name, (workspace, goal) in load_maps(sizes).items():
+        exact = VisibilityGraph(workspace, goal)
+        starts = workspace.sample_free(num_starts, START_SEED + seed)
+        for max_bytes in sizes[name]:
+            rows.append({"map": name, "budget": max_bytes, **_measure(exact, starts, max_bytes)})
+            print("  ".join(_cells(rows[-1])), flush=True)
+    return {"starts": num_starts, "depth": DEPTH, "rows": rows}
+
+
+def _measure(exact: VisibilityGraph, starts: Float[np.ndarray, "n 2"], max_bytes: int) -> dict[str, Any]:
+    plr = construct(exact, exact.workspace.bounds, leaf="cone", max_bytes=max_bytes)
+    traces, distance = trace(plr, starts), exact(starts)
+    error = np.abs(np.asarray(plr(starts)) - distance)
+    ratio = (traces.lengths / distance)[traces.arrived & (distance > 0)]
+    return {
+        "bytes": plr.num_bytes,
+        "leaves": plr.num_leaves,
+        "starts": len(starts),
+        "arrived": float(traces.arrived.mean()),
+        "clear": float(_clear(traces, exact.workspace).mean()),
+        "clear_by_status": float((trace(plr, starts, exact.workspace).status != TraceStatus.CROSSES_WALL).mean()),
+        "ratio": {"mean": float(ratio.mean()), "max": float(ratio.max())},
+        "error": {"mean": float(error.mean()), "max": float(error.max())},
+    }
+
+
+def _clear(traces: Traces, workspace: Workspace) -> Bool[np.ndarray, "n"]:
+    """Which paths are nowhere deeper inside walls than ``DEPTH``."""
+    grown = workspace.free_space.buffer(DEPTH * workspace.bounds.width.max(), join_style="mitre")
+    shapely.prepare(grown)
+    paths: Any = shapely.linestrings(traces.paths)
+    return shapely.covers(grown, paths)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    return [
+        row["map"],
+        f"{row['bytes']:,}",
+        f"{row['leaves']:,}",
+        f"{row['arrived']:.2%}",
+        f"{row['clear']:.2%}",
+        f"{row['ratio']['mean']:.8f}",
+    ]
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    rows = results["rows"]
+    figure = Figure(figsize=(7, 0.6 + 0.3 * len(rows)), dpi=100, facecolor="white", layout="constrained")
+    ax = figure.subplots()
+    ax.axis("off")
+    ax.table([_cells(row) for row in rows], colLabels=_COLUMNS, loc="center", cellLoc="center")
+    path = output / "trace.png"
+    figure.savefig(path)
+    return [path]
+
+
+if __name__ == "__main__":
+    run("trace", "Ways home read from PLRs of cones alone.", compute, draw)

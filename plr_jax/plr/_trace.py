@@ -1,0 +1,156 @@
+"""The way home from the file alone: from any point to its leaf's source, and on from source to source."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from plr_jax._arrays import as_points, shortened
+from plr_jax._types import ArrayLike, Sources
+from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr.leaves.base import as_sourced
+
+if TYPE_CHECKING:
+    from plr_jax.geometry.workspace import Workspace
+
+_ROUNDING = 2.0**-24
+"""Widths of the domain to which a file keeps the place of a source that is on no lattice."""
+
+
+class TraceStatus(IntEnum):
+    """How the path from a start ended."""
+
+    ARRIVED = 0
+    """At the goal."""
+    OUTSIDE = 1
+    """There is none: the start is outside the domain, or a coordinate is NaN."""
+    ENDED_ELSEWHERE = 2
+    """At a source from where the file knows only how far the goal is, not the way."""
+    CROSSES_WALL = 3
+    """Anywhere, but a leg is not free in the workspace that was given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Traces:
+    """Paths from many starts.
+
+    Attributes:
+        paths: From each start along straight legs to the path's end, which is repeated up to the length of the
+            longest path, ``(n, steps, dim)``; NaN where there is no path.
+        counts: Number of points of each path without the repetitions, ``(n,)``: 1 where the start is the goal, 0
+            where there is no path.
+        lengths: Length of each path, ``(n,)``, in the units of the domain; ``inf`` where there is none.
+        status: How each path ended, a number of :class:`TraceStatus`, ``(n,)``.
+    """
+
+    paths: Float[np.ndarray, "n steps dim"]
+    counts: Int[np.ndarray, "n"]
+    lengths: Float[np.ndarray, "n"]
+    status: Int[np.ndarray, "n"]
+
+    @property
+    def arrived(self) -> Bool[np.ndarray, "n"]:
+        """Which paths end at the goal, and cross no wall that is known of."""
+        return self.status == TraceStatus.ARRIVED
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    def __repr__(self) -> str:
+        return f"Traces({int(self.arrived.sum()):,} of {len(self):,} starts arrive at the goal)"
+
+
+def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
+    """Paths to the goal from many starts, read from a PLR of cones alone, without a map.
+
+    The first leg goes to the source of the start's leaf, every further one to the source that follows it on its own
+    shortest path. So a path ends after at most as many legs as there are sources. Where all sources are an oracle's,
+    their own ways home cross no wall; only a first leg may, where the start does not see its leaf's source.
+
+    Runs on the host, in double precision: the leaves of all starts are found in one compiled query, the rest is
+    looked up.
+
+    Args:
+        plr: The PLR, of leaves that have sources: built with ``leaf="cone"``.
+        starts: Where to begin, ``(n, dim)``.
+        workspace: Free space in which to test every leg, to within what a file rounds (6e-8 of the domain's width);
+            None: nothing is tested.
+
+    Returns:
+        The paths, with a status for each. A start that is a source begins with the leg from there.
+
+    Raises:
+        ValueError: If it is no PLR, its leaves have no sources, or ``starts`` has another shape; with a workspace, if
+            it is none, or the PLR is not in the plane.
+    """
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR can be traced, got {shortened(plr)}.")
+    sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
+    starts = as_points("starts", starts, plr.dim)
+    inside = np.flatnonzero(plr.domain.contains(starts))
+    way = _ways(sources.parents, source_of_leaf[leaf_of(plr, starts[inside])])
+    paths, counts = _paths(starts[inside], sources.points, way)
+    ends_at_goal = sources.distances[way[:, -1]] == 0
+    status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    if workspace is not None:
+        is_clear = _legs_are_clear(plr, sources, workspace, starts[inside], way)
+        status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
+    lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
+    size = len(starts)
+    return Traces(
+        _spread(paths, inside, size, np.nan),
+        _spread(counts, inside, size, 0),
+        _spread(lengths, inside, size, np.inf),
+        _spread(status, inside, size, TraceStatus.OUTSIDE),
+    )
+
+
+def _ways(parents: Int[np.ndarray, "sources"], first: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n most"]:
+    """Sources that paths go by, up to the roots, which are repeated; no file has sources that lead in a circle."""
+    way = [first]
+    while (parents[way[-1]] != way[-1]).any():
+        way.append(parents[way[-1]])
+    return np.stack(way, axis=1)
+
+
+def _paths(
+    starts: Float[np.ndarray, "n dim"], points: Float[np.ndarray, "sources dim"], way: Int[np.ndarray, "n most"]
+) -> tuple[Float[np.ndarray, "n steps dim"], Int[np.ndarray, "n"]]:
+    """Points of the paths, each once but for the last, which is repeated, and how many they are without that."""
+    paths = np.concatenate([starts[:, None], points[way]], axis=1)
+    at_source = (starts == points[way[:, 0]]).all(axis=1)
+    counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)
+    paths[at_source, :-1] = paths[at_source, 1:]
+    return paths[:, : max(1, counts.max(initial=1))], counts
+
+
+def _legs_are_clear(
+    plr: PLR,
+    sources: Sources,
+    workspace: "Workspace",
+    starts: Float[np.ndarray, "n 2"],
+    way: Int[np.ndarray, "n most"],
+) -> Bool[np.ndarray, "n"]:
+    """Whether no leg of each path meets a wall; that of a source to the next is tested once for all paths."""
+    from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
+
+    if not isinstance(workspace, Workspace):
+        raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
+    if plr.dim != 2:
+        raise ValueError(f"A workspace is of the plane, but the PLR has {plr.dim} dimensions; trace without one.")
+    tolerance = max(workspace.tolerance, _ROUNDING * float(plr.domain.width.max()))
+    used, place = np.unique(way, return_inverse=True)
+    onward = workspace.is_visible(sources.points[used], sources.points[sources.parents[used]], tolerance)
+    first = workspace.is_visible(starts, sources.points[way[:, 0]], tolerance)
+    return first & onward[place.reshape(way.shape)].all(axis=1)
+
+
+def _spread(
+    rows: Shaped[np.ndarray, "some *row"], index: Int[np.ndarray, "some"], size: int, fill: int | float
+) -> Shaped[np.ndarray, "n *row"]:
+    """An array with some rows, and what fills the others."""
+    result = np.full((size, *rows.shape[1:]), fill, rows.dtype)
+    result[index] = rows
+    return result
