@@ -1,6 +1,7 @@
 """Random workspaces with what proofs stumble over: slivers, thin gaps, notches, walls that touch in a point."""
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from plr_jax import Workspace
@@ -15,7 +16,7 @@ def random_workspace(rng: np.random.Generator) -> tuple[Workspace, Float[np.ndar
     """A map of random scale and place with 4 to 10 features, and a free goal, in a quarter of them a corner."""
     scale, origin = rng.choice(_SCALES), rng.choice([0.0, 0.0, -0.37, 3.0]) * np.ones(2)
     rings = [ring for _ in range(rng.integers(4, 11)) for ring in rng.choice(_FEATURES)(rng)]
-    rings = [scale * (origin + ring) for ring in rings]
+    rings = [scale * (origin + ring) for ring in rings if shapely.Polygon(ring).is_valid]
     bounds = tuple(scale * origin), tuple(scale * (origin + 1))
     workspace = Workspace(bounds, rings, squeeze=bool(rng.random() < 0.25))
     goal = workspace.sample_free(1, int(rng.integers(2**31)))[0]
