@@ -25,7 +25,7 @@ approximates one: it may be a little below zero near the goal, answers ``inf`` o
 coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`SourcedFn`, :class:`CellwiseFn`.
+:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -34,7 +34,7 @@ JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
 """Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf`` where it has no estimate.
 
-What one may offer besides: :class:`SeparableHeuristic`.
+What one may offer besides: :class:`SeparableHeuristic`, :class:`BoundingFn`.
 """
 
 
@@ -92,7 +92,7 @@ class SourcedFn(Protocol):
 class CellSources(Protocol):
     """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
 
-    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of the piece's sources,
+    The distance of a point of a piece is at least the least ``distances[s] + |x - points[s]|`` of its sources,
     and at most the least of those that all of it sees, to within ``slack``. Pieces stand cell by cell, pairs piece by
     piece, each piece with one at least; of what does not reach the goal there are none.
 
@@ -112,17 +112,26 @@ class CellSources(Protocol):
         first_pair: Where the pairs of each piece begin, and their number.
     """
 
-    sources: Sources
-    num_cells: int
-    cell: Int[np.ndarray, "pieces"]
-    pieces: Float[np.ndarray, "2 pieces corners"]
-    center: Float[np.ndarray, "pieces 2"]
-    distance: Float[np.ndarray, "pieces"]
-    best: Int[np.ndarray, "pieces"]
-    piece: Int[np.ndarray, "pairs"]
-    source: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]
-
+    @property
+    def sources(self) -> Sources: ...
+    @property
+    def num_cells(self) -> int: ...
+    @property
+    def cell(self) -> Int[np.ndarray, "pieces"]: ...
+    @property
+    def pieces(self) -> Float[np.ndarray, "2 pieces corners"]: ...
+    @property
+    def center(self) -> Float[np.ndarray, "pieces 2"]: ...
+    @property
+    def distance(self) -> Float[np.ndarray, "pieces"]: ...
+    @property
+    def best(self) -> Int[np.ndarray, "pieces"]: ...
+    @property
+    def piece(self) -> Int[np.ndarray, "pairs"]: ...
+    @property
+    def source(self) -> Int[np.ndarray, "pairs"]: ...
+    @property
+    def by_all(self) -> Bool[np.ndarray, "pairs"]: ...
     @property
     def slack(self) -> float: ...
     @property
@@ -147,7 +156,7 @@ class CellSources(Protocol):
         ...
 
     def parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, /) -> "CellSources":
-        """Those of boxes ``lo`` to ``hi``, each cut from one of the cells along an axis, at its upper or lower end."""
+        """Those of boxes ``lo`` to ``hi``, each cut from a cell along an axis, at its upper or lower end."""
         ...
 
     def concatenate(self, several: Sequence[Any], /) -> "CellSources":
@@ -185,6 +194,15 @@ class StackableDistanceFn(Protocol):
             The function. What it answers for a robot is what that robot's function would answer.
         """
         ...
+
+
+@runtime_checkable
+class BoundingFn(Protocol):
+    """A distance function, or a heuristic, that says whether it is a lower bound: nowhere above the truth."""
+
+    @property
+    def is_lower_bound(self) -> bool: ...
+    def __call__(self, x: Any, /) -> ArrayLike: ...
 
 
 @runtime_checkable

@@ -15,6 +15,7 @@ import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command
+from plr_jax.cli._build import BEST, build_proven
 from plr_jax.cli._inputs import (
     DEFAULT_BYTES,
     PICTURES,
@@ -48,7 +49,7 @@ _Goal = Annotated[
 
 @command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
-    "plr-jax build floor_plan --leaf smooth",
+    "plr-jax build floor_plan --leaf cone --max-bytes 1024",
     "plr-jax build arena.map --goal 10.5,30",
 )
 def build(
@@ -66,26 +67,28 @@ def build(
     max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(help="Sample error (workspace units) at which to stop.", show_default=False),
+        typer.Option(help="Proven error (workspace units) at which to stop.", show_default=False),
     ] = None,
     leaf: Annotated[
         str,
         typer.Option(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
-            "'smooth', one whose gradient does not either. The latter take longer to build."
+            "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' builds "
+            "all of them and keeps the one whose proven error is least."
         ),
-    ] = "plane",
+    ] = "best",
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
-    """Compress the exact distance to a goal in a MAP into a small file."""
+    """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import ConstructionInterrupted, construct, save
+    from plr_jax.plr import ConstructionInterrupted, save
     from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
-    model = leaf_model(leaf)
+    if leaf != BEST:
+        leaf_model(leaf)
     require_writable(output)
     workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
@@ -97,16 +100,8 @@ def build(
     oracle = VisibilityGraph(workspace, goal_point)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConstructionInterrupted)
-        plr = construct(
-            oracle,
-            workspace.bounds,
-            leaf=model,
-            max_bytes=max_bytes,
-            max_leaves=max_leaves,
-            max_depth=max_depth,
-            tolerance=tolerance,
-            seed=seed,
-        )
+        limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
+        plr, errors = build_proven(oracle, workspace.bounds, leaf, seed=seed, **limits)
     save(plr, output)
     if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
@@ -115,6 +110,9 @@ def build(
     # A seed of its own, so that the error is not measured where the planes were fitted.
     report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
+    others = ", ".join(f"{name} {error:.3g}" for name, error in errors.items() if name != plr.leaf.name)
+    proven = f"{plr.leaf.name}: no error above {plr.max_error:.3g}, proven"
+    typer.echo(f"leaf    {proven} ({others})" if others else f"leaf    {proven}")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     typer.echo(
         f"        mean is {100 * report.mean / report.max_distance:.2g} % of the largest distance, "
@@ -129,6 +127,7 @@ def build(
 
 @command(
     "plr-jax query maze.plr points.csv",
+    "plr-jax query maze.plr points.csv --bounds",
     "echo 0.93,0.95 | plr-jax query maze.plr",
 )
 def query(
@@ -138,6 +137,9 @@ def query(
     ] = "-",
     gradient: Annotated[
         bool, typer.Option("--gradient", help="Print distance,dx,dy: the gradient beside the distance.")
+    ] = False,
+    bounds: Annotated[
+        bool, typer.Option("--bounds", help="Print distance,lower,upper: proven bounds beside the distance.")
     ] = False,
 ) -> None:
     """Print the distance of each point, one a line; inf where the goal cannot be reached.
@@ -154,6 +156,8 @@ def query(
         import jax
 
         answers = np.hstack([answers, jax.vmap(jax.grad(plr))(x)])
+    if bounds:
+        answers = np.column_stack([answers, *plr.bounds(x)])
     sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)
 
 
@@ -168,6 +172,7 @@ def info(file: _File) -> None:
     typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D)")
     typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
+    typer.echo(f"proof      {'none' if plr.max_error is None else f'largest error {plr.max_error:.3g}'}")
     typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
 
 

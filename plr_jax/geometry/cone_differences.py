@@ -1,9 +1,9 @@
 """Extremes of the difference of two cones, or of a cone and a plane, over convex pieces of the plane.
 
-A cone is ``offset + |x - apex|``. The difference of two has its extremes over a piece on the piece's boundary: inside,
-its gradient, a difference of unit vectors, vanishes only on the line through both apexes beyond them, along which the
-difference does not change. On an edge it is stationary where both apexes are seen at one angle.
-A cone minus a plane is convex: it is largest at a corner, and smallest on an edge or at the apex.
+A cone is ``offset + |x - apex|``. The difference of two has its extremes over a piece on the piece's boundary:
+inside, its gradient, a difference of unit vectors, vanishes only on the line through both apexes beyond them, along
+which the difference does not change. On an edge it is stationary where both apexes are seen at one angle. A cone
+minus a plane is convex: it is largest at a corner, and smallest on an edge or at the apex.
 """
 
 from typing import TypeAlias

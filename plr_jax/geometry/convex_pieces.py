@@ -1,7 +1,7 @@
 """Convex pieces of a region in the plane, many at once: cut by lines along the axes, measured.
 
-All of them stand in one array, coordinate by coordinate, a piece a row, its corners counterclockwise. A piece of fewer
-corners than rows have room for repeats its last one.
+All of them stand in one array, coordinate by coordinate, a piece a row, its corners counterclockwise. A piece of
+fewer corners than rows have room for repeats its last one.
 """
 
 from typing import Any, TypeAlias

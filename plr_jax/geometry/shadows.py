@@ -80,7 +80,7 @@ class Shadows:
     def _cross(
         self, shadow: Int[np.ndarray, "n"], pieces: Pieces, point: Float[np.ndarray, "n 2"]
     ) -> Bool[np.ndarray, "n"]:
-        """Whether shadows, whose directions are inside the pieces, cross them: they hold the middle of their chord."""
+        """Whether shadows, whose directions are inside pieces, cross them: they hold the middle of a chord."""
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = pieces[0] - point[:, :1], pieces[1] - point[:, 1:]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx

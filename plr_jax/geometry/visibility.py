@@ -72,9 +72,9 @@ class VisibilityTable:
         """The viewpoints of both, of one workspace, those of the other after these."""
         first = np.concatenate([self.first, self.first[-1] + other.first[1:]])
         key = np.concatenate([self.key, 4.0 * len(self.points) + other.key])
-        columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in ("points", "cut"))
+        points, cut = np.concatenate([self.points, other.points]), np.concatenate([self.cut, other.cut])
         edge = np.concatenate([self.edge, other.edge])
-        return VisibilityTable(self.boundary, self.tolerance, *columns, first, key, edge)
+        return VisibilityTable(self.boundary, self.tolerance, points, cut, first, key, edge)
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.

@@ -102,9 +102,7 @@ class VisibleSources:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
-    def hold(
-        self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]
-    ) -> Bool[np.ndarray, "n k"]:
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
         tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
         x, y = self.pieces[:, piece]
@@ -129,6 +127,8 @@ class VisibleSources:
         return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+        if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
+            return self
         pairs, piece = run_members(self.first_pair, rows)
         of_pieces = {name: getattr(self, name)[rows] for name in ("cell", "center", "distance", "best")}
         return replace(
@@ -149,17 +149,22 @@ class VisibleSources:
         hi: Float[np.ndarray, "parts 2"],
     ) -> "VisibleSources":
         """Of parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
-        inherited = self.of_cells(parent)
-        along, upper = axis[inherited.cell], is_upper[inherited.cell]
-        bound = np.where(upper, lo[inherited.cell, along], hi[inherited.cell, along])
-        height = np.where((along == 0)[:, None], *inherited.pieces) - bound[:, None]
-        height *= np.where(upper, 1.0, -1.0)[:, None]
-        highest, cut = height.max(axis=1), height.min(axis=1) < 0
-        reaches = np.flatnonzero(highest > 0)
-        inherited, height, cut = inherited._of_pieces(reaches), height[reaches], cut[reaches]
-        pieces = inherited.pieces.copy()
+        rows, cell = run_members(self.first_piece, parent)
+        along, upper = axis[cell], is_upper[cell]
+        bound = np.where(upper, lo[cell, along], hi[cell, along])
+        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+        reaches = np.flatnonzero(height.max(axis=1) > 0)
+        rows, cell, height = rows[reaches], cell[reaches], height[reaches]
+        pairs, piece = run_members(self.first_pair, rows)
+        cut = height.min(axis=1) < 0
+        pieces = self.pieces[:, rows]
         pieces[:, cut] = clip(pieces[:, cut], height[cut])
-        return _with_whole_cells(replace(inherited, pieces=pieces), cut, lo, hi)
+        columns = {name: getattr(self, name)[rows] for name in ("center", "distance", "best")}
+        source, by_all = self.source[pairs], self.by_all[pairs]
+        inherited = VisibleSources(
+            self.sight, len(parent), cell, pieces, piece=piece, source=source, by_all=by_all, **columns
+        )
+        return _with_whole_cells(inherited, cut, lo, hi)
 
     @staticmethod
     def concatenate(several: list["VisibleSources"]) -> "VisibleSources":

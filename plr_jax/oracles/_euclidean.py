@@ -26,6 +26,11 @@ class Euclidean:
         object.__setattr__(self, "goal", as_finite_point("The goal", goal))
 
     @property
+    def is_lower_bound(self) -> bool:
+        """True: no path of a robot whose reference point keeps to its free space is shorter."""
+        return True
+
+    @property
     def dim(self) -> int:
         """Number of coordinates of a point."""
         return self.goal.size

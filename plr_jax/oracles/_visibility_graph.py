@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
-from plr_jax._types import ArrayLike, CellSources, Distances, Sources
+from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
@@ -16,7 +16,7 @@ from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, t
 from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles._cell_sources import Sight, visible_sources
+from plr_jax.oracles._cell_sources import Sight, VisibleSources, visible_sources
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -80,6 +80,11 @@ class VisibilityGraph:
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
 
     @property
+    def is_lower_bound(self) -> bool:
+        """True: no path of a robot whose reference point keeps to its free space is shorter."""
+        return True
+
+    @property
     def dim(self) -> int:
         """Number of coordinates of a point: 2."""
         return 2
@@ -96,7 +101,7 @@ class VisibilityGraph:
         parents = np.where(self._parents == NO_PARENT, np.arange(len(self._parents)), self._parents)
         return Sources(self.graph.vertices, self.distances, parents)
 
-    def cell_sources(self, domain: Box) -> CellSources:
+    def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
 
         Args:

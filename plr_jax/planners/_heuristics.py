@@ -12,6 +12,7 @@ from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortene
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import (
     ArrayLike,
+    BoundingFn,
     DimensionedFn,
     DistanceFn,
     Distances,
@@ -35,9 +36,11 @@ class SumOverRobots:
 
     Args:
         per_robot: Its terms, of joint configurations ``(n, robots, dof)``: one a configuration and robot.
+        is_lower_bound: Whether it is nowhere above the true cost-to-go, so that a planner may prove something by it.
     """
 
     per_robot: PerRobot
+    is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
         """Estimated cost-to-go: the sum of the terms.
@@ -62,7 +65,7 @@ def zero() -> SumOverRobots:
     Returns:
         The heuristic.
     """
-    return SumOverRobots(lambda q: np.zeros(_joint_configurations(q).shape[:2]))
+    return SumOverRobots(lambda q: np.zeros(_joint_configurations(q).shape[:2]), is_lower_bound=True)
 
 
 def straight_line(problem: Problem) -> SumOverRobots:
@@ -83,7 +86,7 @@ def straight_line(problem: Problem) -> SumOverRobots:
         cost[np.isnan(cost)] = np.inf
         return cost
 
-    return SumOverRobots(per_robot)
+    return SumOverRobots(per_robot, is_lower_bound=True)
 
 
 def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> SumOverRobots:
@@ -99,8 +102,9 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
         distance_fns: One distance function a robot, in the order of the robots; they may answer in NumPy or JAX.
 
     Returns:
-        A heuristic for teams of as many robots. A configuration that is not finite has ``inf`` where the distance
-        function says NaN.
+        A heuristic for teams of as many robots, a lower bound if all functions say that they are, as ``plr.lower``
+        and oracles do: then they have to be those of these robots' own obstacles. A configuration that is not finite
+        has ``inf`` where the distance function says NaN.
 
     Raises:
         ValueError: If there is no function or something that is not one. When called, if the team is of another
@@ -118,7 +122,8 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
         q = _joint_configurations(q, len(distance_fns))
         return _without_nan(q, evaluate(q))
 
-    return SumOverRobots(per_robot)
+    bounds = all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns)
+    return SumOverRobots(per_robot, is_lower_bound=bounds)
 
 
 def require_heuristic(heuristic: object) -> None:

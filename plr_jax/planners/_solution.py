@@ -61,6 +61,9 @@ class Solution:
         stats: What the planner did.
         samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of BL,
             those of its last search.
+        motions_factor: How many times as much the path as it was found, before it was shortened, costs at the most as
+            the best one that is made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions
+            of its lattices.
     """
 
     path: Float[np.ndarray, "steps robots dof"] | None
@@ -70,6 +73,17 @@ class Solution:
     status: Status
     stats: Stats
     samples: Float[np.ndarray, "nodes robots dof"]
+    motions_factor: float = float("inf")
+
+    @property
+    def factor(self) -> float:
+        """How many times as much the path costs at the most as the best one there is, as far as is proven.
+
+        ``inf`` if there is no path, or nothing is known but that a cost is not negative.
+        """
+        if self.cost == 0:
+            return 1.0
+        return self.cost / self.lower_bound if self.lower_bound > 0 else float("inf")
 
     @property
     def solved(self) -> bool:
@@ -78,7 +92,7 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution({self.status.name}: cost {self.cost:.4g}, lower bound {self.lower_bound:.4g}, "
+            f"Solution({self.status.name}: cost {self.cost:.4g}, at most {self.factor:.4g} times the least, "
             f"{self.stats.num_nodes:,} nodes, {sum(self.stats.seconds.values()):.3g} s)"
         )
 
@@ -90,11 +104,13 @@ def solution_of(
     status: Status,
     stats: Stats,
     samples: Float[np.ndarray, "nodes robots dof"],
+    motions_factor: float = float("inf"),
 ) -> Solution:
     """A solution, its costs computed from the path."""
     if path is None:
         return Solution(None, float("inf"), float("inf"), lower_bound, status, stats, samples)
-    return Solution(path, path_cost(problem, path), makespan(problem, path), lower_bound, status, stats, samples)
+    costs = path_cost(problem, path), makespan(problem, path)
+    return Solution(path, *costs, lower_bound, status, stats, samples, motions_factor)
 
 
 def straight_line_bound(problem: Problem) -> float:

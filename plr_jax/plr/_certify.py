@@ -21,8 +21,9 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
     """Prove bounds of the distance for a PLR that exists.
 
     Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
-    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this oracle,
-    to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is the proof.
+    them can. The proof holds for all points of the domain from which the goal can be reached. It is about this
+    oracle, to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is
+    the proof.
 
     Args:
         plr: The PLR, of any leaf model, in the plane.
@@ -38,18 +39,18 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
-    check_certifiable(oracle, plr.dim)
     proof = Proof.LEAVES if leaf_bounds else Proof.LARGEST
-    return with_certificate(plr, certificate_of(plr._contents, oracle, proof))
+    return with_certificate(plr, certificate_of(plr._contents, as_certifiable(oracle, plr.dim), proof))
 
 
-def check_certifiable(oracle: DistanceFn, dim: int) -> None:
-    """Raise ``ValueError`` if nothing can be proven about a distance function."""
+def as_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
+    """A distance function about which something can be proven; raises ``ValueError`` if it is none."""
     if dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
             f"got {shortened(oracle)} in {dim} dimensions. Build the PLR without one, and measure its error."
         )
+    return oracle
 
 
 def certificate_of(contents: Contents, oracle: CellwiseFn, proof: Proof) -> Certificate:

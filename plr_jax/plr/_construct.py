@@ -7,7 +7,7 @@ import numpy as np
 from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._certify import certificate_of, check_certifiable
+from plr_jax.plr._certify import as_certifiable, certificate_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate.certificate import Proof
@@ -61,7 +61,12 @@ def construct(
             at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
             multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a
             continuous gradient as well, in 1 or 2 dimensions. Both take longer to build and to query, and err less
-            for their bytes. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
+            for their bytes. ``"cone"`` holds the distance to one *source*, a point that paths go to next, and on from
+            there: among obstacles that is exact but where the next corner changes. Of a distance function that
+            answers for whole cells, such as ``VisibilityGraph``, cones need no samples, and the partition is the best
+            of all at a price a leaf, up to 8 times as long as wide; ``should_split``, ``split``,
+            ``compute_coefficients`` and ``seed`` do not matter then. Cones answer finite numbers wherever they are
+            asked. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for: planes in the plane 7
             times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, the others as often in half the bytes; beyond, 14
@@ -73,7 +78,13 @@ def construct(
             error best; without it they are 32-bit floats, in several times the bytes. No more leaves than half as
             many as the bytes, of tied ones than as many.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
-            most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller.
+            most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller. Of
+            cones, and with ``certified``, it is the proven error of the leaf.
+        certified: Whether to prove the largest error, of all points from which the goal can be reached, which then is
+            ``plr.max_error``; it takes 4 bytes. The leaf of the largest proven error is split first, unless
+            ``should_split`` says otherwise, so that nothing is missed, however small. For distance functions that
+            answer for whole cells; see :func:`certify`.
+        leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, which makes ``plr.bounds`` narrow.
         compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
             function of their kind. Models that tie their leaves fit all of them at once, whatever it says.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
@@ -93,21 +104,29 @@ def construct(
     Raises:
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
             a tree larger than memory, a budget is too small for one leaf, tied leaves hang on one another in too many
-            ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, or no sample reaches the
-            goal.
+            ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, no sample reaches the
+            goal, or a proof is asked for and ``distance_fn`` does not answer for cells.
 
     References:
         Section III-B of the paper. For ``"smooth"``: Bogner, Fox, Schmit, "The generation of inter-element-compatible
-        stiffness and mass matrices by the use of interpolation formulas", 1965.
+        stiffness and mass matrices by the use of interpolation formulas", 1965. For the best partition: Donoho, "CART
+        and best-ortho-basis: a connection", Annals of Statistics 1997.
     """
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
     proof = _proof(certified, leaf_bounds)
-    if proof is not Proof.NONE:
-        check_certifiable(distance_fn, domain.dim)
+    certifiable = None if proof is Proof.NONE else as_certifiable(distance_fn, domain.dim)
     limits = check_limits(
-        domain.dim, model.least_bytes, model.bytes_without_budget, max_depth, max_leaves, max_bytes, tolerance, proof
+        domain.dim,
+        model.least_bytes,
+        model.has_deep_trees or proof is not Proof.NONE,
+        model.bytes_without_budget,
+        max_depth,
+        max_leaves,
+        max_bytes,
+        tolerance,
+        proof,
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
@@ -127,16 +146,17 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
-    answers_for_cells = isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0
-    memory = CellMemory(distance_fn, domain) if answers_for_cells else None
+    memory = None
+    if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0:
+        memory = CellMemory(distance_fn, domain)
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
     )
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
     contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
-    if proof is not Proof.NONE:
-        contents = replace(contents, certificate=certificate_of(contents, distance_fn, proof))
+    if certifiable is not None:
+        contents = replace(contents, certificate=certificate_of(contents, certifiable, proof))
     return plr_of_leaves(contents)
 
 

@@ -14,7 +14,7 @@ from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, tree_of_levels
-from plr_jax.plr.query.tables import FRACTION_BITS
+from plr_jax.plr.query.grid import FRACTION_BITS
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,8 @@ from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup
+from plr_jax.plr.query.lower_bound import LowerBound
+from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
 
@@ -49,7 +50,7 @@ class PLR:
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        return _evaluate(*self._placed(x))
+        return evaluate_points(*self._placed(x))
 
     def _placed(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         """Tables to ask and points to ask them for."""
@@ -76,10 +77,10 @@ class PLR:
         Raises:
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
-        return _bounds(self._proven_band, *self._placed(x))
+        return bound_points(self._proven_band, *self._placed(x))
 
     @property
-    def lower(self) -> "LowerBound":
+    def lower(self) -> LowerBound:
         """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does."""
         self._proven_band  # noqa: B018 (which raises an error that says what to do)
         return LowerBound(self)
@@ -88,7 +89,7 @@ class PLR:
     def _proven_band(self) -> Float[Array, "2 rows"]:
         if self.band is None:
             raise ValueError(
-                "Nothing is proven of this PLR: build it with construct(..., certified=True), or certify(plr, oracle)."
+                "Nothing is proven of this PLR: build it with certified=True, or use certify(plr, oracle)."
             )
         return self.band
 
@@ -263,32 +264,6 @@ class PLR:
         return self.tables.from_corner(self.domain)
 
 
-@dataclass(frozen=True, eq=False)
-class LowerBound:
-    """A PLR's proven lower bound as a distance function: see :attr:`PLR.lower`.
-
-    Attributes:
-        plr: The PLR.
-    """
-
-    plr: PLR
-
-    @property
-    def dim(self) -> int:
-        """Number of axes."""
-        return self.plr.dim
-
-    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """The lower of :meth:`PLR.bounds`."""
-        return self.plr.bounds(x)[0]
-
-    @staticmethod
-    def stack(fns: Sequence["LowerBound"]) -> TableStack:
-        """One function of all robots' lower bounds, as :meth:`PLR.stack`."""
-        plain = PLR.stack([fn.plr for fn in fns])
-        return replace(plain, bands=tuple(fn.plr.band for fn in fns))
-
-
 def from_bytes(data: bytes) -> PLR:
     """The PLR that a file's bytes hold.
 
@@ -361,44 +336,6 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     return plr(x)
 
 
-@jax.jit
-def _evaluate(tables: Tables, x: Array) -> Float[Array, "*batch"]:
-    """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
-    _check_points(tables, x)
-    return evaluate_tables(tables, x)
-
-
-@jax.jit
-def _bounds(band: Float[Array, "2 rows"], tables: Tables, x: Array) -> tuple[Float[Array, "*batch"], ...]:
-    _check_points(tables, x)
-    return bounds_of_tables(tables, band, x)
-
-
-def _check_points(tables: Tables, x: Array) -> None:
-    if x.ndim == 0 or x.shape[-1] != tables.dim:
-        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
-    _require_real(x)
-
-
-def _require_real(x: Array | np.ndarray) -> None:
-    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
-        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-
-
-def as_array(x: ArrayLike) -> np.ndarray:
-    """Points on the host. Integers become floats here, where they cannot wrap around."""
-    try:
-        x = np.asarray(x)
-    except ValueError as error:
-        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
-    if x.dtype in (np.float32, np.float64):
-        return x
-    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
-        return x.astype(np.float64)
-    _require_real(x)  # which JAX cannot even be shown
-    return x
-
-
 def local_coordinates(
     plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
 ) -> Float[np.ndarray, "*batch dim"]:
@@ -410,8 +347,5 @@ def local_coordinates(
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     """Index of the leaf that answers for each point."""
     if plr._far_corner is not None:
-        return np.asarray(_lookup(plr._tables_from_corner, x - plr._far_corner)).astype(np.int64)
-    return np.asarray(_lookup(plr.tables, x)).astype(np.int64)
-
-
-_lookup = jax.jit(lookup)
+        return np.asarray(find_leaves(plr._tables_from_corner, x - plr._far_corner)).astype(np.int64)
+    return np.asarray(find_leaves(plr.tables, x)).astype(np.int64)

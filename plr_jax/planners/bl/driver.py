@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._problem import Problem, path_cost
-from plr_jax._types import HeuristicFn
+from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._heuristics import require_heuristic, straight_line
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
@@ -50,13 +50,15 @@ def bl_plan(
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
             :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
             estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
-            them, which is much faster than a plain function. None: :func:`straight_line`.
+            them, which is much faster than a plain function. One that says it is a lower bound (``is_lower_bound``)
+            bounds the cost of all paths by what it says of the starts. None: :func:`straight_line`.
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, and why the search ended: SOLVED if its cost is within ``cost_factor`` of the lower
-        bound; EXHAUSTED if the frontier ran empty on the finest lattice (the given ``step``, or 1/2048 of the
-        bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with or without a path.
+        The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
+        is within ``cost_factor`` of the lower bound; EXHAUSTED if the frontier ran empty on the finest lattice (the
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with
+        or without a path.
 
     Raises:
         ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
@@ -80,7 +82,7 @@ def bl_plan(
     budget = run.budget
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
     stats = Stats(*counts, run.seconds, tuple(run.history))
-    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples)
+    return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
 
 
 class _Run:
@@ -91,7 +93,8 @@ class _Run:
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots)
         straight = straight_line_bound(problem)
-        self.lower_bound = straight if options.lower_bound is None else max(options.lower_bound, straight)
+        self.lower_bound = max(straight, options.lower_bound or 0.0, _proven_cost(heuristic, problem))
+        self.motions_factor = float("inf")
         self.path: Float[np.ndarray, "steps robots dof"] | None = None
         self.cost = float("inf")
         self.history: list[tuple[float, float]] = []
@@ -146,6 +149,7 @@ class _Run:
                 status = self._run(search, size, turn[size])
                 if status is Status.SOLVED:
                     self.budget.memory = 0
+                    self._compare_with_motions(search)
                     self._offer(search.joint.configurations(search.branch), size)
                 elif status is Status.EXHAUSTED:
                     self.budget.memory -= searches.pop(size).memory
@@ -153,6 +157,13 @@ class _Run:
                     return status, size
                 turn[size] = int(_LONGER * turn[size])
             step /= _REFINEMENT
+
+    def _compare_with_motions(self, search: BestFirstSearch) -> None:
+        """Prove how far a path may be from the best of its lattices' motions: each robot's alone costs no more."""
+        least = sum(lattice.least_cost() for lattice in search.joint.lattices)
+        cost = path_cost(self.problem, search.joint.configurations(search.branch))
+        if cost < self.cost:
+            self.motions_factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0
 
     def _run(self, search: BestFirstSearch, step: float, num_expansions: int) -> Status | None:
         """Let a search run until it has made so many expansions in all."""
@@ -216,6 +227,14 @@ class _Run:
         now = time.perf_counter()
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self.mark
         self.mark = now
+
+
+def _proven_cost(heuristic: HeuristicFn, problem: Problem) -> float:
+    """What a heuristic proves of the cost of any path: its value at the starts, if it is a lower bound, else 0."""
+    if not (isinstance(heuristic, BoundingFn) and heuristic.is_lower_bound):
+        return 0.0
+    cost = float(heuristic(problem.starts[None].copy())[0])
+    return (1 - _ROUNDING) * cost if np.isfinite(cost) else 0.0
 
 
 def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:

@@ -29,7 +29,9 @@ class ConesAbove(Protocol):
         offset: Float[np.ndarray, "n"],
         row: Int[np.ndarray, "n"],
         /,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]: ...
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Of cones with these apexes and offsets, one a piece."""
+        ...
 
 
 BelowCones: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]

@@ -5,8 +5,8 @@ As bits, after the leaves:
     largest error, a 32-bit float
     where each leaf has bounds: codes of all lower ones, then of all upper ones, 8 bits each
 
-A bound is ``max_error * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and the
-smallest is 4e-7 of the largest. All of them are rounded away from zero.
+A bound is ``max_error * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and
+the smallest is 4e-7 of the largest. All of them are rounded away from zero.
 """
 
 from dataclasses import dataclass

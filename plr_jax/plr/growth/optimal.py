@@ -2,9 +2,9 @@
 
 Splitting best-first decides for an axis by what one split gains, and never takes it back. Here every box that a tree
 may hold is judged once, whichever splits lead to it, unless its cost is below the price of a leaf. Then the best tree
-follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and more
-boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them is
-taken.
+follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes. The price falls, and
+more boxes are looked at, until the best tree is beyond its limits; of the prices in between, the lowest within them
+is taken.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -21,8 +21,12 @@ from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
 _CHEAPER, _LEAST_CHEAPER = 0.05, 0.7  # of the price before, far from the limits and near them
-_FAR, _BEYOND = 8.0, 1.15  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
-_HALVINGS = 10  # of the range between the last two prices
+_FAR, _BEYOND = (
+    8.0,
+    1.15,
+)  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
+_FIRST_RATE, _LEAST_ROOM, _UNLIMITED = 2.0, 20.0, 1e6  # the first tree has leaves as the price to the power of -1/2
+_ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
 _LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
 _AT_ONCE = 1 << 14  # boxes
@@ -33,7 +37,9 @@ class Leaves(Protocol):
     """Some boxes as leaves: all that a file keeps of them follows."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
 
     def append(self, *others: Any) -> Any:
         """These leaves followed by others."""
@@ -41,20 +47,22 @@ class Leaves(Protocol):
 
 
 class Boxes(Protocol):
-    """Boxes of a domain, and what leaves there would be like.
-
-    Attributes:
-        cells: The boxes.
-        error: The largest error of each as a leaf, 0 if it does not matter.
-        integral: The integral of its error over its share of the domain.
-    """
+    """Boxes of a domain, and what leaves there would be like."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """The boxes."""
+        ...
+
     @property
-    def error(self) -> Float[np.ndarray, "boxes"]: ...
+    def error(self) -> Float[np.ndarray, "boxes"]:
+        """The largest error of each as a leaf, 0 if it does not matter."""
+        ...
+
     @property
-    def integral(self) -> Float[np.ndarray, "boxes"]: ...
+    def integral(self) -> Float[np.ndarray, "boxes"]:
+        """The integral of each one's error over its share of the domain."""
+        ...
 
     def leaves(self, index: Int[np.ndarray, "some"]) -> Any:
         """Some of the boxes as leaves."""
@@ -94,7 +102,7 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
     tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
     if not search.fits(tree):
         raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow at least that."
+            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow as many."
         )
     return grow(tree, search.next, limits).leaves
 
@@ -130,27 +138,35 @@ class _Search:
         self._before = now
         return larger if self.fits(larger) else self._largest(now, larger, least_share)
 
+    def _share(self, tree: _Tree) -> float:
+        """Of what the limits allow, how much a tree takes."""
+        return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
+
     def _next_price(self, now: _Tree) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
-        room = self._limits.max_leaves / len(now)
-        if np.isfinite(self._limits.max_bytes):
-            room = min(room, self._limits.max_bytes / now.num_bytes)
-        before = self._before
-        if before is None or len(before) == len(now) or room > _FAR:
+        room, before = 1 / self._share(now), self._before
+        if before is None:
+            return now.price * max(room, _LEAST_ROOM) ** -_FIRST_RATE if room < _UNLIMITED else _CHEAPER * now.price
+        if len(before) == len(now) or room > _FAR:
             return _CHEAPER * now.price
         rate = np.log(len(now) / len(before)) / np.log(before.price / now.price)
         return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
 
     def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:
         """The largest tree that fits, of prices between one that does and one that does not."""
-        low, high = beyond.price, fits.price
-        for _ in range(_HALVINGS):
-            middle = self.tree(float(np.sqrt(max(low, 1e-6 * high) * high)), least_share)
+        largest = fits
+        for attempt in range(_ATTEMPTS):
+            low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
+            sizes = np.log([self._share(fits), self._share(beyond)])
+            aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
+            middle = self.tree(float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high))), least_share)
             if self.fits(middle):
-                fits, high = middle, middle.price
+                fits = largest = middle
             else:
-                low = middle.price
-        return replace(fits, is_final=True)
+                beyond = middle
+            if self._share(largest) > _FULL:
+                break
+        return replace(largest, is_final=True)
 
 
 @dataclass(eq=False)
@@ -228,7 +244,7 @@ def _add_halves(
 
 def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Any:
     """Leaves of the tree for which their costs and their prices together are least."""
-    below: Float[np.ndarray, "boxes"] = np.zeros(0)
+    below: Float[np.ndarray, boxes] = np.zeros(0)
     choices = []
     for level in reversed(levels):
         dim, _, num_boxes = level.child.shape

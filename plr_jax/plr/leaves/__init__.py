@@ -14,6 +14,11 @@ _MODELS: tuple[LeafModel, ...] = (
 )  # in the order of their codes
 
 
+def leaf_names() -> list[str]:
+    """What ``construct(leaf=...)`` calls the leaf models of this release."""
+    return [model.name for model in _MODELS]
+
+
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
     """The leaf model that is meant; raises ``ValueError`` if there is none of that name."""
     models = {model.name: model for model in _MODELS}

@@ -54,9 +54,9 @@ class Parameters:
 class LeafModel(Protocol):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
-    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the value.
-    What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read`` gives
-    back.
+    A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
+    value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
+    gives back.
     """
 
     @property
@@ -70,8 +70,13 @@ class LeafModel(Protocol):
         ...
 
     @property
-    def least_bytes(self) -> int:
-        """Bytes of a file that a leaf takes at the least, a power of two."""
+    def least_bytes(self) -> int | float:
+        """Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction."""
+        ...
+
+    @property
+    def has_deep_trees(self) -> bool:
+        """Whether small trees are deep, for which a query's tables have pages: see ``query/pages.py``."""
         ...
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
@@ -141,9 +146,11 @@ class LeafModel(Protocol):
         x: Float[Array, "*batch dim"],
         outside: Bool[Array, "*batch"],
     ) -> Float[Array, "*batch"]:
-        """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
-        ...
+        """Value at each point, in JAX: that of the leaf whose numbers ``number_of_leaf`` finds at ``leaf``.
 
+        If a point is ``outside`` the domain, any number will do.
+        """
+        ...
 
     def below_cones(
         self,

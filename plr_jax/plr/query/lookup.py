@@ -7,15 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
-from plr_jax.plr.query.tables import FRACTION_BITS, WORD_BITS, Blocks, Frame, Tables
+from plr_jax.plr.query.blocks import Blocks
+from plr_jax.plr.query.grid import FRACTION_BITS, WORD_BITS
+from plr_jax.plr.query.pages import Pages
+from plr_jax.plr.query.tables import Frame, Tables
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    leaf = lookup(tables, jax.lax.stop_gradient(x))
+    row = find_row(tables, jax.lax.stop_gradient(x))
     outside, answer = outside_domain(tables, x)
-    return jnp.where(outside, answer, tables.leaf.evaluate(tables, leaf, x, outside))
+    return jnp.where(outside, answer, tables.leaf.evaluate(tables, row, x, outside))
 
 
 def bounds_of_tables(
@@ -41,11 +44,18 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
     Points outside the domain, and NaN, get some leaf.
     """
-    words = [_place(tables, x, axis) for axis in range(tables.dim)]
-    mask, right = tables.bits
-    index = reduce(jnp.bitwise_or, [_shift_right(word & mask[axis], right[axis]) for axis, word in enumerate(words)])
+    row = find_row(tables, x)
+    return row if tables.pages is None else _gather(tables.leaf_of_slot, row).astype(jnp.uint32)
+
+
+def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
+    """Which of the ``numbers`` are for each point: those of its slot, if there are pages, else those of its leaf."""
+    places = [_place(tables, x, axis) for axis in range(tables.dim)]
+    index = _joined_bits(places, *tables.bits)
+    if tables.pages is not None:
+        return _slot_in_page(tables.pages, places, index)
     if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, words, index)
+        index = _index_in_block(tables.blocks, places, index)
     return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
@@ -66,11 +76,11 @@ def outside_domain(
     return outside, answer
 
 
-def number_of_leaf(tables: Tables, leaf: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
-    """One of the ``count`` numbers of each leaf that the tables were built of."""
+def number_of_leaf(tables: Tables, row: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
+    """One of the ``count`` numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
     if tables.numbers.ndim == 2:
-        return _gather(tables.numbers[which], leaf)
-    return _gather(tables.numbers, leaf * np.uint32(count) + np.uint32(which))
+        return _gather(tables.numbers[which], row)
+    return _gather(tables.numbers, row * np.uint32(count) + np.uint32(which))
 
 
 def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
@@ -83,6 +93,24 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
     placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
     last = np.float32(2 - 2.0**-FRACTION_BITS)
     return jax.lax.bitcast_convert_type(jnp.where(placed < last, placed, last), jnp.uint32)
+
+
+def _joined_bits(
+    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
+) -> UInt32[Array, "*batch"]:
+    """Some bits of a point's place along each axis, side by side."""
+    return reduce(
+        jnp.bitwise_or, [_shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)]
+    )
+
+
+def _slot_in_page(
+    pages: Pages, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+) -> UInt32[Array, "*batch"]:
+    """Slot of points in given blocks."""
+    mask, right, start = pages.bits
+    word = _gather(pages.words, block)
+    return _shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
 
 
 def _index_in_block(

@@ -4,7 +4,8 @@ Cells are dyadic, so a point's place along an axis, as a binary fraction of the 
 of its cell's position: its *slot*. A *flat* table has one entry a slot of the finest grid, ``2**sum(bits)`` in all,
 with ``bits[a]`` the deepest split along axis ``a``. A deep tree would make that table huge although only a few of its
 leaves are small, so past ``2**MAX_FLAT_BITS`` slots the grid is cut into *blocks*, and each block has a little table
-of its own, just as fine along each axis as its own leaves need.
+of its own, just as fine along each axis as its own leaves need. Where a leaf model has deep trees, blocks of small
+PLRs have *pages* instead (see ``pages.py``), whatever their depth: they are read about as fast as a flat table.
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
 PLRs of one class and leaf model share compiled code: how many leaves there is room for and, by these, how many slots
@@ -13,9 +14,11 @@ many where leaves need more than the class has. What is left is padding, which i
 
 In the plane and on a line no leaves need more slots than the class of a budget up to there has. Planes without a
 budget may be as deep as if they had one of 32 KB, however small their file: in the plane up to 9 halvings along an
-axis, for which their class may have too few slots.
+axis, for which their class may have too few slots. Pages nearly always fit the slots of their class, four a leaf that
+it has room for, as blocks may be finer in four steps; else 65,536 slots, and else the leaves get no pages.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
@@ -25,38 +28,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size, runs
+from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
+from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
+from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
-FRACTION_BITS = 23  # of a 32-bit float
-WORD_BITS = 32
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
 MOST_ROWS = 2**14  # of a class whose tables are of one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
 _DEEP_BITS = 28  # of a point's place in all, beyond the classes above
+_PAGED_DEPTH = 13  # along an axis, so that blocks and the page of a deepest leaf stay small
+_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
-_MAX_BLOCK_BITS = 16
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """The coarse level of a two-level table; ``None`` in its place means one flat table.
-
-    A block's *word* holds, from its lowest bit, how many bits of a point's place the block's own table resolves along
-    each axis, ``width`` bits an axis, and above them where that table starts in ``leaf_of_slot``. Axes for which the
-    first word has no room come in further words. One word is read with one gather, which is what a query costs.
-    Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
-    """
-
-    words: tuple[UInt32[Array, "blocks"], ...]
-    shift: UInt32[Array, "dim"]
-    axes: tuple[int, ...] = field(metadata={"static": True})
-    width: int = field(metadata={"static": True})
 
 
 @jax.tree_util.register_dataclass
@@ -71,17 +59,20 @@ class Tables:
         frame: One row a quantity, see :class:`Frame`; one column an axis.
         bits: Which bits of a point's place along each axis are its slot (flat table) or its block (two levels), as a
             mask, and how far right they belong in the index.
-        blocks: Coarse level, or None for a flat table.
+        blocks: Coarse level of a two-level table, or None.
+        pages: Coarse level of a table with pages, or None; without either it is flat.
         leaf_of_slot: Leaf of each slot.
-        numbers: What the leaf model reads of each leaf. Small tables have one row a number, which takes the least
-            arithmetic. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits
-            for a cache line or two and not for one a number.
+        numbers: What the leaf model reads of each leaf, or of each slot of a table with pages. Small tables have one
+            row a number, which takes the least arithmetic, and so have pages, as most of their slots are hardly ever
+            read. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits for a
+            cache line or two and not for one a number.
         leaf: The leaf model, whose ``evaluate`` makes a value of them.
     """
 
     frame: Float[Array, "6 dim"]
     bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
+    pages: Pages | None
     leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
     numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
     leaf: Any = field(metadata={"static": True})
@@ -133,30 +124,63 @@ def build_tables(
 
     The size of the file fixes that of the tables and bounds it: raises ``ValueError`` if the leaves are too deep.
     """
-    bits = cells.depth.max(axis=0)
-    of_class = byte_class(max(num_bytes, leaf.least_bytes * len(cells)))
-    flat = bits.sum() <= MAX_FLAT_BITS
-    block_bits = 0 * bits if flat else _choose_block_bits(cells, bits, max_entries(num_bytes))
-    shape = _block_shapes(cells, block_bits)
-    offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
-    leaf_of_slot = _leaves_of_slots(cells, block_bits, shape, offset)
-    rows = rows_of_class(of_class, leaf.least_bytes)
-    slot_bits = max(slot_bits_of_rows(rows), (len(leaf_of_slot) - 1).bit_length())
-    if rows > MOST_ROWS:  # too large to be padded to what the class may need at the most
-        rows = padded_size(len(cells))
+    of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
+    rows_of_file = rows_of_class(of_class, leaf.least_bytes)
+    # Large tables are not padded to what the class may need at the most.
+    rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
+    is_deep = leaf.has_deep_trees or cells.depth.max(axis=0).sum() > MAX_FLAT_BITS
+    if is_deep and rows <= MOST_ROWS:
+        for slots in (max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows), _MOST_PAGED_SLOTS):
+            if (paged := build_pages(cells, slots)) is not None:
+                return _paged_tables(domain, paged, numbers, leaf, slots)
     table = padded(numbers.astype(np.float32), rows)
-    index_type = np.uint16 if rows <= 2**16 else np.uint32
+    return _tables_by_leaf(domain, cells, table, leaf, slot_bits_of_rows(rows_of_file), max_entries(num_bytes))
+
+
+def _tables_by_leaf(
+    domain: Box, cells: Cells, table: Float[np.ndarray, "rows count"], leaf: Any, slot_bits: int, most_entries: int
+) -> Tables:
+    """A flat table or one of blocks, with room for ``2**slot_bits`` slots at the least."""
+    bits = cells.depth.max(axis=0)
+    flat = bits.sum() <= MAX_FLAT_BITS
+    block_bits = 0 * bits if flat else choose_block_bits(cells, bits, most_entries)
+    shape = block_shapes(cells, block_bits)
+    offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
+    leaf_of_slot = leaves_of_slots(cells, block_bits, shape, offset)
+    slots = 1 << max(slot_bits, (len(leaf_of_slot) - 1).bit_length())
+    index_type = np.uint16 if len(table) <= 2**16 else np.uint32
     top = bits if flat else block_bits
-    below = FRACTION_BITS - top
-    bits = np.stack([((1 << top) - 1) << below, FRACTION_BITS - np.cumsum(top[::-1])[::-1]])
     return Tables(
         frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
-        bits=jnp.asarray(bits.astype(np.uint32)),
-        blocks=None if flat else _pack_blocks(shape, offset, below),
-        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), 1 << slot_bits)),
+        bits=_bits_of_index(top),
+        blocks=None if flat else pack_blocks(shape, offset, FRACTION_BITS - top),
+        pages=None,
+        leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), slots)),
         numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
     )
+
+
+def _paged_tables(
+    domain: Box, paged: PagedLeaves, numbers: Float[np.ndarray, "leaves count"], leaf: Any, slots: int
+) -> Tables:
+    """Tables with pages and room for so many slots."""
+    of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
+    return Tables(
+        frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
+        bits=_bits_of_index(paged.block_bits),
+        blocks=None,
+        pages=paged.pages,
+        leaf_of_slot=jnp.asarray(padded(paged.leaf_of_slot.astype(np.uint16), slots)),
+        numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
+        leaf=leaf,
+    )
+
+
+def _bits_of_index(bits: Int[np.ndarray, "dim"]) -> UInt32[Array, "2 dim"]:
+    """Mask and shift that make an index of the first bits along each axis of a point's place."""
+    mask = ((1 << bits) - 1) << (FRACTION_BITS - bits)
+    return jnp.asarray(np.stack([mask, FRACTION_BITS - np.cumsum(bits[::-1])[::-1]]).astype(np.uint32))
 
 
 def byte_class(num_bytes: int) -> int:
@@ -164,9 +188,9 @@ def byte_class(num_bytes: int) -> int:
     return max(MIN_CLASS, (num_bytes - 1).bit_length())
 
 
-def rows_of_class(of_class: int, least_bytes: int) -> int:
+def rows_of_class(of_class: int, least_bytes: int | float) -> int:
     """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
-    return (1 << of_class) // least_bytes
+    return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
@@ -174,15 +198,16 @@ def slot_bits_of_rows(rows: int) -> int:
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
-def max_axis_depth(dim: int, of_class: int | None, least_bytes: int) -> int:
+def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, has_deep_trees: bool) -> int:
     """How often a cell may be halved along one axis, for a class of files or for any.
 
-    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; else the tables' size is bounded.
+    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice, or its pages if the leaf model has
+    deep trees; else the tables' size is bounded.
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return slot_bits_of_rows(rows) // dim
+    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if has_deep_trees else 0)
 
 
 def max_entries(num_bytes: int) -> int:
@@ -201,110 +226,3 @@ def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     return frame
-
-
-def _pack_blocks(
-    shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
-) -> Blocks:
-    """The words of all blocks; the first has the offset above the axes for which there is room."""
-    width = max(1, int(shape.max()).bit_length())
-    room = (WORD_BITS - int(offset[-1]).bit_length()) // width
-    first, words, axes = offset[:-1], [], []
-    while not words or sum(axes) < shape.shape[1]:
-        here = shape[:, sum(axes) : sum(axes) + room]
-        word = np.zeros(len(shape), np.int64) if words else first
-        for column in here.T[::-1]:
-            word = (word << width) | column
-        words.append(jnp.asarray(word.astype(np.uint32)))
-        axes.append(here.shape[1])
-        room = WORD_BITS // width
-    return Blocks(tuple(words), jnp.asarray(shift.astype(np.uint32)), tuple(axes), width)
-
-
-def _choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Coarse bits along each axis: those with which words and blocks' own tables take the fewest bytes."""
-    best, fewest = None, np.inf
-    block_bits = np.zeros_like(bits)
-    while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
-        block_bits[np.argmax(bits - block_bits)] += 1
-        if np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1)) > max_entries:
-            break  # so many pairs of a leaf and a block that meet; finer blocks meet more leaves
-        slots = np.sum(2.0 ** _block_shapes(cells, block_bits).sum(axis=1))
-        size = 4 * 2.0 ** block_bits.sum() + 2 * slots
-        if slots <= max_entries and size < fewest:
-            best, fewest = block_bits.copy(), size
-    if best is None:
-        raise ValueError(
-            f"The leaves are too deep for a query's tables: {bits.tolist()} splits along the axes. Lower max_depth."
-        )
-    return best
-
-
-def _block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Bits of every block's own table: the deepest split below the block among the leaves it meets."""
-    below = np.maximum(cells.depth - block_bits, 0)
-    leaf, block = _leaves_in_blocks(cells, block_bits)
-    shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
-    np.maximum.at(shape, _row_major(block, block_bits), below[leaf])
-    return shape
-
-
-def _leaves_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, "dim"]
-) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """All pairs of a leaf and a block that meet: the leaf's index and the block's, along each axis."""
-    first = np.where(
-        cells.depth >= block_bits,
-        cells.position >> np.maximum(cells.depth - block_bits, 0),
-        cells.position << np.maximum(block_bits - cells.depth, 0),
-    )
-    return _enumerate_boxes(first, np.int64(1) << np.maximum(block_bits - cells.depth, 0))
-
-
-def _enumerate_boxes(
-    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
-) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Integer points of many boxes: the box's index and the point, for each."""
-    box, rest = runs(count.prod(axis=1))
-    points = np.empty((len(box), first.shape[1]), np.int64)
-    for axis in reversed(range(first.shape[1])):
-        rest, digit = np.divmod(rest, count[box, axis])
-        points[:, axis] = first[box, axis] + digit
-    return box, points
-
-
-def _leaves_of_slots(
-    cells: Cells,
-    block_bits: Int[np.ndarray, "dim"],
-    shape: Int[np.ndarray, "blocks dim"],
-    offset: Int[np.ndarray, "blocks_plus_one"],
-) -> UInt32[np.ndarray, "slots"]:
-    """The leaf of every slot of the tables of all blocks.
-
-    Along the last axis a leaf covers slots in a row. It is written at the first slot of each of its runs, and from
-    there to the start of the next, whichever leaf's that is.
-    """
-    leaf, block = _leaves_in_blocks(cells, block_bits)
-    index = _row_major(block, block_bits)
-    bits = shape[index]
-    below = np.maximum(cells.depth[leaf] - block_bits, 0)
-    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (bits - below)
-    count = np.int64(1) << (bits - below)
-    count[:, -1] = 1
-    pair, slot = _enumerate_boxes(first, count)
-    start = offset[index[pair]] + _row_major(slot, bits[pair])
-    leaf_of_start = np.zeros(offset[-1], np.uint32)
-    is_start = np.zeros(offset[-1], bool)
-    leaf_of_start[start], is_start[start] = leaf[pair], True
-    starts = np.flatnonzero(is_start)
-    return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
-
-
-def _row_major(
-    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
-) -> Int[np.ndarray, "n"]:
-    """Index of each slot in a table of ``2**bits`` slots along the axes."""
-    index = np.zeros(len(slots), np.int64)
-    for axis in range(slots.shape[1]):
-        index = (index << bits[..., axis]) | slots[:, axis]
-    return index

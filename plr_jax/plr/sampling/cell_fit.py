@@ -143,7 +143,7 @@ class Sampler:
 
 
 def with_unseen_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """With planes for cells that have free pieces although no sample met one: tangents at the largest one's center."""
+    """With planes for cells whose free pieces no sample met: tangents at the center of the largest."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit

@@ -44,7 +44,7 @@ class CellMemory:
         pairs: Int[np.ndarray, "pairs"],
         x: Float[np.ndarray, "cells k 2"],
     ) -> None:
-        """Lower distances to those by way of some pairs, at the points that lie in their pieces and see the source."""
+        """Lower distances to those by way of some pairs, at points in their pieces that see the source."""
         piece, source, sources = visible.piece[pairs], visible.source[pairs], visible.sources
         points = x[visible.cell[piece]]
         dx, dy = points[:, :, 0] - sources.points[source, :1], points[:, :, 1] - sources.points[source, 1:]

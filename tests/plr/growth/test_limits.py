@@ -15,8 +15,8 @@ def four_each(dim, num_leaves):
     return 4 * num_leaves
 
 
-def limits(dim=2, least_bytes=2, **given):
-    return check_limits(dim, least_bytes, four_each, *(given.get(name) for name in NAMES))
+def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
+    return check_limits(dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES))
 
 
 def test_no_limit_means_512_leaves():
@@ -33,6 +33,7 @@ def test_a_budget_of_bytes_bounds_the_leaves():
     """No more than the tables of that budget have room for: 2,048 bytes of at least two a leaf."""
     assert limits(max_bytes=2048).max_leaves == 1024
     assert limits(max_bytes=2048, least_bytes=1).max_leaves == 2048
+    assert limits(max_bytes=2048, least_bytes=0.5).max_leaves == 4096
     assert limits(max_bytes=2048, max_leaves=17).max_leaves == 17
 
 
@@ -54,6 +55,11 @@ def test_a_budget_of_bytes_bounds_the_leaves():
         ({"max_leaves": 512}, 7),
         ({"max_leaves": 513}, 8),
         ({"max_bytes": 10**6, "max_leaves": 512}, 7),
+        ({"max_bytes": 256, "least_bytes": 0.5}, 7),
+        ({"max_bytes": 512, "least_bytes": 0.5}, 7),
+        ({"max_bytes": 513, "least_bytes": 0.5}, 8),
+        ({"max_bytes": 256, "least_bytes": 0.5, "has_deep_trees": True}, 13),
+        ({"max_leaves": 512, "least_bytes": 0.5, "has_deep_trees": True}, 13),
         ({"max_bytes": 2048, "dim": 3}, 9),
         ({"max_bytes": 2048, "dim": 10}, 2),
         ({"max_bytes": 2048, "dim": 40}, 1),
@@ -81,7 +87,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
 def test_limits_out_of_range_are_refused(given, message):
     arguments = [given.get(name) for name in NAMES]
     with pytest.raises(ValueError, match=message):
-        unchecked(2, 2, four_each, *arguments)
+        unchecked(2, 2, False, four_each, *arguments)
 
 
 unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations, as outside of the tests

@@ -8,8 +8,8 @@ from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.blocks import pack_blocks
 from plr_jax.plr.query.tables import (
-    _pack_blocks,
     build_tables,
     byte_class,
     max_axis_depth,
@@ -33,7 +33,7 @@ def test_axes_that_do_not_fit_the_first_word_come_in_more(dim, num_words):
     shape = rng.integers(0, 8, size=(50, dim))
     offset = np.append(rng.integers(0, 2**17, size=50), 2**17 - 1)
     shift = rng.integers(0, 23, size=dim)
-    blocks = _pack_blocks(shape, offset, shift)
+    blocks = pack_blocks(shape, offset, shift)
     np.testing.assert_array_equal(blocks.shift, shift)
     assert len(blocks.words) == num_words and sum(blocks.axes) == dim
     words = [np.asarray(word).astype(int) for word in blocks.words]
@@ -106,6 +106,7 @@ def test_a_class_is_the_power_of_two_that_holds_the_bytes(num_bytes, expected):
 def test_tables_have_room_for_as_many_leaves_as_a_file_can_hold():
     assert rows_of_class(11, 2) == 1024
     assert rows_of_class(11, 1) == 2048
+    assert rows_of_class(11, 0.5) == 4096
 
 
 @pytest.mark.parametrize(
@@ -122,12 +123,17 @@ def test_slots_grow_with_the_leaves(rows, expected):
 )
 def test_on_a_line_and_in_the_plane_the_cells_of_a_class_fit_its_table(dim, least_bytes, of_class):
     rows = rows_of_class(of_class, least_bytes)
-    assert dim * max_axis_depth(dim, of_class, least_bytes) <= slot_bits_of_rows(rows)
+    assert dim * max_axis_depth(dim, of_class, least_bytes, False) <= slot_bits_of_rows(rows)
+
+
+@pytest.mark.parametrize(("dim", "expected"), [(1, [14, 16, 18, 18]), (2, [13, 13, 14, 14]), (3, [9] * 4)])
+def test_deep_trees_are_as_deep_in_the_smallest_files(dim, expected):
+    assert [max_axis_depth(dim, of_class, 0.5, True) for of_class in (8, 11, 14, None)] == expected
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 5, 8, 28, 50])
 def test_more_bytes_never_mean_larger_cells(dim):
-    depths = [max_axis_depth(dim, of_class, 2) for of_class in (*range(8, 30), None)]
+    depths = [max_axis_depth(dim, of_class, 2, False) for of_class in (*range(8, 30), None)]
     assert depths == sorted(depths) and depths[0] >= 1 and depths[-1] <= 18
 
 

@@ -79,26 +79,52 @@ class ConeBoxes:
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
     """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
-    resolved = np.finfo(np.float32).eps / 4 * float(visible.distance.max(initial=0.0))
+    resolved = float(np.finfo(np.float32).eps / 4 * visible.distance.max(initial=0.0))
     return _fitted(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
 
 
 def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
     """Boxes with the cone for each whose proven error has the least integral over its free part."""
+    best, error, integral = _only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
+    several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
+    best[several], error[several], integral[several] = _best_cones(visible.of_cells(several))
+    counts = error > negligible
+    integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
+    return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
+
+
+def _only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+    """The source of boxes that all of each sees and no other is better for anywhere; -1 for other boxes."""
+    only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
+    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # a pair a piece, or none at all
+    is_box = is_box[np.diff(first)[is_box] > 0]
+    if not len(is_box):
+        return only
+    of_pairs = np.stack([visible.source, -visible.source, visible.by_all])
+    smallest, largest, by_all = np.minimum.reduceat(of_pairs, first[:-1][np.diff(first) > 0], axis=1)
+    row = (np.cumsum(np.diff(first) > 0) - 1)[is_box]
+    alone = (smallest == -largest)[row] & (by_all[row] > 0)
+    only[is_box[alone]] = smallest[row[alone]]
+    return only
+
+
+def _best_cones(
+    visible: CellSources,
+) -> tuple[Int[np.ndarray, "boxes"], Float[np.ndarray, "boxes"], Float[np.ndarray, "boxes"]]:
+    """Of boxes that have pieces: the best source, its largest error, and the integral of its error."""
+    if not visible.num_cells:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     area = areas(visible.pieces)
     box, source = _options(visible, area)
     piece, option = run_members(visible.first_piece, box)
     lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
     error = np.maximum(-lower, upper)
-    first = np.flatnonzero(np.append(True, option[1:] != option[:-1])) if len(option) else option
-    largest = np.maximum.reduceat(error, first) if len(first) else error
+    first = np.flatnonzero(np.append(True, option[1:] != option[:-1]))
+    largest = np.maximum.reduceat(error, first)
     integral = np.bincount(option, error * area[piece], len(box))
     order = np.lexsort((largest, integral, box))
-    order = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
-    best, of_box, total = np.full(len(cells), -1), np.zeros(len(cells)), np.zeros(len(cells))
-    best[box[order]], of_box[box[order]] = source[order], np.where(largest > negligible, largest, 0.0)[order]
-    total[box[order]] = np.where(largest > negligible, integral, 0.0)[order] / np.prod(domain.width)
-    return ConeBoxes(domain, negligible, cells, visible, best, of_box, total)
+    order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
+    return source[order], largest[order], integral[order]
 
 
 def _options(

@@ -1,23 +1,29 @@
 """Cones as they are stored: a small table of sources, and for every leaf which of them is its own.
 
-Sources have coordinates that are multiples of one ``step``: those of the map's own lattice where it has one (a grid,
-two decimals), else of a power of two about ``2**-24`` of the domain. A source is followed by its *parent*, to which
-its own shortest path goes next, so its offset, its distance to the goal, needs no number: it is that of the parent and
-the way there. A *root*, such as the goal, has a number of its own.
+Most maps are drawn on a lattice: a grid, two decimals. Sources that lie on it, as corners do, have coordinates that
+are multiples of one fraction; of others, such as a goal, they are multiples of a power of two about ``2**-26`` of the
+domain's width. A source is followed by its *parent*, to which its own shortest path goes next, so its offset, its
+distance to the goal, needs no number: it is that of the parent and the way there. A *root*, such as the goal, has a
+number of its own.
 
 What a file keeps of the leaves, as bits:
 
-    is the step a fraction ``1 / number``, in 1 bit; else it is a power of two; the number or the exponent plus 2**15
-      in 16 bits
-    number of sources, in 20 bits
-    for every axis the smallest coordinate, in steps from the rounded lower corner of the domain: a signed number
-    sources are sorted by coordinates; along the first axis by how much each is above the one before
-    along every other axis: a width in 6 bits, and in so many bits how much each is above the smallest
+    number of sources that are not on the lattice, in 20 bits, and if there are some: the exponent of their power of
+    two,
+      plus 2**15, in 16 bits, and their coordinates
+    number of those that are, in 20 bits, and if there are some: the fraction is 1 over a number of 16 bits; and their
+      coordinates
     which sources are roots, 1 bit each, and their offsets as 32-bit floats
     parents of the others, each in as many bits as the largest index needs
     the rank of every leaf's source among those lately used, the latest first (at first they stand in order): for all
       leaves, is it 0; for the rest, is it 1; for the rest, is it 2, 1 bit each; of what is left by how much it is
       more than 3, as codes
+
+Coordinates of some sources, which are sorted by them:
+
+    for every axis the smallest, in steps from the lower corner of the domain: a signed number
+    along the first axis by how much each is above the one before, as codes
+    along every other axis: a width in 6 bits, and in so many bits how much each is above the smallest
 
 Signed numbers and codes are as in ``file/bits.py``.
 """
@@ -33,26 +39,30 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.tables import LARGEST
 
 _STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
-_MOST_COORDINATE_BITS = 40
-_FINE_BITS = 26  # of a coordinate where the sources have no lattice
+_MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
+_FINE_BITS = 26  # of a coordinate that is not on the lattice
+_FARTHEST = 2.0**60  # steps of the domain's corner from the origin
 _ESCAPE = 3
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
+_MOST_OFF_LATTICE = 0.1  # share of the sources
 
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Sources as a file keeps them.
+    """Sources as a file keeps them: those that are not on the lattice first, both kinds sorted.
 
     Attributes:
-        fraction: The step is 1 over it; or 0.
-        exponent: The step is this power of two, if it is no fraction.
-        code: Coordinates in steps, sorted.
+        num_fine: How many are not on the lattice.
+        exponent: Their coordinates are multiples of this power of two.
+        fraction: Those of the others are multiples of 1 over it.
+        code: Coordinates in those steps.
         parent: The source that follows, its own index for a root.
         root_offset: Offsets of roots, exact in 32 bits; of others 0.
     """
 
-    fraction: int
+    num_fine: int
     exponent: int
+    fraction: int
     code: Int[np.ndarray, "sources dim"]
     parent: Int[np.ndarray, "sources"]
     root_offset: Float[np.ndarray, "sources"]
@@ -62,15 +72,11 @@ class StoredSources:
         """Which sources have an offset of their own."""
         return self.parent == np.arange(len(self.parent))
 
-    @property
-    def step(self) -> float:
-        """What coordinates are multiples of."""
-        return 1 / self.fraction if self.fraction else 2.0**self.exponent
-
     @cached_property
     def points(self) -> Float[np.ndarray, "sources dim"]:
         """Where they are."""
-        return self.code / self.fraction if self.fraction else self.code * self.step
+        fine, others = np.split(self.code, [self.num_fine])
+        return np.concatenate([fine * 2.0**self.exponent, others / self.fraction])
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "sources"]:
@@ -104,77 +110,109 @@ def store_sources(
     """
     if max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
-    fraction, exponent = _lattice(points, domain)
-    code = np.rint(points * fraction if fraction else points * 2.0**-exponent).astype(np.int64)
-    is_root = parents == np.arange(len(parents))
-    code, first, index = np.unique(code, axis=0, return_index=True, return_inverse=True)
-    parent = index[parents[first]]
-    root_offset = np.where(is_root[first], offsets[first].astype(np.float32).astype(np.float64), 0.0)
-    root_offset[parent != np.arange(len(parent))] = 0.0
-    return StoredSources(fraction, exponent, code, parent, root_offset), index.ravel()
+    exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
+    fraction, is_fine = _lattice(points, domain, exponent)
+    code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
+    rows = np.column_stack([~is_fine, code])
+    rows, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    parent, each = index.ravel()[parents[first]], np.arange(len(first))
+    root_offset = np.where(parent == each, offsets[first].astype(np.float32).astype(np.float64), 0.0)
+    num_fine = int(np.count_nonzero(rows[:, 0] == 0))
+    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset), index.ravel()
 
 
-def _lattice(points: Float[np.ndarray, "sources dim"], domain: Box) -> tuple[int, int]:
-    """The coarsest fraction whose multiples all coordinates are, to within rounding; else 0 and a fine exponent."""
-    width = float(domain.width.max())
-    fine = int(np.ceil(np.log2(width))) - _FINE_BITS
-    rounding = 4e-12 * width + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
-    fractions = _LATTICES[_LATTICES < 2.0**-fine]
-    for some in (points[:8], points):  # few rule most of them out
-        scaled = some.ravel() * fractions[:, None]
-        fractions = fractions[(np.abs(scaled - np.rint(scaled)) <= fractions[:, None] * rounding).all(axis=1)]
-    if len(fractions):
-        return int(fractions[0]), 0
-    return 0, fine
+def _lattice(
+    points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
+) -> tuple[int, Bool[np.ndarray, "sources"]]:
+    """The coarsest fraction of which nearly all coordinates are multiples, to within rounding, and which are not."""
+    rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
+    may_be_off = max(1, int(_MOST_OFF_LATTICE * len(points)))
+    for fraction in _LATTICES[2.0**-exponent > _LATTICES]:
+        scaled = points * fraction
+        is_off = (np.abs(scaled - np.rint(scaled)) > fraction * rounding).any(axis=1)
+        if np.count_nonzero(is_off) <= min(may_be_off, len(points) - 1):
+            return int(fraction), is_off
+    return 1, np.ones(len(points), bool)
 
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     """Append sources, and every leaf's."""
     sources = cones.sources
-    count, dim = sources.code.shape
-    number = sources.fraction if sources.fraction else sources.exponent + _EXPONENT_BIAS
-    body.write(np.array([int(sources.fraction > 0)]), 1).write(np.array([number]), _STEP_BITS)
-    body.write(np.array([count]), _COUNT_BITS)
-    lowest = sources.code.min(axis=0)
-    body.write_signed(lowest - _first_code(sources, domain))
-    above = sources.code - lowest
-    body.write_coded(np.diff(above[:, 0]))
-    for axis in range(1, dim):
-        width = int(above[:, axis].max()).bit_length()
-        body.write(np.array([width]), _WIDTH_BITS).write(above[:, axis], width)
+    fine, others = np.split(sources.code, [sources.num_fine])
+    body.write(np.array([len(fine)]), _COUNT_BITS)
+    if len(fine):
+        body.write(np.array([sources.exponent + _EXPONENT_BIAS]), _STEP_BITS)
+        _write_codes(body, fine, _origin(domain.lo * 2.0**-sources.exponent))
+    body.write(np.array([len(others)]), _COUNT_BITS)
+    if len(others):
+        body.write(np.array([sources.fraction]), _STEP_BITS)
+        _write_codes(body, others, _origin(domain.lo * sources.fraction))
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
-    body.write(sources.parent[~sources.is_root], (count - 1).bit_length())
-    _write_ranks(body, _ranks(cones.source, count))
+    body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
+    _write_ranks(body, _ranks(cones.source, len(sources.code)))
+
+
+def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: Int[np.ndarray, "dim"]) -> None:
+    lowest = code.min(axis=0)
+    above = code - lowest
+    body.write_signed(lowest - origin).write_coded(np.diff(above[:, 0]))
+    for along in above.T[1:]:
+        width = int(along.max()).bit_length()
+        body.write(np.array([width]), _WIDTH_BITS).write(along, width)
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """The next sources, and those of so many leaves; raises ``ValueError`` saying what is wrong with them."""
-    is_fraction, number = (int(body.read_alike(1, width)[0]) for width in (1, _STEP_BITS))
-    fraction, exponent = (number, 0) if is_fraction else (0, number - _EXPONENT_BIAS)
-    if (is_fraction and not fraction) or abs(exponent) > 200:
-        raise ValueError(f"it states coordinates in steps of {'1 / 0' if is_fraction else f'2**{exponent}'}")
-    count = int(body.read_alike(1, _COUNT_BITS)[0])
-    if not count:
+    sources = _read_sources(body, domain)
+    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), len(sources.code)))
+
+
+def _read_sources(body: BitReader, domain: Box) -> StoredSources:
+    exponent, fraction, parts = 0, 1, []
+    num_fine = int(body.read_alike(1, _COUNT_BITS)[0])
+    if num_fine:
+        exponent = int(body.read_alike(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
+        if abs(exponent) > _LARGEST_EXPONENT:
+            raise ValueError(f"it states coordinates in steps of 2**{exponent}")
+        parts.append(_read_codes(body, num_fine, _origin(domain.lo * 2.0**-exponent)))
+    num_others = int(body.read_alike(1, _COUNT_BITS)[0])
+    if num_others:
+        fraction = int(body.read_alike(1, _STEP_BITS)[0])
+        if not fraction:
+            raise ValueError("it states coordinates in steps of 1 / 0")
+        parts.append(_read_codes(body, num_others, _origin(domain.lo * fraction)))
+    if not parts:
         raise ValueError("it states no sources")
-    lowest = body.read_signed(domain.dim)
-    columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
-    for _ in range(1, domain.dim):
-        width = int(body.read_alike(1, _WIDTH_BITS)[0])
-        if width > _MOST_COORDINATE_BITS:
-            raise ValueError(f"it states coordinates of {width} bits")
-        columns.append(body.read_alike(count, width))
+    code, count = np.concatenate(parts), num_fine + num_others
     is_root = body.read_alike(count, 1) == 1
     parent, offset = np.arange(count), np.zeros(count)
     offset[is_root] = body.read_floats(int(np.count_nonzero(is_root)))
     parent[~is_root] = body.read_alike(int(np.count_nonzero(~is_root)), (count - 1).bit_length())
     if parent.max() >= count:
         raise ValueError(f"it names source {parent.max()} of {count}")
-    sources = StoredSources(fraction, exponent, np.column_stack(columns), parent, offset)
-    sources.code[:] += lowest + _first_code(sources, domain)
+    sources = StoredSources(num_fine, exponent, fraction, code, parent, offset)
     if not (np.isfinite(offset).all() and np.abs(sources.points).max() < LARGEST and sources.offsets.max() < LARGEST):
         raise ValueError("it states sources whose coordinates or distances are too large")
-    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), count))
+    return sources
+
+
+def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
+    lowest = body.read_signed(len(origin))
+    columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
+    for _ in origin[1:]:
+        width = int(body.read_alike(1, _WIDTH_BITS)[0])
+        if width > _MOST_COORDINATE_BITS:
+            raise ValueError(f"it states coordinates of {width} bits")
+        columns.append(body.read_alike(count, width))
+    return np.column_stack(columns) + lowest + origin
+
+
+def _origin(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+    """The lower corner of the domain in steps, from which coordinates are counted."""
+    if np.abs(steps).max() > _FARTHEST:
+        raise ValueError("it states coordinates in steps that are too small for its domain")
+    return np.rint(steps).astype(np.int64)
 
 
 def cones_bits(domain: Box, cones: StoredCones) -> int:
@@ -182,11 +220,6 @@ def cones_bits(domain: Box, cones: StoredCones) -> int:
     body = BitWriter()
     write_cones(body, domain, cones)
     return body.num_bits
-
-
-def _first_code(sources: StoredSources, domain: Box) -> Int[np.ndarray, "dim"]:
-    """The lower corner of the domain in steps, from which coordinates are counted."""
-    return np.rint(domain.lo / sources.step).astype(np.int64)
 
 
 def _ranks(source: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:

@@ -34,8 +34,8 @@ class Cone:
 
     name = "cone"
     num_samples = 96
-    least_bytes = 1
-    is_deep = True
+    least_bytes = 0.5
+    has_deep_trees = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Half a byte each, and what some tens of sources take."""

@@ -73,8 +73,8 @@ def enclosing_planes(
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Planes near functions in the plane, in boxes that reach so far from a center, from 0 to 1 along each cell.
 
-    Value and slope of each at the center, and how far at most the function is from it: the sum of what terms of higher
-    order amount to where they are largest.
+    Value and slope of each at the center, and how far at most the function is from it: the sum of what terms of
+    higher order amount to where they are largest.
     """
     count = POWERS[order]
     powers = (numbers @ monomials(order, 2)).reshape(-1, count, count)

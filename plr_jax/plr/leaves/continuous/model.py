@@ -57,6 +57,7 @@ class Continuous:
 
     num_samples = 96
     least_bytes = 1
+    has_deep_trees = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Two each: most of the values at corners are shared, and small as surpluses."""

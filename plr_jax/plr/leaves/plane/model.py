@@ -64,6 +64,7 @@ class Plane:
     name = "plane"
     num_samples = 192
     least_bytes = 2
+    has_deep_trees = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.

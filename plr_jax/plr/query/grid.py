@@ -1,0 +1,75 @@
+"""The grids that tables are made of: which leaves meet which block, and where.
+
+A *block* is a cell of a coarse grid of ``2**block_bits`` along the axes, its *shape* the bits of the finer grid that
+its own leaves need.
+"""
+
+import numpy as np
+from jaxtyping import Int
+
+from plr_jax._arrays import runs
+from plr_jax.plr.partition.cells import Cells
+
+FRACTION_BITS = 23  # of a 32-bit float
+WORD_BITS = 32
+
+
+def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
+    """Bits of every block's own table: the deepest split below the block among the leaves it meets."""
+    below = np.maximum(cells.depth - block_bits, 0)
+    leaf, block = _leaves_in_blocks(cells, block_bits)
+    shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
+    np.maximum.at(shape, row_major(block, block_bits), below[leaf])
+    return shape
+
+
+def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
+    """How many pairs of a leaf and a block meet."""
+    return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
+
+
+def slots_in_blocks(
+    cells: Cells, block_bits: Int[np.ndarray, "dim"], shape: Int[np.ndarray, "blocks dim"]
+) -> tuple[
+    Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
+]:
+    """All pairs of a leaf and a block that meet: their indices, the leaf's first slot in the block, and how many."""
+    leaf, block = _leaves_in_blocks(cells, block_bits)
+    index = row_major(block, block_bits)
+    below = np.maximum(cells.depth[leaf] - block_bits, 0)
+    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (shape[index] - below)
+    return leaf, index, first, np.int64(1) << (shape[index] - below)
+
+
+def _leaves_in_blocks(
+    cells: Cells, block_bits: Int[np.ndarray, "dim"]
+) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
+    """All pairs of a leaf and a block that meet: the leaf's index and the block's, along each axis."""
+    first = np.where(
+        cells.depth >= block_bits,
+        cells.position >> np.maximum(cells.depth - block_bits, 0),
+        cells.position << np.maximum(block_bits - cells.depth, 0),
+    )
+    return enumerate_boxes(first, np.int64(1) << np.maximum(block_bits - cells.depth, 0))
+
+
+def enumerate_boxes(
+    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
+) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
+    """Integer points of many boxes: the box's index and the point, for each."""
+    box, rest = runs(count.prod(axis=1))
+    points = np.empty((len(box), first.shape[1]), np.int64)
+    for axis in reversed(range(first.shape[1])):
+        rest, digit = np.divmod(rest, count[box, axis])
+        points[:, axis] = first[box, axis] + digit
+    return box, points
+
+
+def row_major(
+    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
+) -> Int[np.ndarray, "n"]:
+    """Index of each slot in a table of ``2**bits`` slots along the axes."""
+    index = np.zeros(len(slots), np.int64)
+    for axis in range(slots.shape[1]):
+        index = (index << bits[..., axis]) | slots[:, axis]
+    return index

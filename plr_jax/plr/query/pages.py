@@ -1,0 +1,161 @@
+"""Pages: two-level tables of small PLRs with deep trees, which cost a query no more reads than a flat table.
+
+The first slots are the leaves themselves, one each. A coarse block that one leaf covers has that leaf's slot; most
+points are in such blocks. Any other has a *page*: a slot for each cell of a grid just as fine along each axis as the
+block's own leaves need. A query reads the block's *word* and then, at the slot, the leaf's numbers, which are kept
+slot by slot: a flat table reads as often, a slot's leaf and the leaf's numbers.
+
+A word holds a mask of those bits of a point's place within the block that the page tells apart, and above them the
+page's first slot. So the slot is that start plus the masked bits, without a shift for each axis. The lower bits along
+an axis that a mask leaves out are gaps between the slots of its page, and other pages lie in these gaps.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int, UInt32
+
+from plr_jax._arrays import padded
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.grid import (
+    FRACTION_BITS,
+    WORD_BITS,
+    block_shapes,
+    enumerate_boxes,
+    num_pairs,
+    slots_in_blocks,
+)
+
+_BLOCK_BITS = (10, 12, 14, 16)  # few, as words of each number are compiled for; the fewest are read the fastest
+_MOST_PAIRS = 2**20
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Pages:
+    """What leads from a block to a slot.
+
+    Attributes:
+        words: A block's mask and, above it, the first slot of its page.
+        bits: Which bits of a point's place along each axis tell slots of a block apart, as a mask, how far right they
+            belong in the index, and at which bit of a word its start is (the same for all axes).
+    """
+
+    words: UInt32[Array, "blocks"]
+    bits: UInt32[Array, "3 dim"]
+
+
+class PagedLeaves(NamedTuple):
+    """A partition's pages, the bits of its blocks along each axis, and the leaf of every slot."""
+
+    pages: Pages
+    block_bits: Int[np.ndarray, "dim"]
+    leaf_of_slot: Int[np.ndarray, "slots"]
+
+
+def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
+    """Pages on the coarsest blocks with which so many slots suffice; None if there are none."""
+    bits = cells.depth.max(axis=0)
+    for most_bits in _BLOCK_BITS:
+        block_bits = _spread(bits, most_bits)
+        if num_pairs(cells, block_bits) > _MOST_PAIRS:
+            break  # finer blocks meet more leaves
+        if not _can_be_read(bits, bits - block_bits, most_slots):
+            continue
+        shape = block_shapes(cells, block_bits)
+        if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > most_slots:
+            continue
+        start, num_slots = _place_pages(shape, bits - block_bits, len(cells))
+        if num_slots <= most_slots:
+            return _fill_pages(cells, block_bits, shape, start, num_slots, 1 << most_bits)
+    return None
+
+
+def _can_be_read(bits: Int[np.ndarray, "dim"], page_bits: Int[np.ndarray, "dim"], most_slots: int) -> bool:
+    """Whether words have room for a mask of a page and a start, and no bits of a place belong farther left."""
+    fits_word = page_bits.sum() + most_slots.bit_length() <= WORD_BITS
+    return bool(fits_word and (_right_of_place(bits, page_bits) >= 0).all())
+
+
+def _spread(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
+    """Up to so many bits for blocks, each along the axis with the most bits left."""
+    block_bits = np.zeros_like(bits)
+    while block_bits.sum() < min(most, bits.sum()):
+        block_bits[np.argmax(bits - block_bits)] += 1
+    return block_bits
+
+
+def _place_pages(
+    shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], first: int
+) -> tuple[Int[np.ndarray, "blocks"], int]:
+    """First slot of every block's page, from a given one on, and where the last page ends; 0 of a block without one.
+
+    The largest come first. Each takes the smallest room that holds it, else a new one of the finest grid, and halves
+    it, along one axis after another, into every other slot, until the room has the page's shape.
+    """
+    finest, below = tuple(page_bits.tolist()), _bits_below(page_bits)
+    rooms: dict[tuple[int, ...], list[int]] = {}
+    start, end = np.zeros(len(shape), np.int64), first
+    for block in np.argsort(-shape.sum(axis=1), kind="stable")[: np.count_nonzero(shape.any(axis=1))]:
+        page = tuple(shape[block].tolist())
+        room = _smallest_that_holds(rooms, page)
+        if room is None:
+            room, place, end = finest, end, end + (1 << sum(finest))
+        else:
+            place = rooms[room].pop()
+        for axis, wanted in enumerate(page):
+            for bits in range(room[axis], wanted, -1):
+                room = (*room[:axis], bits - 1, *room[axis + 1 :])
+                rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
+        start[block] = place
+    return start, end
+
+
+def _smallest_that_holds(rooms: dict[tuple[int, ...], list[int]], page: tuple[int, ...]) -> tuple[int, ...] | None:
+    """Shape of the smallest free room that holds a page."""
+    if rooms.get(page):
+        return page
+    free = (room for room, places in rooms.items() if places)
+    holding = (room for room in free if all(has >= wanted for has, wanted in zip(room, page, strict=True)))
+    return min(holding, key=sum, default=None)
+
+
+def _fill_pages(
+    cells: Cells,
+    block_bits: Int[np.ndarray, "dim"],
+    shape: Int[np.ndarray, "blocks dim"],
+    start: Int[np.ndarray, "blocks"],
+    num_slots: int,
+    num_words: int,
+) -> PagedLeaves:
+    """Words of all blocks and leaves of all slots, of pages that start at given ones."""
+    bits = cells.depth.max(axis=0)
+    page_bits = bits - block_bits
+    below = _bits_below(page_bits)
+    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
+    alone = ~shape[block].any(axis=1)
+    start[block[alone]] = leaf[alone]
+    pair, slot = enumerate_boxes(first, count)
+    leaf_of_slot = np.zeros(num_slots, np.int64)
+    gaps = page_bits - shape[block[pair]]
+    leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
+    leaf_of_slot[: len(cells)] = np.arange(len(cells))
+    mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
+    words = padded((start << page_bits.sum()) | mask, num_words)
+    place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), _right_of_place(bits, page_bits)]
+    place_bits.append(np.full_like(bits, page_bits.sum()))
+    pages = Pages(jnp.asarray(words.astype(np.uint32)), jnp.asarray(np.stack(place_bits).astype(np.uint32)))
+    return PagedLeaves(pages, block_bits, leaf_of_slot)
+
+
+def _bits_below(bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+    """Bits of all later axes, below which each axis has its own in an index."""
+    return np.cumsum(bits[::-1])[::-1] - bits
+
+
+def _right_of_place(bits: Int[np.ndarray, "dim"], page_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+    """How far right of their place in a point's fraction the bits within a block belong; below 0 they do not fit."""
+    return FRACTION_BITS - bits - _bits_below(page_bits)

@@ -1,0 +1,51 @@
+"""Points as a query takes them, checked, and what is compiled of it: what they are told, and where they are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from plr_jax._types import ArrayLike
+from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup
+from plr_jax.plr.query.tables import Tables
+
+find_leaves = jax.jit(lookup)
+
+
+@jax.jit
+def evaluate_points(tables: Tables, x: Array) -> Float[Array, "*batch"]:
+    """Checks and answers points; what is checked depends on shape and type alone, so it is checked once for each."""
+    _check_points(tables, x)
+    return evaluate_tables(tables, x)
+
+
+@jax.jit
+def bound_points(band: Float[Array, "2 rows"], tables: Tables, x: Array) -> tuple[Float[Array, "*batch"], ...]:
+    """Checks points and gives bounds."""
+    _check_points(tables, x)
+    return bounds_of_tables(tables, band, x)
+
+
+def as_array(x: ArrayLike) -> np.ndarray:
+    """Points on the host. Integers become floats here, where they cannot wrap around."""
+    try:
+        x = np.asarray(x)
+    except ValueError as error:
+        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
+    if x.dtype in (np.float32, np.float64):
+        return x
+    if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):
+        return x.astype(np.float64)
+    _require_real(x)  # which JAX cannot even be shown
+    return x
+
+
+def _check_points(tables: Tables, x: Array) -> None:
+    if x.ndim == 0 or x.shape[-1] != tables.dim:
+        raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
+    _require_real(x)
+
+
+def _require_real(x: Array | np.ndarray) -> None:
+    if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
