@@ -93,12 +93,12 @@ class VisibleSources:
         return 4 * self.sight.shadows.table.tolerance
 
     @cached_property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]:
+    def first_piece(self) -> Int[np.ndarray, "cells_and_end"]:
         """First piece of each cell, and their number."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]:
+    def first_pair(self) -> Int[np.ndarray, "pieces_and_end"]:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
