@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import _gradient_tables as gradients
+from experiments import _proof_tables as proof_tables
 from experiments import _short_tables as short
 from experiments._results import RESULTS, read
 from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
@@ -223,6 +224,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "descent": lambda: gradients.descent(results_of("descent")),
     "trajectory": lambda: gradients.trajectory(results_of("trajectory")),
     "refinement": lambda: gradients.refinement(results_of("refinement")),
+    "proofs": lambda: proof_tables.proofs(results_of("proofs")),
+    "proof_checks": lambda: proof_tables.proof_checks(results_of("proofs")),
 }
 
 

@@ -22,7 +22,7 @@ _PUBLISHED = {
 def load_map(name: str) -> Map | None:
     """A map by name; None, with a message, if it is a published one whose data are absent."""
     if name not in _PUBLISHED:
-        problem = {"maze": scenes.maze, "thin_maze": scenes.thin_maze}[name]()
+        problem = {"maze": scenes.maze, "thin_maze": scenes.thin_maze, "floor_plan": scenes.floor_plan}[name]()
         return problem.workspace, problem.goals[0]
     file, goal = _PUBLISHED[name]
     path = Path(os.environ.get("PLR_JAX_DATA", "")) / file

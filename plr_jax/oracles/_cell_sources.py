@@ -43,14 +43,12 @@ class Sight:
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
         """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
-        turn = self.turn_of_source[source]
-        may = np.ones(len(source), bool)
-        if not len(self.turns.vertex):
-            return may  # nothing but the goal, in a convex room
+        may, corner = np.ones(len(source), bool), np.flatnonzero(source > 0)  # there may be none but the goal
+        turn, (x, y) = self.turn_of_source[source[corner]], pieces[:, corner]
         for normal in self.turns.normal[:, turn]:
-            height = (pieces[0] * normal[:, :1] + pieces[1] * normal[:, 1:]).max(axis=1)
-            may &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
-        return may | (source == 0)
+            height = (x * normal[:, :1] + y * normal[:, 1:]).max(axis=1)
+            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
+        return may
 
 
 @dataclass(frozen=True, eq=False)

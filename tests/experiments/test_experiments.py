@@ -18,7 +18,7 @@ SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
     *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace"),
 ]
-TESTED_ELSEWHERE = {"benchmark", "readme_tables", "hostile_files"}
+TESTED_ELSEWHERE = {"benchmark", "proofs", "readme_tables", "hostile_files"}
 
 
 def run_script(name, *options):
@@ -142,7 +142,9 @@ def test_readme_tables_of_gradients(name, smoke, monkeypatch):
     assert len([line for line in lines if line.startswith("|")]) == 2 + len(rows)
 
 
-@pytest.mark.parametrize("name", [*SMOKED, "benchmark", "hostile_files"])  # whose sections have tests of their own
+@pytest.mark.parametrize(
+    "name", [*SMOKED, "benchmark", "proofs", "hostile_files"]
+)  # whose sections have tests of their own
 def test_committed_results_are_those_of_a_full_run(name):
     record = json.loads((ROOT / "experiments" / "results" / f"{name}.json").read_text())
     assert record["experiment"] == name and not record["smoke"]

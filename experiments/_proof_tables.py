@@ -1,0 +1,65 @@
+"""The README's tables on proofs: sizes and errors of cones, planes and continuous leaves, and tests of the proofs."""
+
+from typing import Any
+
+from experiments._tables import markdown
+
+
+def proofs(results: dict[str, Any]) -> str:
+    """Bytes, errors and proofs of the leaf models, map by map."""
+    rows = [["map", "leaf", "bytes", "mean error", "largest found", "largest proven", "of distance", "exact", "s"]]
+    for row in results["sizes"]["rows"]:
+        rows.append(
+            [
+                *(row["map"], row["leaf"], f"{row['bytes']:,}"),
+                *(f"{row[name]:.2g}" for name in ("mean", "largest_found", "proven")),
+                *(f"{row['proven'] / row['largest_distance']:.2%}", f"{row['share_exact']:.1%}"),
+                f"{row['seconds']:.2f}",
+            ]
+        )
+    worst = max(row["proven_to_found"] for row in results["sizes"]["rows"])
+    note = (
+        f"Mean over {results['sizes']['points']:,} free points; exact: share of them whose error is at most "
+        f"{results['sizes']['exact']:.0e} of the largest distance; seconds from polygons to the certified PLR. The "
+        f"largest error that was found is the largest proven one, to a factor of {worst:.3f}."
+    )
+    return markdown(rows, numbers=7) + f"\n{note}\n"
+
+
+def proof_checks(results: dict[str, Any]) -> str:
+    """What was tried against the proofs, and how often one did not hold."""
+    rows = [["map", "truth", "points", "broken bounds"]]
+    for name, truth in dict.fromkeys((row["map"], row["truth"]) for row in results["bounds"]["rows"]):
+        of_leaves = [row for row in results["bounds"]["rows"] if (row["map"], row["truth"]) == (name, truth)]
+        points, broken = _counted(of_leaves)
+        rows.append([name, truth, points, broken])
+    slivers = results["bounds"]["slivers"]
+    points, broken = _counted(list(slivers["totals"].values()))
+    rows.append([f"{slivers['num_maps']} random ones with slivers", "oracle", points, broken])
+    (searches, wrong), (_, misled) = (_searches(results["astar"], kind) for kind in (", lower", " itself"))
+    note = (
+        "Of cones, planes and continuous leaves, with bounds of every leaf; half of the points are uniform, half "
+        "beside walls, corners and borders of cells; brute force shares no code with the package. "
+        f"In obstacles, by less than the workspace's tolerance, {_in_obstacles(results)} more are broken. "
+        f"{len(slivers['refused'])} of {3 * slivers['num_maps']} PLRs of random maps could not be built. A* on grids, "
+        f"{searches:,} searches under proven lower bounds: {wrong} paths that are not optimal; under PLRs "
+        f"themselves {misled}."
+    )
+    return markdown(rows, numbers=2) + f"\n{note}\n"
+
+
+def _counted(rows: list[dict[str, Any]]) -> tuple[str, str]:
+    """Points, and how many break a bound, of all leaf models together."""
+    return f"{sum(row['points'] for row in rows):,}", f"{sum(row['violations'] for row in rows):,}"
+
+
+def _in_obstacles(results: dict[str, Any]) -> int:
+    """Broken bounds of points that count as free to the tolerance alone."""
+    bounds = results["bounds"]
+    return sum(row["in_obstacles"] for row in [*bounds["rows"], *bounds["slivers"]["totals"].values()])
+
+
+def _searches(results: dict[str, Any], kind: str) -> tuple[int, int]:
+    """Searches under heuristics of a kind, and those whose path is not optimal."""
+    rows = [row for row in results["rows"] if kind in row["heuristic"]]
+    return sum(row["problems"] for row in rows), sum(row["not_optimal"] for row in rows)
