@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import container_size
-from plr_jax.plr.growth.best_first import Encoding, grow_best_first
+from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import Parameters, Rules, linear_mean_planes, linear_values, rounded_down
@@ -31,7 +31,6 @@ from plr_jax.plr.query.tables import MOST_ROWS, Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
-_SAMPLES_AT_ONCE = 2**20
 
 
 @dataclass(frozen=True)
@@ -78,28 +77,14 @@ class Plane:
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
-        at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
             priority, axis = np.asarray(rules.should_split(fit), float), np.asarray(rules.split(fit))
             return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
 
-        def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-            return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
-
-        def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            fit = sampler(cells)
-            few = fit.is_hardly_seen
-            if not few.any():
-                return nodes_of(fit, bound)
-            order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-            fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
-            return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
-
         root = nodes_of(sampler.root(), np.array([np.inf]))
         encoding = Encoding(self._choices(limits), _size, _rounding_error)
-        nodes, leaf, bits = grow_best_first(root, fit_nodes, limits, encoding)
+        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
         leaf = leaf[levels_of(nodes.cells[leaf])[1]]
         return nodes.cells[leaf], _stored(nodes, leaf, bits)
 
