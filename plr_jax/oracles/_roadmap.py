@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import networkx
 import numpy as np
@@ -9,10 +10,10 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, require_integer
-from plr_jax._types import ArrayLike, Distances, Points
+from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._prm_star import (
     IsFree,
@@ -165,6 +166,12 @@ class Roadmap:
         adjacency matrix follow from it and are not counted.
         """
         return self.graph.num_bytes
+
+    @cached_property
+    def sources(self) -> Sources:
+        """The vertices: a query's path goes to one of them first."""
+        parents = np.where(self._parents == NO_PARENT, np.arange(len(self._parents)), self._parents)
+        return Sources(self.graph.vertices, self.distances, parents)
 
     def to_networkx(self) -> networkx.Graph:
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""

@@ -245,3 +245,24 @@ def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena(data_dir):
     for row in rows:
         distance = oracle.with_goal((row["goal_x"], row["goal_y"]))([[row["start_x"], row["start_y"]]])[0]
         assert row["euclid_length"] - 1e-4 <= distance <= 1.1 * row["euclid_length"]
+
+
+def test_sources_are_vertices_and_answers_go_by_way_of_one():
+    def is_free(x):
+        return np.linalg.norm(x - 0.5, axis=1) > 0.3
+
+    oracle = Roadmap(Box(np.zeros(3), np.ones(3)), is_free, np.full(3, 0.05), 60, resolution=0.02)
+    sources = oracle.sources
+    assert np.array_equal(sources.points, oracle.graph.vertices) and np.array_equal(
+        sources.distances, oracle.distances
+    )
+    assert sources.parents[0] == 0
+    reached = np.isfinite(sources.distances)
+    way = np.linalg.norm(sources.points - sources.points[sources.parents], axis=1)
+    onward = sources.distances[sources.parents] + way
+    assert np.allclose(onward[reached], sources.distances[reached])
+    assert np.array_equal(sources.parents[~reached], np.flatnonzero(~reached))
+    x = np.random.default_rng(0).random((200, 3))
+    x = x[is_free(x)]
+    through = sources.distances + np.linalg.norm(x[:, None] - sources.points, axis=2)
+    assert np.abs(through - oracle(x)[:, None]).min(axis=1).max() < 1e-12

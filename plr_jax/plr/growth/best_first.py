@@ -16,9 +16,11 @@ from jaxtyping import Float, Int
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import Nodes, split_order
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
 
 _BYTES_SLACK = 1.15  # leaves grown beyond the budget, so that fewer bits for more leaves is a choice
 _ROUNDING_SHARE = 0.2  # of the error of the fit, that of rounding when bytes do not matter much
+_SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # of the splits so far, as many as this fraction are made in one last round
 
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
@@ -38,6 +40,26 @@ class Encoding:
     choices: Sequence[int]
     size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
     rounding_error: Callable[[Nodes, Int[np.ndarray, "leaves"], int], float]
+
+
+def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
+    """How a round's cells are fitted from samples of each, those of which too little was seen from more of them."""
+    at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
+
+    def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+        parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
+        return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
+
+    def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+        fit = sampler(cells)
+        few = fit.is_hardly_seen
+        if not few.any():
+            return nodes_of(fit, bound)
+        order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
+        fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
+        return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
+
+    return fit_nodes
 
 
 def grow_best_first(

@@ -70,11 +70,15 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     Returns:
         An axis for each cell, of those along which its halves are at most 8 times narrower than along another.
     """
-    squares = _sum_of_squares_after_split(fit)
+    return best_open_axis(fit, _sum_of_squares_after_split(fit))
+
+
+def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
+    """The axis of the least cost, of those along which a cell may be halved without getting too narrow."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
-    return np.argmin(np.where(closed, np.inf, squares), axis=1)
+    return np.argmin(np.where(closed, np.inf, cost), axis=1)
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:

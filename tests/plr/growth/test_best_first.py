@@ -5,7 +5,7 @@ import pytest
 from plr_helpers import UNIT, cone, walled
 
 from plr_jax.plr import Plane, best_axis, construct, largest_error
-from plr_jax.plr.leaves.plane import model
+from plr_jax.plr.growth import best_first
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -46,7 +46,7 @@ def test_rounds_build_the_tree_of_a_priority_queue(distance_fn, max_leaves):
 
 def test_chunks_of_samples_change_nothing(monkeypatch):
     whole = construct(walled, UNIT, max_leaves=80)
-    monkeypatch.setattr(model, "_SAMPLES_AT_ONCE", 300)
+    monkeypatch.setattr(best_first, "_SAMPLES_AT_ONCE", 300)
     assert construct(walled, UNIT, max_leaves=80).to_bytes() == whole.to_bytes()
 
 

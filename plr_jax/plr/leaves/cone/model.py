@@ -14,12 +14,14 @@ from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
+from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
-from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits, read_cones, store_sources, write_cones
+from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
+from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
+from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
@@ -53,30 +55,14 @@ class Cone:
         return dim + 3
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredCones]:
-        """The best partition of all, where the distance function answers for whole cells."""
-        domain, oracle = sampler.domain, sampler.distance_fn
-        if not isinstance(oracle, CellwiseFn):
-            raise NotImplementedError
-        visible = (CellMemory(oracle, domain) if sampler.memory is None else sampler.memory).sources(Cells.root(2))
-        if not len(visible.cell):
-            sampler.root()  # which says so
+        """The best partition of all, where the distance function answers for whole cells; else grown from samples.
 
-        def stored(leaves: ConeLeaves) -> tuple[Cells, StoredCones]:
-            order = levels_of(leaves.cells)[1]
-            return leaves.cells[order], _stored(visible.sources, domain, leaves.source[order])
-
-        def size(leaves: ConeLeaves) -> int:
-            cells, cones = stored(leaves)
-            return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
-
-        def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-            return size(replace(best, source=source)) <= limits.max_bytes
-
-        def size_with_room(leaves: ConeLeaves) -> int:
-            return size(leaves) * (_ROOM + 1) // _ROOM
-
-        best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
-        return stored(replace(best, source=sources_in_sight(best.boxes(), sampler, fits)))
+        Weights and rules of the caller's are of samples.
+        """
+        is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
+        if is_default and isinstance(sampler.distance_fn, CellwiseFn):
+            return _best_cones(sampler, sampler.distance_fn, limits)
+        return grow_from_samples(sampler, rules, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
@@ -186,22 +172,22 @@ def _root_with_tangent(primals, tangents):
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-def _stored(sources: Sources, domain: Box, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-    """What a file keeps of leaves with these sources; where there is none, that of the leaf before."""
-    leaf = np.flatnonzero(source >= 0)
-    before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
-    source = source[leaf[np.maximum(before, 0)]]
-    kept = _with_parents(np.unique(source), sources.parents)
-    place = np.searchsorted(kept, np.arange(len(sources.parents)))
-    stored, index = store_sources(sources.points[kept], sources.distances[kept], place[sources.parents[kept]], domain)
-    return StoredCones(stored, index[place[source]])
+def _best_cones(sampler: Sampler, oracle: CellwiseFn, limits: Limits) -> tuple[Cells, StoredCones]:
+    """The best partition of all, its leaves left for sources in sight where that costs little."""
+    domain = sampler.domain
+    visible = (CellMemory(oracle, domain) if sampler.memory is None else sampler.memory).sources(Cells.root(2))
+    if not len(visible.cell):
+        sampler.root()  # which says so
 
+    def stored(leaves: ConeLeaves) -> tuple[Cells, StoredCones]:
+        return stored_cones(leaves.cells, leaves.source, visible.sources, domain)
 
-def _with_parents(used: Int[np.ndarray, "used"], parents: Int[np.ndarray, "sources"]) -> Int[np.ndarray, "kept"]:
-    """Indices of some sources, of their parents, and so on, ascending."""
-    kept = np.zeros(len(parents), bool)
-    while len(used):
-        kept[used] = True
-        used = np.unique(parents[used])
-        used = used[~kept[used]]
-    return np.flatnonzero(kept)
+    def size_with_room(leaves: ConeLeaves) -> int:
+        return num_bytes_of(*stored(leaves), domain, limits) * (_ROOM + 1) // _ROOM
+
+    best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
+
+    def fits(source: Int[np.ndarray, "leaves"]) -> bool:
+        return num_bytes_of(*stored(replace(best, source=source)), domain, limits) <= limits.max_bytes
+
+    return stored(replace(best, source=sources_in_sight(best.boxes(), sampler, fits)))

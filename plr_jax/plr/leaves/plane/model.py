@@ -13,7 +13,7 @@ from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate.bounds import proven_errors
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.growth.best_first import Encoding, grow_best_first
+from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.growth.rules import largest_error
@@ -43,7 +43,6 @@ from plr_jax.plr.query.tables import MOST_ROWS, Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
-_SAMPLES_AT_ONCE = 2**20
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,6 @@ class Plane:
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
-        at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
             fit = with_unseen_planes(fit, sampler)
@@ -102,19 +100,6 @@ class Plane:
             axis = np.asarray(rules.split(fit))
             return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
 
-        def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-            return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
-
-        def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
-            fit = sampler(cells)
-            few = fit.is_hardly_seen
-            if not few.any():
-                return nodes_of(fit, bound)
-            order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-            fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
-            return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
-
         root = nodes_of(sampler.root(), np.array([np.inf]))
 
         def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
@@ -122,7 +107,7 @@ class Plane:
             return limits.file_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
 
         encoding = Encoding(self._choices(limits), size, _rounding_error)
-        nodes, leaf, bits = grow_best_first(root, fit_nodes, limits, encoding)
+        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
         leaf = leaf[levels_of(nodes.cells[leaf])[1]]
         return nodes.cells[leaf], _stored(nodes, leaf, bits)
 
