@@ -1,9 +1,10 @@
 """Room 2, store: piecewise linear regressions over a binary space partition."""
 
+from plr_jax.plr._assembly import from_bytes
 from plr_jax.plr._certify import certify
 from plr_jax.plr._construct import construct
 from plr_jax.plr._io import load, save
-from plr_jax.plr._plr import PLR, evaluate, from_bytes
+from plr_jax.plr._plr import PLR, evaluate
 from plr_jax.plr._trace import Traces, TraceStatus, trace
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth

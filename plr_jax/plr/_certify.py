@@ -8,9 +8,10 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.plr._assembly import with_certificate
 from plr_jax.plr._file import Contents
 from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr._plr import PLR, with_certificate
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.branch_and_bound import prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.partition.cells import grown_domain

@@ -7,9 +7,10 @@ import numpy as np
 from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
+from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._certify import as_certifiable, certificate_of
 from plr_jax.plr._file import Contents
-from plr_jax.plr._plr import PLR, plr_of_leaves
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error

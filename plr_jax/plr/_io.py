@@ -5,7 +5,8 @@ from pathlib import Path
 
 from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
-from plr_jax.plr._plr import PLR, from_bytes
+from plr_jax.plr._assembly import from_bytes
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
 
 

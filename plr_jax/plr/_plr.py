@@ -1,29 +1,27 @@
 """The piecewise linear regression: a partition of a box and a function in every leaf, ready to be queried."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import padded, padded_size, shortened
+from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents, decode, decode_cells, encode
+from plr_jax.plr._file import Contents, decode, decode_cells
 from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
-from plr_jax.plr.query.tables import LARGEST, Frame, Tables, build_tables
+from plr_jax.plr.query.tables import Frame, Tables
 
 _FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
@@ -276,54 +274,6 @@ class PLR:
     @cached_property
     def _tables_from_corner(self) -> Tables:
         return self.tables.from_corner(self.domain)
-
-
-def from_bytes(data: bytes) -> PLR:
-    """The PLR that a file's bytes hold.
-
-    Args:
-        data: What :meth:`PLR.to_bytes` gave.
-
-    Returns:
-        The PLR, which answers as the one that was written, bit for bit.
-
-    Raises:
-        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
-            beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
-    """
-    if not isinstance(data, bytes | bytearray | memoryview):
-        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
-    data = bytes(data)
-    return _assemble(data, decode(data))
-
-
-def plr_of_leaves(contents: Contents) -> PLR:
-    """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
-    return _assemble(encode(contents), contents)
-
-
-def _assemble(data: bytes, contents: Contents) -> PLR:
-    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
-    numbers = leaf.numbers(domain, cells, filled_coefficients(contents))
-    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
-        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
-    tables = build_tables(domain, cells, numbers, leaf, len(data))
-    if contents.certificate is None:
-        return PLR(tables, file)
-    band = contents.certificate.bounds().astype(np.float32)
-    rows = band.shape[1] if band.shape[1] == 1 else padded_size(band.shape[1])
-    return PLR(tables, file, jnp.asarray(padded(band.T, rows).T))
-
-
-def with_stored(plr: PLR, stored: Any) -> PLR:
-    """A PLR of the same partition and model that stores something else, of which nothing is proven."""
-    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None))
-
-
-def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
-    """The same PLR with another proof."""
-    return plr_of_leaves(replace(plr._contents, certificate=certificate))
 
 
 def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:

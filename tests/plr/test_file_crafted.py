@@ -8,8 +8,8 @@ from plr_helpers import chain, contents_of_planes, random_contents, three_leaves
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, from_bytes
+from plr_jax.plr._assembly import with_stored
 from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr._plr import with_stored
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.file.container import Container, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model

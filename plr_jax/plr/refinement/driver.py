@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.plr._plr import PLR, with_stored
+from plr_jax.plr._assembly import with_stored
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.refinement.face_samples import Faces
 from plr_jax.plr.refinement.losses import Loss, Penalty, squared

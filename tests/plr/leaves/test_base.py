@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plr_helpers import random_contents
 
-from plr_jax.plr._plr import plr_of_leaves
+from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import linear_mean_planes, rounded_down

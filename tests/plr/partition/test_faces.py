@@ -4,7 +4,6 @@ from hypothesis import strategies as st
 from plr_helpers import contents_of_planes, random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr._plr import _filled_coefficients
 from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition import faces as of_faces
 from plr_jax.plr.partition.cells import Cells

@@ -3,8 +3,8 @@ from plr_helpers import cone, walled
 
 from plr_jax import Box
 from plr_jax.plr import Plane, construct
+from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents
-from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import shared_faces

@@ -1,0 +1,62 @@
+"""PLRs put together: from the bytes of a file, or from leaves, for which its file is written."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from plr_jax._arrays import padded, padded_size, shortened
+from plr_jax.plr._file import Contents, decode, encode
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.certificate.certificate import Certificate
+from plr_jax.plr.query.tables import LARGEST, build_tables
+
+
+def from_bytes(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold.
+
+    Args:
+        data: What :meth:`PLR.to_bytes` gave.
+
+    Returns:
+        The PLR, which answers as the one that was written, bit for bit.
+
+    Raises:
+        ValueError: If the bytes are not those of a PLR file of a version this release reads, its distances are
+            beyond 32-bit floats, or reading it would take far more than a file of its size ought to.
+    """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
+    data = bytes(data)
+    return _assemble(data, decode(data))
+
+
+def plr_of_leaves(contents: Contents) -> PLR:
+    """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
+    return _assemble(encode(contents), contents)
+
+
+def _assemble(data: bytes, contents: Contents) -> PLR:
+    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
+    numbers = leaf.numbers(domain, cells, filled_coefficients(contents))
+    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
+        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
+    tables = build_tables(domain, cells, numbers, leaf, len(data))
+    if contents.certificate is None:
+        return PLR(tables, file)
+    band = contents.certificate.bounds().astype(np.float32)
+    rows = band.shape[1] if band.shape[1] == 1 else padded_size(band.shape[1])
+    return PLR(tables, file, jnp.asarray(padded(band.T, rows).T))
+
+
+def with_stored(plr: PLR, stored: Any) -> PLR:
+    """A PLR of the same partition and model that stores something else, of which nothing is proven."""
+    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None))
+
+
+def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
+    """The same PLR with another proof."""
+    return plr_of_leaves(replace(plr._contents, certificate=certificate))
