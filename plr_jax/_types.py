@@ -89,6 +89,7 @@ class SourcedFn(Protocol):
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
+@runtime_checkable
 class CellSources(Protocol):
     """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
 
