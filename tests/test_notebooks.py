@@ -17,10 +17,11 @@ LARGEST = 900_000
 SMALL = {
     "1_a_first_plr": """
 MAX_BYTES = 512
+CONE_BYTES = 1024
 NUM_POINTS = 2_000
 NUM_QUERIES = 10_000
 RESOLUTION = 40
-BUDGETS = {"plane": [256, 512], "continuous": [256], "smooth": [256]}
+BUDGETS = {"plane": [256, 512], "continuous": [256], "smooth": [256], "cone": [256]}
 """,
     "2_a_floor_plan": """
 NUM_POINTS = 2_000
