@@ -8,7 +8,8 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import PLR, construct, evaluate, save
-from plr_jax.plr._plr import _evaluate, leaf_of
+from plr_jax.plr._plr import leaf_of
+from plr_jax.plr.query.points import evaluate_points
 
 FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))
 
@@ -88,9 +89,9 @@ def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked
 
 def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):
     plr(x)
-    compiled = _evaluate._cache_size()
+    compiled = evaluate_points._cache_size()
     construct(lambda x: 1 + 2 * walled(x), Box((0, 0), (1, 1)), leaf=leaf, max_leaves=98)(x)
-    assert _evaluate._cache_size() == compiled
+    assert evaluate_points._cache_size() == compiled
 
 
 def test_outside_nan_and_edges(plr):

@@ -128,8 +128,7 @@ def build_tables(
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
     # Large tables are not padded to what the class may need at the most.
     rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
-    is_deep = leaf.has_deep_trees or cells.depth.max(axis=0).sum() > MAX_FLAT_BITS
-    if is_deep and rows <= MOST_ROWS:
+    if leaf.has_deep_trees and rows <= MOST_ROWS:
         for slots in (max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows), _MOST_PAGED_SLOTS):
             if (paged := build_pages(cells, slots)) is not None:
                 return _paged_tables(domain, paged, numbers, leaf, slots)
