@@ -131,7 +131,7 @@ def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int
 
 
 def run_members(
-    first: Int[np.ndarray, "runs+1"], which: Int[np.ndarray, "some"]
+    first: Int[np.ndarray, "runs_and_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
     """Of runs that begin at ``first``, the items of some, and the place of each one's run among those asked for."""
     run, place = runs(first[which + 1] - first[which])

@@ -89,6 +89,7 @@ class SourcedFn(Protocol):
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
+@runtime_checkable
 class CellSources(Protocol):
     """Free convex pieces of cells in the plane, and pairs of a piece and a source that some point of it may use.
 
@@ -126,9 +127,9 @@ class CellSources(Protocol):
     @property
     def slack(self) -> float: ...
     @property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]: ...
+    def first_piece(self) -> Int[np.ndarray, "cells_and_one"]: ...
     @property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]: ...
+    def first_pair(self) -> Int[np.ndarray, "pieces_and_one"]: ...
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"], /) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, ``k`` for each of some pieces, to the tolerance of free space."""

@@ -43,12 +43,12 @@ class Sight:
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
         """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
-        turn = self.turn_of_source[source]
-        may = np.ones(len(source), bool)
+        may, corners = np.ones(len(source), bool), np.flatnonzero(source)
+        turn, x, y = self.turn_of_source[source[corners]], *pieces[:, corners]
         for normal in self.turns.normal[:, turn]:
-            height = (pieces[0] * normal[:, :1] + pieces[1] * normal[:, 1:]).max(axis=1)
-            may &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
-        return may | (source == 0)
+            height = (x * normal[:, :1] + y * normal[:, 1:]).max(axis=1)
+            may[corners] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
+        return may
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +93,16 @@ class VisibleSources:
         return 4 * self.sight.shadows.table.tolerance
 
     @cached_property
-    def first_piece(self) -> Int[np.ndarray, "cells+1"]:
+    def first_piece(self) -> Int[np.ndarray, "cells_and_one"]:
         """First piece of each cell, and their number."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
-    def first_pair(self) -> Int[np.ndarray, "pieces+1"]:
+    def first_pair(self) -> Int[np.ndarray, "pieces_and_one"]:
         """First pair of each piece, and their number."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
-    def hold(
-        self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]
-    ) -> Bool[np.ndarray, "n k"]:
+    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
         tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
         x, y = self.pieces[:, piece]

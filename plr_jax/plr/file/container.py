@@ -51,7 +51,9 @@ class Container:
         """The bytes of the file."""
         content = np.concatenate([self.domain.lo, self.domain.hi]).astype("<f8").tobytes() + self.body
         size = HEADER_SIZE + len(content) + _CRC.size
-        header = _HEADER.pack(_MAGIC, VERSION, self.domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size)
+        header = _HEADER.pack(
+            _MAGIC, VERSION, self.domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size
+        )
         return header + content + _CRC.pack(zlib.crc32(header + content))
 
     @staticmethod

@@ -21,7 +21,10 @@ from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
 _CHEAPER, _LEAST_CHEAPER = 0.05, 0.7  # of the price before, far from the limits and near them
-_FAR, _BEYOND = 8.0, 1.15  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
+_FAR, _BEYOND = (
+    8.0,
+    1.15,
+)  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
 _HALVINGS = 10  # of the range between the last two prices
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
 _LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own

@@ -144,7 +144,6 @@ class LeafModel(Protocol):
         """Value at each point, in JAX: ``leaf`` holds it, or it is ``outside`` the domain and any number will do."""
         ...
 
-
     def below_cones(
         self,
         lo: Float[np.ndarray, "n 2"],
