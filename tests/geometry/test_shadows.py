@@ -65,7 +65,8 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
     center = pieces.mean(axis=2).T
     seen, alike = shadows.see(view, pieces[:, piece], center[piece])
     x = points_of(rng, pieces, 12)[piece]
-    x = x + 1e-3 * (center[piece][:, None] - x)  # off walls and shadows, on which a hair decides
+    inside = np.einsum("pkc,dpc->pkd", rng.dirichlet(np.ones(pieces.shape[2]), (300, 12)), pieces[:, piece])
+    x += 1e-3 * (inside - x)  # off walls and shadows, on which a hair decides
     pairs = np.repeat(shadows.table.points[view], 12, axis=0), x.reshape(-1, 2)
     differs = workspace.is_visible(*pairs).reshape(-1, 12) != seen[:, None]
     # Beside a point in which obstacles touch, segments pass within the tolerance.

@@ -6,7 +6,7 @@ there, which is free.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,6 +16,7 @@ from plr_jax._types import CellSources
 from plr_jax.geometry.convex_pieces import Pieces
 
 
+@runtime_checkable
 class ConesAbove(Protocol):
     """Smallest and largest value, over pieces, of cones minus what leaves hold.
 

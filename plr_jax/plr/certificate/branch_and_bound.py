@@ -5,7 +5,7 @@ beyond errors that are met are done with; the others are halved, which brings bo
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +20,7 @@ _RATIO_OF_LEAVES = 1.04  # the same where each leaf has bounds of its own
 _OF_LARGEST = 1e-3  # of the largest error, by which bounds of a leaf may be beyond what is met, however small that is
 
 
+@runtime_checkable
 class LeafFunctions(Protocol):
     """What leaves hold."""
 

@@ -12,7 +12,7 @@ References:
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,6 +32,7 @@ _AT_ONCE = 1 << 14  # boxes
 _NUMBER_BITS = 31
 
 
+@runtime_checkable
 class Leaves(Protocol):
     """Some boxes as leaves: all that a file keeps of them follows."""
 
@@ -43,6 +44,7 @@ class Leaves(Protocol):
         ...
 
 
+@runtime_checkable
 class Boxes(Protocol):
     """Boxes of a domain, and what leaves there would be like.
 

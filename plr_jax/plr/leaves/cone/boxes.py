@@ -79,7 +79,7 @@ class ConeBoxes:
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
     """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
-    resolved = np.finfo(np.float32).eps / 4 * float(visible.distance.max(initial=0.0))
+    resolved = float(np.finfo(np.float32).eps) / 4 * float(visible.distance.max(initial=0.0))
     return _fitted(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
 
 
