@@ -151,7 +151,7 @@ def test_many_axes_can_still_be_split():
         ({"margin": -0.1}, "margin must be"),
         ({"margin": np.inf}, "margin must be"),
         ({"seed": -1}, "seed must be an integer >= 0"),
-        ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', got 'cubic'"),
+        ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
     ],
 )
 def test_bad_options_are_refused(options, message):

@@ -7,7 +7,7 @@ from plr_helpers import random_contents
 from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import rounded_down, values_at_centers
+from plr_jax.plr.leaves.base import rounded_down, linear_mean_planes
 
 
 @pytest.mark.parametrize("dim", [1, 2])
@@ -16,7 +16,7 @@ def test_coefficients_of_planes_are_planes(leaf, dim):
     center, half, u = rng.normal(size=5), rng.normal(size=(5, dim)), rng.uniform(-1, 1, size=(30, dim))
     coefficients = model.of_planes(center, half)
     np.testing.assert_allclose(coefficients @ model.basis(u).T, center[:, None] + half @ u.T, atol=1e-12)
-    found_center, found_half = values_at_centers(model, coefficients, dim)
+    found_center, found_half = linear_mean_planes(model, coefficients, dim)
     np.testing.assert_allclose(found_center, center, atol=1e-12)
     np.testing.assert_allclose(found_half, half, atol=1e-12)
 
@@ -38,7 +38,7 @@ def test_the_same_parameters_are_stored_as_before_then_with_fewer_and_fewer_bits
         values = contents.leaf.parameters(contents.cells, stored).values
         assert np.abs(values - parameters.values).max() <= 0.51 * stored.step + 1e-6 * np.abs(parameters.values).max()
         body = BitWriter()
-        contents.leaf.write(body, contents.cells, stored)
+        contents.leaf.write(body, contents.domain, contents.cells, stored)
         sizes.append(body.num_bits)
         if len(sizes) == 1:
             np.testing.assert_allclose(stored.step, contents.stored.step, rtol=1e-5)
