@@ -24,7 +24,7 @@ class TableStack:
     """
 
     tables: tuple[Tables, ...]
-    bands: tuple[Float[Array, "2 rows"] | None, ...]
+    bands: tuple[Float[Array, "2 _"] | None, ...]
     far_corners: tuple[Float[np.ndarray, "_"] | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
@@ -60,7 +60,7 @@ class TableStack:
 
 @jax.jit
 def _evaluate(
-    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 rows"] | None, ...], q: Float[Array, "n robots dof"]
+    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 _"] | None, ...], q: Float[Array, "n robots dof"]
 ) -> tuple[Float[Array, "n"], ...]:
     """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]

@@ -6,6 +6,7 @@ import pytest
 from plr_helpers import UNIT, walled
 
 from plr_jax.plr import ConstructionInterrupted, construct
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits, check_memory, grow
 
 NAMES = ("max_depth", "max_leaves", "max_bytes", "tolerance")
@@ -16,7 +17,7 @@ def four_each(dim, num_leaves):
 
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
-    return check_limits(dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES))
+    return check_limits(dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES), Proof.NONE)
 
 
 def test_no_limit_means_512_leaves():

@@ -4,6 +4,7 @@ from hypothesis import strategies as st
 from plr_helpers import contents_of_planes, random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr.leaves.plane.codec import encode_planes
 from plr_jax.plr.partition import faces as of_faces
 from plr_jax.plr.partition.cells import Cells
@@ -122,7 +123,7 @@ def test_a_borrower_continues_the_lenders_plane_and_the_others_answer_inf():
     center = np.array([1 + 14 / 8 + 7 / 2, np.inf, np.inf, np.inf])
     half = np.array([[14 / 8, 7 / 2]] + [[0.0, 0.0]] * 3)
     contents = contents_of_planes(slabs(), encode_planes(center, half, 32))
-    coefficients = _filled_coefficients(contents)
+    coefficients = filled_coefficients(contents)
     np.testing.assert_allclose(coefficients[1], [1 + 14 * 3 / 8 + 7 / 2, 14 / 8, 7 / 2])
     np.testing.assert_array_equal(coefficients[2:], [[np.inf, 0, 0]] * 2)
 
@@ -131,6 +132,6 @@ def test_a_larger_borrower_continues_the_plane_too():
     """The left half borrows ``3 y`` from the upper right quarter."""
     center = np.array([np.inf, np.inf, np.inf, 3 * 0.75])
     half = np.array([[0.0, 0.0]] * 3 + [[0.0, 3 / 4]])
-    coefficients = _filled_coefficients(contents_of_planes(l_shape(), encode_planes(center, half, 32)))
+    coefficients = filled_coefficients(contents_of_planes(l_shape(), encode_planes(center, half, 32)))
     np.testing.assert_allclose(coefficients[[0, 2]], [[1.5, 0, 1.5], [3 * 3 / 8, 0, 3 / 8]])
     assert np.isinf(coefficients[:, 0]).tolist() == [False, True, False, False]

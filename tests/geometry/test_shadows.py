@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
+
+from plr_jax.geometry.convex_pieces import areas, clip_to_box, convex_pieces
+from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.shadows import shadows_of
+from plr_jax.geometry.visibility import Viewpoints, visibility_table
+from plr_jax.geometry.workspace import Workspace
+
+NONE = np.empty(0, int)
+
+
+def shadows_around(workspace, *open_points):
+    """Those of points in the open, followed by those of all corners."""
+    views = Viewpoints(np.array(open_points, float).reshape(-1, 2), NONE, NONE, NONE)
+    table = visibility_table(workspace.boundary, workspace.tolerance, views)
+    return shadows_of(table.followed_by(corner_visibility(workspace).table))
+
+
+def free_pieces(workspace, rng, n):
+    """What random boxes, a few aligned with a lattice, leave of the triangles of free space."""
+    triangles, parts = convex_pieces(workspace.free_space), []
+    for _ in range(n):
+        lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
+        if rng.random() < 0.3:
+            lo, hi = np.floor(lo), np.ceil(hi)
+        parts.append(clip_to_box(triangles, lo, hi)[0])
+    pieces = np.concatenate(parts, axis=1)
+    return pieces[:, rng.permutation(pieces.shape[1])[:n]]
+
+
+def one_sided(workspace, shadows):
+    """Viewpoints but for contacts of obstacles: these look into one side of them, where Shapely knows of none."""
+    contacts = workspace.boundary.vertices[workspace.boundary.contacts]
+    return np.flatnonzero(~(shadows.table.points[:, None] == contacts).all(axis=2).any(axis=1))
+
+
+def shade(workspace, view):
+    """The twin: what the edges of free space hide from a viewpoint, each the strip behind it."""
+    ends = workspace.boundary.segments
+    away = ends - view
+    strips = []
+    for (a, b), (u, v) in zip(ends, away, strict=True):
+        if abs(u[0] * v[1] - u[1] * v[0]) > 1e-9 * np.linalg.norm(u) * np.linalg.norm(v):
+            far = [
+                view + w * 100 / np.linalg.norm(w) for w in (v, (u / np.linalg.norm(u) + v / np.linalg.norm(v)), u)
+            ]
+            strips.append(shapely.Polygon([a, b, *far]))
+    return shapely.union_all(strips)
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(st.integers(0, 100_000), st.booleans())
+@settings(max_examples=12, deadline=None)
+def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze):
+    rng = np.random.default_rng(seed)
+    workspace = kind(rng, squeeze)
+    shadows = shadows_around(workspace, *workspace.sample_free(2, seed))
+    pieces = free_pieces(workspace, rng, 25)
+    view, piece = rng.choice(one_sided(workspace, shadows), 300), rng.integers(pieces.shape[1], size=300)
+    center = pieces.mean(axis=2).T
+    seen, alike = shadows.see(view, pieces[:, piece], center[piece])
+    x = points_of(rng, pieces, 12)[piece]
+    inside = np.einsum("pkc,dpc->pkd", rng.dirichlet(np.ones(pieces.shape[2]), (300, 12)), pieces[:, piece])
+    x += 1e-3 * (inside - x)  # off walls and shadows, on which a hair decides
+    pairs = np.repeat(shadows.table.points[view], 12, axis=0), x.reshape(-1, 2)
+    differs = workspace.is_visible(*pairs).reshape(-1, 12) != seen[:, None]
+    # Beside a point in which obstacles touch, segments pass within the tolerance.
+    contacts = workspace.boundary.vertices[workspace.boundary.contacts]
+    differs &= (np.linalg.norm(x[:, :, None] - contacts, axis=3) > 1e-3).all(axis=2)
+    differs &= workspace.clearance(x.reshape(-1, 2)).reshape(-1, 12) > 10 * workspace.tolerance
+    assert not differs[alike].any()
+    assert alike.mean() > 0.5
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(st.integers(0, 100_000))
+@settings(max_examples=8, deadline=None)
+def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
+    rng = np.random.default_rng(seed)
+    workspace = kind(rng)
+    shadows = shadows_around(workspace, *workspace.sample_free(1, seed))
+    pieces = free_pieces(workspace, rng, 30)
+    shapes, area = np.array(polygons(pieces)), areas(pieces)
+    each = np.arange(len(area))
+    for view in one_sided(workspace, shadows)[[0, *rng.integers(len(one_sided(workspace, shadows)), size=4)]]:
+        hidden = shapely.area(shapely.intersection(shapes, shade(workspace, shadows.table.points[view]))) / area
+        seen, alike = shadows.see(np.full(len(area), view), pieces, pieces.mean(axis=2).T)
+        clear = area > 1e-6
+        parted = (hidden > 1e-6) & (hidden < 1 - 1e-6) & clear
+        whole = ((hidden < 1e-13) | (hidden > 1 - 1e-13)) & clear
+        assert not alike[parted].any(), each[parted & alike]
+        assert alike[whole].mean() > 0.9 if whole.sum() > 10 else True
+        np.testing.assert_array_equal(seen[whole], hidden[whole] < 0.5)
+
+
+def test_a_wall_and_the_pieces_beside_its_shadow():
+    """From (2, 5) the wall hides what is between the lines to its near corners, (4, 4) and (4, 6), behind it."""
+    workspace = Workspace(TEN, [box(4, 4, 5, 6)])
+    shadows = shadows_around(workspace, (2, 5))
+    pieces = as_pieces(
+        [
+            box(0, 0, 4, 4),  # in front
+            box(6, 4.5, 7, 5.5),  # behind
+            box(6, 6.5, 7, 7.5),  # across the upper line, which is at 7 above x = 6
+            box(4, 6, 5, 7),  # above the wall: the line from (4, 6) to (5, 6.5) cuts it
+            box(4, 7, 5, 8),  # farther above
+            [(4, 6), (6, 7), (4, 7)],  # touches the line along a side, from above
+            [(4, 6), (5, 6), (5, 6.5)],  # and from below
+            box(0, 3, 3, 7),  # around the viewpoint
+            box(2, 5, 3, 6),  # the viewpoint is a corner
+        ]
+    )
+    seen, alike = shadows.see(np.zeros(9, int), pieces, pieces.mean(axis=2).T)
+    np.testing.assert_array_equal(alike, [1, 1, 0, 0, 1, 1, 1, 1, 1])
+    np.testing.assert_array_equal(seen[alike], [1, 0, 1, 1, 0, 1, 1])
+
+
+def test_pieces_across_the_direction_that_angles_are_counted_from():
+    """The cut lies where no vertex is; shadows on either side of it cross a piece that spans it."""
+    wall = box(4, 4, 4.5, 4.5)
+    for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        u = np.array([np.cos(turn), np.sin(turn)])
+        workspace = Workspace(TEN, [wall - 4.25 + 5 + 2 * u])
+        shadows = shadows_around(workspace, (5, 5))
+        across = np.array([-u[1], u[0]])
+        near, far = 5 + 2.8 * u, 5 + 3.4 * u
+        pieces = as_pieces(
+            [
+                [near - 2 * across, near + 2 * across, far + 2 * across, far - 2 * across],  # both shadows
+                [near, near + 2 * across, far + 2 * across, far],  # one of them
+                [near - 2 * across, near, far, far - 2 * across],  # the other
+                [near - 0.1 * across, near + 0.1 * across, far + 0.1 * across, far - 0.1 * across],  # none, behind
+                [5 - 3 * across - u, 5 + 3 * across - u, 5 - 3 * u + across, 5 - 3 * u - across],  # none, elsewhere
+                [5 - 3 * across - u, 5 + 3 * across - u, 5 + 3 * across + u, 5 - 3 * across + u],  # around it
+            ]
+        )
+        seen, alike = shadows.see(np.zeros(6, int), pieces, pieces.mean(axis=2).T)
+        np.testing.assert_array_equal(alike, [0, 0, 0, 1, 1, 1])
+        np.testing.assert_array_equal(seen[3:], [0, 1, 1])
+
+
+def test_a_corner_sees_nothing_behind_it_but_past_the_walls_that_end_there():
+    """From the corner (5, 6) of a wall: what is below is parted by its own right side, x = 5."""
+    workspace = Workspace(TEN, [box(4, 4, 5, 6), box(7, 7, 8, 8)])
+    shadows = shadows_around(workspace)
+    (view,) = np.flatnonzero((shadows.table.points == [5, 6]).all(axis=1))
+    pieces = as_pieces([box(5, 0, 6, 6), box(3, 0, 6, 3), box(0, 0, 3, 3), box(8, 8, 9, 10), box(8.5, 8.5, 9, 9)])
+    seen, alike = shadows.see(np.full(5, view), pieces, pieces.mean(axis=2).T)
+    np.testing.assert_array_equal(alike, [1, 0, 1, 0, 1])
+    np.testing.assert_array_equal(seen[alike], [1, 0, 0])

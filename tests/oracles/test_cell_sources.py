@@ -1,0 +1,260 @@
+"""What oracles say of cells: the pieces are the cells' free parts, and their sources bound the distance there."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
+
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles import VisibilityGraph
+
+SEEDS = st.integers(0, 100_000)
+# The workspaces go from 0 to 10 along both axes.
+DOMAINS = (Box(*TEN), Box((-3, -1), (12, 14)), Box((2.3, 1.9), (7.1, 6)), Box((5, 5), (5.5, 7.5)))
+
+
+def random_oracle(kind, seed, squeeze=False, on_corner=False):
+    """An oracle of a random workspace, whose goal is anywhere or at a corner."""
+    rng = np.random.default_rng(seed)
+    workspace = kind(rng, squeeze)
+    goal = workspace.sample_free(1, seed)[0]
+    if on_corner:
+        goal = rng.permutation(workspace.boundary.vertices)[0]
+    return VisibilityGraph(workspace, goal), rng
+
+
+def halved(cells, lo, hi, rng, share=0.8):
+    """Cells, and their boxes, after a random share of them was halved, a few times; the order is random too."""
+    for _ in range(int(rng.integers(1, 7))):
+        kept = rng.permutation(len(lo))
+        split, alone = np.split(kept, [int(np.ceil(share * len(kept)))])
+        axis = rng.integers(2, size=len(split))
+        middle = (lo + hi)[split, axis] / 2
+        lower_hi, upper_lo = hi[split].copy(), lo[split].copy()
+        each = np.arange(len(split))
+        lower_hi[each, axis] = upper_lo[each, axis] = middle
+        parent, upper = np.concatenate([split, split]), np.repeat([False, True], len(split))
+        some = rng.permutation(len(parent))
+        new_lo, new_hi = np.concatenate([lo[split], upper_lo])[some], np.concatenate([lower_hi, hi[split]])[some]
+        parts = cells.parts(parent[some], np.concatenate([axis, axis])[some], upper[some], new_lo, new_hi)
+        cells = cells.concatenate([cells.of_cells(alone), parts])
+        lo, hi = np.concatenate([lo[alone], new_lo]), np.concatenate([hi[alone], new_hi])
+    return cells, lo, hi
+
+
+def cell_bounds(cells, piece, x):
+    """Least cone of all sources of each point's piece, and of those that all of it sees, pair by pair."""
+    lower, upper = np.full(len(x), np.inf), np.full(len(x), np.inf)
+    for i, p in enumerate(piece):
+        pairs = np.flatnonzero(cells.piece == p)
+        source = cells.source[pairs]
+        way = cells.sources.distances[source] + np.linalg.norm(x[i] - cells.sources.points[source], axis=1)
+        lower[i] = way.min(initial=np.inf)
+        upper[i] = way[cells.by_all[pairs]].min(initial=np.inf)
+    return lower, upper
+
+
+def reached_region(oracle):
+    """The parts of free space from which the goal can be reached."""
+    parts = shapely.get_parts(oracle.workspace.free_space)
+    inside = np.array([part.representative_point().coords[0] for part in parts])
+    return shapely.union_all(parts[np.isfinite(oracle(inside))])
+
+
+def check_in_order(cells):
+    assert (np.diff(cells.cell) >= 0).all() and (np.diff(cells.piece) >= 0).all()
+    assert set(cells.piece.tolist()) == set(range(len(cells.cell)))
+    np.testing.assert_array_equal(cells.first_piece, [(cells.cell < c).sum() for c in range(cells.num_cells + 1)])
+    np.testing.assert_array_equal(cells.first_pair, [(cells.piece < p).sum() for p in range(len(cells.cell) + 1)])
+    pair = list(zip(cells.piece.tolist(), cells.source.tolist(), strict=True))
+    assert len(set(pair)) == len(pair)
+    assert set(zip(range(len(cells.cell)), cells.best.tolist(), strict=True)) <= set(pair)
+
+
+def check_bounds(oracle, cells, rng):
+    """The distance of random points of each piece is between its bounds; that of centers is known."""
+    few = rng.permutation(len(cells.cell))[:60]
+    x = points_of(rng, cells.pieces[:, few], 10).reshape(-1, 2)
+    piece = np.repeat(few, 10)
+    exact = oracle(x)
+    lower, upper = cell_bounds(cells, piece, x)
+    # Beside a tip the oracle sees past it, within the tolerance; a contact it reaches from the nearest side.
+    tips = oracle.workspace.boundary.vertices
+    clear = (np.linalg.norm(x[:, None] - tips, axis=2) > 1e-5).all(axis=1)
+    assert np.isfinite(exact).all()
+    assert (exact >= lower - cells.slack)[clear].all()
+    assert (exact <= upper + cells.slack).all()
+    np.testing.assert_allclose(cells.distance, oracle(cells.center), atol=cells.slack)
+    lower, upper = cell_bounds(cells, np.arange(len(cells.cell)), cells.center)
+    assert (lower <= cells.distance + 1e-12).all() and (upper >= cells.distance - 1e-12).all()
+
+
+def check_area(oracle, cells, lo, hi):
+    """The pieces of each cell are all of it from which the goal can be reached, and do not overlap."""
+    exact = shapely.area(shapely.intersection(reached_region(oracle), shapely.box(*lo.T, *hi.T)))
+    shapes = np.array(polygons(cells.pieces))
+    total = np.bincount(cells.cell, shapely.area(shapes), cells.num_cells)
+    np.testing.assert_allclose(total, exact, atol=1e-8)
+    one, other = (
+        np.array([(i, j) for i in range(len(shapes)) for j in range(*_later_pieces(cells, i))], int).reshape(-1, 2).T
+    )
+    overlap = shapely.intersection(shapes[one], shapes[other], grid_size=1e-9)  # without it GEOS errs at times
+    assert shapely.area(overlap).sum() <= 1e-6
+    inside = np.stack([lo[cells.cell] - 1e-9, hi[cells.cell] + 1e-9])
+    assert ((inside[0].T[:, :, None] <= cells.pieces) & (cells.pieces <= inside[1].T[:, :, None])).all()
+
+
+def _later_pieces(cells, piece):
+    """First and last of the pieces of a piece's cell that come after it."""
+    return piece + 1, int(np.searchsorted(cells.cell, cells.cell[piece], side="right"))
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(SEEDS, st.booleans(), st.booleans(), st.sampled_from(DOMAINS))
+@settings(max_examples=12, deadline=None)
+def test_sources_of_pieces_bound_the_distance(kind, seed, squeeze, on_corner, domain):
+    oracle, rng = random_oracle(kind, seed, squeeze, on_corner)
+    root = oracle.cell_sources(domain)
+    assert root.num_cells == 1
+    check_in_order(root)
+    check_area(oracle, root, domain.lo[None], domain.hi[None])
+    check_bounds(oracle, root, rng)
+    cells, lo, hi = halved(root, domain.lo[None], domain.hi[None], rng)
+    assert cells.num_cells == len(lo)
+    check_in_order(cells)
+    check_area(oracle, cells, lo, hi)
+    check_bounds(oracle, cells, rng)
+
+
+def test_a_wall_and_four_quarters_by_hand():
+    """Goal (1, 5) before a wall; (4, 2) and (4, 8) are the turns behind which one goes on at (6, 2) and (6, 8)."""
+    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
+    cells = oracle.cell_sources(Box((0, 0), (4, 10)))
+    zero = np.zeros(2, int)
+    lo, hi = np.array([[0.0, 0], [2, 0]]), np.array([[2.0, 10], [4, 10]])
+    halves = cells.parts(zero, zero, np.array([False, True]), lo, hi)
+    named = halves.sources.points[halves.source]
+    np.testing.assert_array_equal(named, [[1, 5]] * len(named))  # all of both see the goal
+    assert halves.by_all.all()
+    behind = oracle.cell_sources(Box((8, 4.5), (9, 4.75)))
+    assert np.unique(behind.sources.points[behind.source], axis=0).tolist() == [[6.0, 2]]
+    assert behind.by_all.all()
+    between = oracle.cell_sources(Box((8, 4.5), (9, 5.5)))
+    assert np.unique(between.sources.points[between.source], axis=0).tolist() == [[6.0, 2], [6, 8]]
+
+
+def test_cells_that_are_free_altogether_are_one_piece():
+    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
+    cells, lo, hi = halved(oracle.cell_sources(DOMAINS[0]), *(x[None] for x in TEN_BOX), np.random.default_rng(4), 1)
+    blocked = shapely.area(shapely.intersection(shapely.box(4, 2, 6, 8), shapely.box(*lo.T, *hi.T)))
+    free = np.flatnonzero(blocked == 0)
+    assert len(free) > 4
+    np.testing.assert_array_equal(np.bincount(cells.cell, minlength=len(lo))[free], 1)
+
+
+TEN_BOX = np.array(TEN, float)
+
+
+def test_nothing_is_said_of_what_does_not_reach_the_goal():
+    oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
+    beyond = oracle.cell_sources(Box((7, 1), (9, 9)))
+    assert (beyond.num_cells, len(beyond.cell), len(beyond.source)) == (1, 0, 0)
+    inside = oracle.cell_sources(Box((4.5, 1), (5.5, 9)))
+    assert len(inside.cell) == 0
+    outside = oracle.cell_sources(Box((20, 20), (30, 30)))
+    assert len(outside.cell) == 0
+    parts = beyond.parts(
+        np.zeros(2, int),
+        np.zeros(2, int),
+        np.array([False, True]),
+        np.array([[7.0, 1], [8, 1]]),
+        np.array([[8.0, 9], [9, 9]]),
+    )
+    assert (parts.num_cells, len(parts.cell)) == (2, 0)
+    both = beyond.concatenate([beyond, oracle.cell_sources(DOMAINS[0]), parts])
+    assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
+
+
+def same(a, b, cells_of_a, cells_of_b):
+    """Whether some cells of one are, piece by piece, some cells of another."""
+    for i, j in zip(cells_of_a, cells_of_b, strict=True):
+        p, q = np.flatnonzero(a.cell == i), np.flatnonzero(b.cell == j)
+        np.testing.assert_array_equal(a.pieces[:, p], b.pieces[:, q])
+        for name in ("center", "distance", "best"):
+            np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
+        for k, m in zip(p, q, strict=True):
+            for name in ("source", "by_all"):
+                np.testing.assert_array_equal(getattr(a, name)[a.piece == k], getattr(b, name)[b.piece == m])
+
+
+@given(SEEDS)
+@settings(max_examples=8, deadline=None)
+def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
+    oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
+    root = oracle.cell_sources(DOMAINS[0])
+    cells, lo, hi = halved(root, *(x[None] for x in TEN_BOX), rng)
+    some = rng.integers(len(lo), size=9)
+    chosen = cells.of_cells(some)
+    assert chosen.num_cells == 9
+    check_in_order(chosen)
+    same(chosen, cells, range(9), some)
+    both = cells.concatenate([chosen, cells, root])
+    check_in_order(both)
+    assert both.num_cells == 9 + len(lo) + 1
+    same(both, cells, [*range(9), *range(9, 9 + len(lo))], [*some, *range(len(lo))])
+    same(both, root, [9 + len(lo)], [0])
+    rows = rng.integers(len(cells.cell), size=7)
+    alone = cells.pieces_as_cells(rows)
+    assert alone.num_cells == 7
+    check_in_order(alone)
+    np.testing.assert_array_equal(alone.cell, np.arange(7))
+    np.testing.assert_array_equal(alone.pieces, cells.pieces[:, rows])
+    for i, row in enumerate(rows):
+        np.testing.assert_array_equal(alone.source[alone.piece == i], cells.source[cells.piece == row])
+
+
+@given(SEEDS)
+@settings(max_examples=8, deadline=None)
+def test_pieces_hold_points_and_sources_see_them(seed):
+    oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
+    cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), *(x[None] for x in TEN_BOX), rng)
+    piece = rng.integers(len(cells.cell), size=20)
+    x = np.concatenate([points_of(rng, cells.pieces[:, piece], 5), rng.uniform(0, 10, (20, 5, 2))], axis=1)
+    shapes = np.array(polygons(cells.pieces))[piece]
+    depth = np.array(
+        [
+            [s.exterior.distance(q) * (1 if s.covers(q) else -1) for q in shapely.points(p)]
+            for s, p in zip(shapes, x, strict=True)
+        ]
+    )
+    held, clear = cells.hold(piece, x), np.abs(depth) > 4 * oracle.workspace.tolerance
+    np.testing.assert_array_equal(held[clear], depth[clear] > 0)
+    assert held[:, :5].all()
+    source = rng.integers(len(oracle.sources.points), size=100)
+    contacts = oracle.workspace.boundary.vertices[oracle.workspace.boundary.contacts]
+    usual = ~(oracle.sources.points[source][:, None] == contacts).all(axis=2).any(axis=1)
+    y = oracle.workspace.sample_free(100, seed)
+    seen = oracle.workspace.is_visible(oracle.sources.points[source], y)
+    np.testing.assert_array_equal(cells.see(source, y)[usual], seen[usual])
+
+
+def test_pieces_are_found_in_parts(monkeypatch):
+    oracle, _ = random_oracle(WORKSPACES[0], 3)
+    whole = oracle.cell_sources(DOMAINS[0])
+    monkeypatch.setattr("plr_jax.oracles._cell_sources._CHUNK", 1)
+    same(oracle.cell_sources(DOMAINS[0]), whole, [0], [0])
+
+
+def test_sources_are_the_graphs_vertices_and_lead_to_the_goal():
+    oracle, _ = random_oracle(WORKSPACES[0], 11)
+    sources = oracle.sources
+    np.testing.assert_allclose(sources.distances, oracle(sources.points), atol=1e-9)
+    onward = sources.parents
+    reached = np.isfinite(sources.distances)
+    leg = np.linalg.norm(sources.points - sources.points[onward], axis=1)
+    np.testing.assert_allclose((sources.distances[onward] + leg)[reached], sources.distances[reached])
+    np.testing.assert_array_equal(onward[~reached], np.flatnonzero(~reached))
+    assert onward[0] == 0 and (onward[reached][1:] != np.flatnonzero(reached)[1:]).all()

@@ -1,0 +1,91 @@
+"""What the tests of convex pieces share: random ones, and Shapely's polygons of them."""
+
+import numpy as np
+import shapely
+
+from plr_jax.geometry.convex_pieces import ROOM
+from plr_jax.geometry.workspace import Workspace
+
+TEN = ((0, 0), (10, 10))
+
+
+def box(x0, y0, x1, y1):
+    """Corners of a box, counterclockwise."""
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def as_pieces(rings):
+    """Convex polygons, given by their corners in either direction, as pieces."""
+    pieces = np.empty((2, len(rings), ROOM))
+    for i, ring in enumerate(rings):
+        ring = np.asarray(ring, float)
+        edges = np.roll(ring, -1, axis=0) - ring
+        following = np.roll(edges, -1, axis=0)
+        ring = ring if (edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]).sum() >= 0 else ring[::-1]
+        pieces[:, i] = ring[np.minimum(np.arange(ROOM), len(ring) - 1)].T
+    return pieces
+
+
+def polygons(pieces):
+    """Shapely's polygons of pieces."""
+    return [shapely.Polygon(piece.T) for piece in pieces.transpose(1, 0, 2)]
+
+
+def random_pieces(rng, n, size=3.0):
+    """Triangles of any shape, thin ones too, and what random boxes leave of them."""
+    rings = []
+    while len(rings) < n:
+        triangle = rng.uniform(0, 10, 2) + rng.uniform(-size, size, (3, 2)) * 10.0 ** rng.uniform(-2, 0, 2)
+        x0, y0, x1, y1 = shapely.Polygon(triangle).bounds
+        sides = np.sort(rng.uniform([x0, y0], [x1, y1], (2, 2)), axis=0)
+        cut = shapely.Polygon(triangle).intersection(shapely.box(*sides.ravel()))
+        rings.append(triangle)
+        if cut.geom_type == "Polygon" and cut.area > 1e-9:
+            rings.append(shapely.get_coordinates(cut)[:-1])
+    return as_pieces(rings[:n])
+
+
+def points_of(rng, pieces, k):
+    """Random points of each piece, a third of them beside its corners, ``(pieces, k, 2)``."""
+    weight = rng.dirichlet(np.full(pieces.shape[2], 0.5), (pieces.shape[1], k))
+    near = rng.integers(pieces.shape[2], size=(pieces.shape[1], k))
+    share = np.where(rng.random((pieces.shape[1], k)) < 1 / 3, 1 - 10.0 ** rng.uniform(-7, -2, near.shape), 0.0)
+    weight *= 1 - share[:, :, None]
+    np.put_along_axis(
+        weight, near[:, :, None], share[:, :, None] + np.take_along_axis(weight, near[:, :, None], 2), 2
+    )
+    return np.einsum("pkc,dpc->pkd", weight, pieces)
+
+
+def general_workspace(rng, squeeze=False):
+    """Boxes and triangles that overlap or leave the bounds, some a hair apart."""
+    corners, size = rng.uniform(-0.5, 9, (4, 2)), rng.uniform(0.3, 3, (4, 2))
+    boxes = [box(*c, *(c + s)) for c, s in zip(corners, size, strict=True)]
+    triangles = [rng.uniform(0, 10, 2) + rng.uniform(-2, 2, (3, 2)) for _ in range(2)]
+    start = rng.uniform(1, 8, 2)
+    gap = 10.0 ** rng.uniform(-4, -1)
+    sliver = [box(*start, start[0] + 1.3, start[1] + 0.8), box(start[0], start[1] + 0.8 + gap, *(start + 2))]
+    return Workspace(TEN, boxes + triangles + sliver, squeeze=squeeze)
+
+
+def lattice_workspace(rng, squeeze=False):
+    """Cells of a lattice blocked at random: collinear walls, point contacts and cut-off parts everywhere."""
+    side = int(rng.integers(4, 9))
+    step = 10 / side
+    blocked = np.argwhere(rng.random((side, side)) < 0.3)
+    return Workspace(TEN, [box(*(step * c), *(step * (c + 1))) for c in blocked], squeeze=squeeze)
+
+
+def fan_workspace(rng, squeeze=False):
+    """Triangles with sharp tips around a point, some of which they touch."""
+    middle, triangles = rng.uniform(3, 7, 2), []
+    for angle in np.sort(rng.uniform(0, 2 * np.pi, 6)):
+        u = np.array([np.cos(angle), np.sin(angle)])
+        v = np.array([-u[1], u[0]])
+        tip = middle + u * (rng.random() < 0.6) * rng.uniform(0, 1)
+        far = rng.uniform(1, 4)
+        triangles.append([tip, tip + far * u - 0.2 * rng.random() * v, tip + far * u + 0.2 * rng.random() * v])
+    return Workspace(TEN, triangles, squeeze=squeeze)
+
+
+WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
