@@ -41,8 +41,8 @@ def proof_checks(results: dict[str, Any]) -> str:
         "Of cones, planes and continuous leaves, with bounds of every leaf; half of the points are uniform, half "
         "beside walls, corners and borders of cells; brute force shares no code with the package. "
         f"In obstacles, by less than the workspace's tolerance, {_in_obstacles(results)} more are broken. "
-        f"{len(slivers['refused'])} of {3 * slivers['num_maps']} PLRs of random maps could not be built. A* on grids, "
-        f"{searches:,} searches under proven lower bounds: {wrong} paths that are not optimal; under PLRs "
+        f"{len(slivers['refused'])} of {3 * slivers['num_maps']} PLRs of random maps could not be built. A* on "
+        f"grids, {searches:,} searches under proven lower bounds: {wrong} paths that are not optimal; under PLRs "
         f"themselves {misled}."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"

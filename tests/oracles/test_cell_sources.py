@@ -195,7 +195,7 @@ def same(a, b, cells_of_a, cells_of_b):
 def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
     oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
     root = oracle.cell_sources(DOMAINS[0])
-    cells, lo, hi = halved(root, *(x[None] for x in TEN_BOX), rng)
+    cells, lo, _ = halved(root, *(x[None] for x in TEN_BOX), rng)
     some = rng.integers(len(lo), size=9)
     chosen = cells.of_cells(some)
     assert chosen.num_cells == 9

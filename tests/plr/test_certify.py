@@ -109,7 +109,7 @@ def test_bounds_hold_far_from_the_origin(leaf):
     workspace = Workspace(
         corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner, box(6, 8, 7, 9) + corner]
     )
-    oracle = VisibilityGraph(workspace, corner + [1, 1])
+    oracle = VisibilityGraph(workspace, corner + 1)
     plr = construct(oracle, workspace.bounds, leaf=leaf, max_leaves=40, certified=True)
     rng = np.random.default_rng(0)
     x = corner + 10 * rng.random((NUM_POINTS, 2))
@@ -187,7 +187,7 @@ def test_lower_bounds_stack_into_an_admissible_heuristic(certified, maze):
 def test_lower_bounds_far_from_the_origin_stack_too():
     corner = np.array([1e6, -3e5])
     workspace = Workspace(corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner])
-    oracle = VisibilityGraph(workspace, corner + [1, 1])
+    oracle = VisibilityGraph(workspace, corner + 1)
     plr = construct(oracle, workspace.bounds, max_leaves=40, certified=True, leaf_bounds=True)
     q = workspace.sample_free(300, 0)[:, None]
     stacked = plr.lower.stack([plr.lower])(q)
