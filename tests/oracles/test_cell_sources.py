@@ -140,10 +140,10 @@ def test_a_wall_and_four_quarters_by_hand():
     np.testing.assert_array_equal(named, [[1, 5]] * len(named))  # all of both see the goal
     assert halves.by_all.all()
     behind = oracle.cell_sources(Box((8, 4.5), (9, 4.75)))
-    assert [[6.0, 2]] == np.unique(behind.sources.points[behind.source], axis=0).tolist()
+    assert np.unique(behind.sources.points[behind.source], axis=0).tolist() == [[6.0, 2]]
     assert behind.by_all.all()
     between = oracle.cell_sources(Box((8, 4.5), (9, 5.5)))
-    assert [[6.0, 2], [6, 8]] == np.unique(between.sources.points[between.source], axis=0).tolist()
+    assert np.unique(between.sources.points[between.source], axis=0).tolist() == [[6.0, 2], [6, 8]]
 
 
 def test_cells_that_are_free_altogether_are_one_piece():
@@ -195,7 +195,7 @@ def same(a, b, cells_of_a, cells_of_b):
 def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
     oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
     root = oracle.cell_sources(DOMAINS[0])
-    cells, lo, hi = halved(root, *(x[None] for x in TEN_BOX), rng)
+    cells, lo, _hi = halved(root, *(x[None] for x in TEN_BOX), rng)
     some = rng.integers(len(lo), size=9)
     chosen = cells.of_cells(some)
     assert chosen.num_cells == 9

@@ -106,8 +106,10 @@ def test_bounds_hold_among_slivers_contacts_and_parts_that_are_cut_off(leaf, kin
 def test_bounds_hold_far_from_the_origin(leaf):
     """There 32-bit floats resolve a 60th of the room; what is rounded is in the bounds."""
     corner = np.array([1e6, -3e5])
-    workspace = Workspace(corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner, box(6, 8, 7, 9) + corner])
-    oracle = VisibilityGraph(workspace, corner + [1, 1])
+    workspace = Workspace(
+        corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner, box(6, 8, 7, 9) + corner]
+    )
+    oracle = VisibilityGraph(workspace, [*corner, 1, 1])
     plr = construct(oracle, workspace.bounds, leaf=leaf, max_leaves=40, certified=True)
     rng = np.random.default_rng(0)
     x = corner + 10 * rng.random((NUM_POINTS, 2))
@@ -174,7 +176,9 @@ def test_lower_bounds_stack_into_an_admissible_heuristic(certified, maze):
     found = np.asarray(heuristic(q))
     assert (found <= exact).all()
     assert (exact - found).mean() < certified.max_error + other.max_error
-    np.testing.assert_allclose(found, np.asarray(fns[0](q[:, 0]), float) + np.asarray(fns[1](q[:, 1]), float), atol=1e-6)
+    np.testing.assert_allclose(
+        found, np.asarray(fns[0](q[:, 0]), float) + np.asarray(fns[1](q[:, 1]), float), atol=1e-6
+    )
     stacked = certified.lower.stack(fns)(q)
     np.testing.assert_array_equal(stacked[:, 0], np.asarray(certified.bounds(q[:, 0])[0], float))
     np.testing.assert_array_equal(stacked[:, 1], np.asarray(other.bounds(q[:, 1])[0], float))
@@ -183,7 +187,7 @@ def test_lower_bounds_stack_into_an_admissible_heuristic(certified, maze):
 def test_lower_bounds_far_from_the_origin_stack_too():
     corner = np.array([1e6, -3e5])
     workspace = Workspace(corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner])
-    oracle = VisibilityGraph(workspace, corner + [1, 1])
+    oracle = VisibilityGraph(workspace, [*corner, 1, 1])
     plr = construct(oracle, workspace.bounds, max_leaves=40, certified=True, leaf_bounds=True)
     q = workspace.sample_free(300, 0)[:, None]
     stacked = plr.lower.stack([plr.lower])(q)

@@ -25,6 +25,7 @@ _FAR, _BEYOND = (
     8.0,
     1.15,
 )  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
+_LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 _HALVINGS = 10  # of the range between the last two prices
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
 _LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
@@ -131,7 +132,7 @@ class _Search:
             (_may_expand(level, self._limits).any(axis=0) & (_costs(level, least_share) > 0)).any()
             for level in self._levels
         )
-        larger = self.tree(0.0 if is_final else price, least_share, is_final)
+        larger = self.tree(_LAST * price if is_final else price, least_share, is_final)
         self._before = now
         return larger if self.fits(larger) else self._largest(now, larger, least_share)
 
@@ -233,7 +234,7 @@ def _add_halves(
 
 def _best_leaves(levels: list[_Level], price: float, least_share: float) -> Any:
     """Leaves of the tree for which their costs and their prices together are least."""
-    below: Float[np.ndarray, "boxes"] = np.zeros(0)
+    below: Float[np.ndarray, boxes] = np.zeros(0)
     choices = []
     for level in reversed(levels):
         dim, _, num_boxes = level.child.shape

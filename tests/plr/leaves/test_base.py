@@ -7,7 +7,7 @@ from plr_helpers import random_contents
 from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import rounded_down, linear_mean_planes
+from plr_jax.plr.leaves.base import linear_mean_planes, rounded_down
 
 
 @pytest.mark.parametrize("dim", [1, 2])

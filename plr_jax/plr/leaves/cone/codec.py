@@ -119,7 +119,7 @@ def _lattice(points: Float[np.ndarray, "sources dim"], domain: Box) -> tuple[int
     width = float(domain.width.max())
     fine = int(np.ceil(np.log2(width))) - _FINE_BITS
     rounding = 4e-12 * width + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
-    fractions = _LATTICES[_LATTICES < 2.0**-fine]
+    fractions = _LATTICES[2.0**-fine > _LATTICES]
     for some in (points[:8], points):  # few rule most of them out
         scaled = some.ravel() * fractions[:, None]
         fractions = fractions[(np.abs(scaled - np.rint(scaled)) <= fractions[:, None] * rounding).all(axis=1)]

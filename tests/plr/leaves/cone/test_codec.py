@@ -5,7 +5,14 @@ from hypothesis import strategies as st
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, cones_bits, read_cones, store_sources, write_cones
+from plr_jax.plr.leaves.cone.codec import (
+    StoredCones,
+    StoredSources,
+    cones_bits,
+    read_cones,
+    store_sources,
+    write_cones,
+)
 
 LATTICES = {"integers": 1.0, "hundredths": 0.01, "quarters": 0.25, "thirds": 1 / 3, "none": None}
 
@@ -21,7 +28,9 @@ def random_sources(rng, dim, count, lattice):
     parents[: 1 + count // 10] = np.arange(1 + count // 10)
     distances = np.zeros(count)
     for i in range(count):
-        distances[i] = rng.integers(9) / 8 if parents[i] == i else distances[parents[i]] + _length(points, i, parents[i])
+        distances[i] = (
+            rng.integers(9) / 8 if parents[i] == i else distances[parents[i]] + _length(points, i, parents[i])
+        )
     return points, distances, parents
 
 
@@ -61,7 +70,9 @@ def test_what_is_written_is_read(lattice, seed, dim, count):
     assert (np.abs(found.sources.offsets[index] - distances) <= far).all()
 
 
-@pytest.mark.parametrize(("lattice", "expected"), [("integers", 1), ("hundredths", 100), ("quarters", 4), ("thirds", 3)])
+@pytest.mark.parametrize(
+    ("lattice", "expected"), [("integers", 1), ("hundredths", 100), ("quarters", 4), ("thirds", 3)]
+)
 def test_the_lattice_of_a_map_is_found(lattice, expected):
     points, distances, parents = random_sources(np.random.default_rng(1), 2, 40, lattice)
     stored, _ = store_sources(points, distances, parents, Box(points.min(axis=0), points.max(axis=0) + 1))
@@ -78,7 +89,9 @@ def test_points_on_no_lattice_are_kept_to_a_fine_step():
 
 def test_sources_at_one_place_are_stored_once():
     points = np.array([[0.0, 0], [1, 1], [1, 1 + 1e-15], [0, 0]])
-    stored, index = store_sources(points, np.array([0, 2**0.5, 2**0.5, 0]), np.array([0, 0, 0, 3]), Box((0, 0), (2, 2)))
+    stored, index = store_sources(
+        points, np.array([0, 2**0.5, 2**0.5, 0]), np.array([0, 0, 0, 3]), Box((0, 0), (2, 2))
+    )
     assert index.tolist() == [0, 1, 1, 0]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
@@ -97,7 +110,10 @@ def test_ranks_are_few_bits_where_leaves_take_turns():
     """Leaves that alternate between two sources take two bits each, those that stay one."""
     points = np.arange(200.0).reshape(100, 2)
     stored, _ = store_sources(points, np.zeros(100), np.arange(100), Box((0, 0), (200, 200)))
-    one, two = (cones_bits(Box((0, 0), (200, 200)), StoredCones(stored, s)) for s in (np.full(1000, 77), 77 + np.arange(1000) % 2))
+    one, two = (
+        cones_bits(Box((0, 0), (200, 200)), StoredCones(stored, s))
+        for s in (np.full(1000, 77), 77 + np.arange(1000) % 2)
+    )
     assert two - one < 1100
     assert one < 100 * 60 + 1100
 
