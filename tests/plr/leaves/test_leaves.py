@@ -19,12 +19,12 @@ def test_options_of_a_model_do_not_change_its_code():
 
 def test_what_is_no_model_is_refused():
     unchecked = getattr(leaf_model, "__wrapped__", leaf_model)
-    with pytest.raises(ValueError, match="one of 'plane', 'continuous', 'smooth', got 'cubic'"):
+    with pytest.raises(ValueError, match="one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"):
         leaf_model("cubic")
     with pytest.raises(ValueError, match=r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"):
         unchecked(7)
-    with pytest.raises(ValueError, match="it has leaves of kind 3, this release knows kinds 0 to 2"):
-        leaf_of_code(3)
+    with pytest.raises(ValueError, match="it has leaves of kind 4, this release knows kinds 0 to 3"):
+        leaf_of_code(4)
 
 
 def test_models_are_hashable_and_equal_where_their_options_are():
