@@ -24,6 +24,9 @@ from plr_jax.geometry.polygons import (
 )
 from plr_jax.geometry.vectors import arc, cross_product
 
+_MITRE_LIMIT = 1.5
+"""How far the corner of grown free space may be from the one it grew from: right angles keep theirs, tips do not."""
+
 _ARC_SEGMENTS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
 
@@ -121,7 +124,7 @@ class Workspace:
 
     def _grown(self, tolerance: float) -> Any:
         """Free space grown by a tolerance, prepared for many queries."""
-        grown = self.free_space.buffer(tolerance, join_style="mitre")
+        grown = self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
         shapely.prepare(grown)
         return grown
 

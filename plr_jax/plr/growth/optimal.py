@@ -17,6 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
@@ -27,8 +28,9 @@ _FAR, _BEYOND = (
 )  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
 _FIRST_RATE, _LEAST_ROOM, _UNLIMITED = 2.0, 20.0, 1e6  # the first tree has leaves as the price to the power of -1/2
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
+_LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 _MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
-_LEAST_SHARE = 0.01  # of a leaf's average share of the domain, that every box counts to have besides its own
+_LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.1  # of a leaf's average share, that every box has besides its own
 _AT_ONCE = 1 << 14  # boxes
 _NUMBER_BITS = 31
 
@@ -130,13 +132,15 @@ class _Search:
         """A larger tree, after more boxes were looked at; None if there is none."""
         if now.is_final:
             return None
-        price, least_share = self._next_price(now), _LEAST_SHARE / len(now)
+        price = self._next_price(now)
+        least = _LEAST_SHARE if self._limits.proof is Proof.NONE else _LEAST_SHARE_PROVEN
+        least_share = least / len(now)
         _expand(self._levels, price, least_share, self._limits)
         is_final = not any(
             (_may_expand(level, self._limits).any(axis=0) & (_costs(level, least_share) > 0)).any()
             for level in self._levels
         )
-        larger = self.tree(0.0 if is_final else price, least_share, is_final)
+        larger = self.tree(_LAST * price if is_final else price, least_share, is_final)
         self._before = now
         return larger if self.fits(larger) else self._largest(now, larger, least_share)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Array, Float
 
@@ -10,6 +10,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr.query.stack import TableStack
 
 
+@runtime_checkable
 class BoundedFn(Protocol):
     """A PLR of which something is proven."""
 

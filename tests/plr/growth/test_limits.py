@@ -88,7 +88,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
 def test_limits_out_of_range_are_refused(given, message):
     arguments = [given.get(name) for name in NAMES]
     with pytest.raises(ValueError, match=message):
-        unchecked(2, 2, False, four_each, *arguments)
+        unchecked(2, 2, False, four_each, *arguments, Proof.NONE)
 
 
 unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations, as outside of the tests

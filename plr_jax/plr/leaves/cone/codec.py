@@ -44,7 +44,6 @@ _FINE_BITS = 26  # of a coordinate that is not on the lattice
 _FARTHEST = 2.0**60  # steps of the domain's corner from the origin
 _ESCAPE = 3
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
-_MOST_OFF_LATTICE = 0.1  # share of the sources
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +123,14 @@ def store_sources(
 def _lattice(
     points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
 ) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """The coarsest fraction of which nearly all coordinates are multiples, to within rounding, and which are not."""
+    """The fraction with which coordinates take the fewest bits, and which of them are no multiples of it."""
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
-    may_be_off = max(1, int(_MOST_OFF_LATTICE * len(points)))
-    for fraction in _LATTICES[2.0**-exponent > _LATTICES]:
-        scaled = points * fraction
-        is_off = (np.abs(scaled - np.rint(scaled)) > fraction * rounding).any(axis=1)
-        if np.count_nonzero(is_off) <= min(may_be_off, len(points) - 1):
-            return int(fraction), is_off
-    return 1, np.ones(len(points), bool)
+    fractions = _LATTICES[2.0**-exponent > _LATTICES]
+    scaled = points * fractions[:, None, None]
+    is_off = (np.abs(scaled - np.rint(scaled)) > fractions[:, None, None] * rounding).any(axis=2)
+    bits = np.where(is_off, _FINE_BITS, np.log2(fractions)[:, None]).sum(axis=1)
+    best = int(np.argmin(bits))
+    return int(fractions[best]), is_off[best]
 
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:

@@ -83,7 +83,7 @@ def test_the_lattice_of_a_map_is_found(lattice, expected):
 def test_points_on_no_lattice_are_kept_to_a_fine_step():
     points, distances, parents = random_sources(np.random.default_rng(1), 2, 40, "none")
     stored, _ = store_sources(points, distances, parents, Box((-300, -300), (700, 700)))
-    assert stored.fraction == 0 and stored.step == 2.0**-16
+    assert stored.num_fine == 40 and stored.exponent == -16
     assert len(bits_of(Box((-300, -300), (700, 700)), StoredCones(stored, np.zeros(1, int))).to_bytes()) < 40 * 8
 
 
@@ -132,8 +132,9 @@ def test_arbitrary_bits_are_read_or_refused(data, dim, num_leaves):
 def stored_sources(**changes):
     """Three sources, each the parent of the next, as a file keeps them."""
     given = {
-        "fraction": 1,
+        "num_fine": 0,
         "exponent": 0,
+        "fraction": 1,
         "code": np.array([[0, 0], [1, 4], [2, 7]]),
         "parent": np.array([0, 0, 1]),
         "root_offset": np.zeros(3),
@@ -149,9 +150,9 @@ DOMAIN = Box((0, 0), (8, 8))
     [
         ({"parent": np.array([0, 2, 1])}, "circle"),
         ({"parent": np.array([0, 3, 1])}, "names source 3 of 3"),
-        ({"fraction": 0, "exponent": 300}, "steps of"),
-        ({"fraction": 0, "exponent": -300}, "steps of"),
-        ({"fraction": 0, "exponent": 150}, "too large"),
+        ({"num_fine": 3, "exponent": 300}, "steps of"),
+        ({"num_fine": 3, "exponent": -300}, "steps of"),
+        ({"num_fine": 3, "exponent": 150}, "too large"),
         ({"root_offset": np.array([np.nan, 0, 0])}, "too large"),
         ({"root_offset": np.array([np.inf, 0, 0])}, "too large"),
         ({"code": np.array([[0, 0], [1, 4], [2, 2**45]])}, "coordinates of 46 bits"),
@@ -166,10 +167,10 @@ def test_sources_that_make_no_sense_are_refused(changes, message):
 
 
 def test_no_sources_and_no_step_are_refused():
-    body = BitWriter().write(np.array([1]), 1).write(np.array([1]), 16).write(np.array([0]), 20)
+    body = BitWriter().write(np.array([0, 0]), 20)
     with pytest.raises(ValueError, match="no sources"):
         read_cones(BitReader(body.to_bytes() + b"\0" * 99), DOMAIN, 4)
-    body = BitWriter().write(np.array([1]), 1).write(np.array([0]), 16).write(np.array([1]), 20)
+    body = BitWriter().write(np.array([0, 1]), 20).write(np.array([0]), 16)
     with pytest.raises(ValueError, match="steps of 1 / 0"):
         read_cones(BitReader(body.to_bytes() + b"\0" * 99), DOMAIN, 4)
 
@@ -186,7 +187,7 @@ def test_a_rank_beyond_the_sources_is_refused():
 
 def test_more_sources_than_bits_are_refused_before_they_are_made():
     """A count of a million sources in a dozen bytes."""
-    body = BitWriter().write(np.array([1]), 1).write(np.array([1]), 16).write(np.array([2**20 - 1]), 20)
+    body = BitWriter().write(np.array([0, 2**20 - 1]), 20).write(np.array([1]), 16)
     with pytest.raises(ValueError, match="end too early"):
         read_cones(BitReader(body.to_bytes() + bytes(range(1, 30))), DOMAIN, 4)
 

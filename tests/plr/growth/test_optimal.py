@@ -1,0 +1,212 @@
+"""The best dyadic partition, against all of them."""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+from plr_jax.plr.growth import optimal
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.optimal import best_partition
+from plr_jax.plr.partition.cells import Cells
+
+DEPTH = 3
+
+
+def random_costs(seed):
+    """A cost for every box with up to three splits along each axis: random, smaller for smaller boxes."""
+    rng, costs = np.random.default_rng(seed), {}
+    for d0, d1 in product(range(DEPTH + 1), repeat=2):
+        for p0, p1 in product(range(2**d0), range(2**d1)):
+            costs[d0, d1, p0, p1] = float(rng.random() ** 2 * 3.0 ** -(d0 + d1))
+    return costs
+
+
+@dataclass(frozen=True, eq=False)
+class FakeBoxes:
+    """Boxes whose costs stand in a table; as leaves they are their cells."""
+
+    costs: dict
+    cells: Cells
+    asked: list
+
+    @property
+    def integral(self):
+        keys = np.concatenate([self.cells.depth, self.cells.position], axis=1)
+        return np.array([self.costs[tuple(key)] for key in keys.tolist()])
+
+    @property
+    def error(self):
+        return np.zeros(len(self.cells))
+
+    def leaves(self, index):
+        return FakeBoxes(self.costs, self.cells[index], self.asked)
+
+    def append(self, *others):
+        return FakeBoxes(self.costs, self.cells.append(*(other.cells for other in others)), self.asked)
+
+    def halves(self, parent, axis, is_upper):
+        cells = self.cells[parent].halves(axis, is_upper)
+        self.asked.extend(map(tuple, np.concatenate([cells.depth, cells.position], axis=1).tolist()))
+        return FakeBoxes(self.costs, cells, self.asked)
+
+
+def least_costs(costs, max_depth=2 * DEPTH):
+    """The twin: the least cost of all trees of each number of leaves, by all ways to share them out."""
+
+    @cache
+    def least(d0, d1, p0, p1):
+        best = np.full(4**DEPTH + 1, np.inf)
+        best[1] = costs[d0, d1, p0, p1]
+        if d0 + d1 == max_depth:
+            return best
+        pairs = []
+        if d0 < DEPTH:
+            pairs.append((least(d0 + 1, d1, 2 * p0, p1), least(d0 + 1, d1, 2 * p0 + 1, p1)))
+        if d1 < DEPTH:
+            pairs.append((least(d0, d1 + 1, p0, 2 * p1), least(d0, d1 + 1, p0, 2 * p1 + 1)))
+        for lower, upper in pairs:
+            for number in np.flatnonzero(np.isfinite(lower)):
+                both = lower[number] + upper[: len(best) - number]
+                best[number:] = np.minimum(best[number:], both)
+        return best
+
+    return least(0, 0, 0, 0)
+
+
+def hull(least):
+    """Numbers of leaves that are best at some price above 0: corners of the lower convex hull while it falls."""
+    best, price = [1], np.inf
+    while True:
+        more = np.arange(best[-1] + 1, len(least))
+        rate = (least[best[-1]] - least[more]) / (more - best[-1])
+        if not len(rate) or rate.max() <= 0:
+            return best
+        price = rate.max()
+        best.append(int(more[np.flatnonzero(rate == price)[-1]]))
+
+
+def limits(**given):
+    return Limits(
+        **{
+            "max_depth": 60,
+            "max_axis_depth": DEPTH,
+            "max_leaves": 10**9,
+            "max_bytes": np.inf,
+            "tolerance": 0.0,
+            **given,
+        }
+    )
+
+
+def size(leaves):
+    return 10 + 3 * len(leaves.cells)
+
+
+def search(costs, **given):
+    """The cost and the number of leaves of the partition that is found, after checking that it is one."""
+    root = FakeBoxes(costs, Cells.root(2), [])
+    found = best_partition(root, limits(**given), size)
+    assert len(root.asked) == len(set(root.asked)), "a box was judged twice"
+    covered = np.zeros((2**DEPTH, 2**DEPTH), int)
+    for depth, position in zip(found.cells.depth, found.cells.position, strict=True):
+        start, stop = position << (DEPTH - depth), (position + 1) << (DEPTH - depth)
+        covered[start[0] : stop[0], start[1] : stop[1]] += 1
+    assert (covered == 1).all()
+    return found.integral.sum(), len(found.cells), found
+
+
+@pytest.mark.parametrize("max_leaves", [1, 2, 5, 12, 20, 40])
+def test_the_tree_found_is_the_best_of_all_at_some_price(max_leaves):
+    largest = 0
+    for seed in range(8):
+        costs = random_costs(seed)
+        least = least_costs(costs)
+        cost, number, _ = search(costs, max_leaves=max_leaves)
+        assert number <= max_leaves
+        np.testing.assert_allclose(cost, least[number], rtol=1e-12)
+        assert number in hull(least)
+        largest += number == max(n for n in hull(least) if n <= max_leaves)
+    assert largest >= 7  # a price is found by halving, which may miss one whose range is narrow
+
+
+def test_without_limits_nothing_cheaper_is_left():
+    for seed in range(5):
+        costs = random_costs(seed)
+        cost, _, _ = search(costs)
+        np.testing.assert_allclose(cost, least_costs(costs).min(), rtol=1e-12)
+
+
+def test_greed_is_no_match():
+    """No split alone gains anything, four quarters are free: the best tree is found all the same."""
+    costs = dict.fromkeys(random_costs(0), 1.0)
+    for p0, p1 in product(range(2), repeat=2):
+        costs[1, 1, p0, p1] = 0.0
+    cost, number, found = search(costs, max_leaves=4)
+    assert (cost, number) == (0.0, 4)
+    np.testing.assert_array_equal(found.cells.depth, 1)
+    assert search(costs, max_leaves=3)[1] == 1
+
+
+@pytest.mark.parametrize("max_bytes", [13, 20, 50, 100])
+def test_a_budget_of_bytes_is_kept(max_bytes):
+    for seed in range(4):
+        costs = random_costs(seed)
+        least = least_costs(costs)
+        cost, number, _ = search(costs, max_bytes=float(max_bytes))
+        assert 10 + 3 * number <= max_bytes
+        assert number in hull(least) and cost == pytest.approx(least[number])
+
+
+def test_a_budget_too_small_for_a_leaf_is_refused():
+    with pytest.raises(ValueError, match="max_bytes=12 is too small: one leaf takes 13 bytes"):
+        search(random_costs(0), max_bytes=12.0)
+
+
+@pytest.mark.parametrize("max_depth", [0, 1, 3])
+def test_no_tree_is_deeper_than_allowed(max_depth):
+    for seed in range(4):
+        costs = random_costs(seed)
+        cost, _, found = search(costs, max_depth=max_depth)
+        assert found.cells.depth.sum(axis=1).max() <= max_depth
+        np.testing.assert_allclose(cost, least_costs(costs, max_depth).min(), rtol=1e-12)
+
+
+def test_no_axis_is_halved_more_often_than_allowed():
+    _, _, found = search(random_costs(0), max_axis_depth=1)
+    assert found.cells.depth.max() == 1
+
+
+def test_no_box_is_longer_than_eight_times_its_width(monkeypatch):
+    monkeypatch.setattr(optimal, "_MAX_ASPECT_BITS", 1)
+    for seed in range(4):
+        _, _, found = search(random_costs(seed))
+        assert np.ptp(found.cells.depth, axis=1).max() <= 1
+
+
+def test_boxes_without_error_are_leaves():
+    """Errors within the tolerance count nothing: what is good enough is not halved, nor looked into."""
+    costs = random_costs(3)
+    for d0, d1, p0, p1 in costs:
+        if d0 and not p0 >> (d0 - 1):
+            costs[d0, d1, p0, p1] = 0.0  # the lower half along the first axis, and all in it
+        elif d0 and d1:
+            costs[d0, d1, p0, p1] = 0.0
+    root = FakeBoxes(costs, Cells.root(2), [])
+    found = best_partition(root, limits(), size)
+    assert found.integral.sum() == 0
+    assert len(found.cells) == 3
+    asked = np.array(root.asked)
+    in_lower_half = (asked[:, 0] > 0) & (asked[:, 2] >> np.maximum(asked[:, 0] - 1, 0) == 0)
+    assert in_lower_half.any() and (asked[in_lower_half, 0] == 1).all()
+
+
+def test_many_new_boxes_are_judged_in_parts(monkeypatch):
+    costs = random_costs(5)
+    whole = search(costs, max_leaves=20)
+    monkeypatch.setattr(optimal, "_AT_ONCE", 3)
+    parts = search(costs, max_leaves=20)
+    assert parts[:2] == whole[:2]
+    np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)
