@@ -12,7 +12,7 @@ BEST = "best"
 
 
 def build_proven(
-    oracle: "VisibilityGraph", domain: "Box", leaf: str, *, seed: int, **limits: float | None
+    oracle: "VisibilityGraph", domain: "Box", leaf: str, *, seed: int, **limits: int | float | None
 ) -> tuple["PLR", dict[str, float]]:
     """A PLR with its proof, and the proven largest error of each leaf model that was tried.
 

@@ -92,7 +92,7 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution({self.status.name}: cost {self.cost:.4g}, at most {self.factor:.4g} times the least, "
+            f"Solution({self.status.name}: cost {self.cost:.4g}, lower bound {self.lower_bound:.4g}, "
             f"{self.stats.num_nodes:,} nodes, {sum(self.stats.seconds.values()):.3g} s)"
         )
 

@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 import plr_jax
 from plr_jax import VisibilityGraph, construct, scenes
 from plr_jax.cli import load_app
+from plr_jax.oracles._cell_sources import VisibleSources
 from plr_jax.plr import load
+from plr_jax.plr.leaves import leaf_names
 
 runner, app = CliRunner(), load_app()
 
@@ -60,8 +62,11 @@ def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
     assert result.exit_code == 0
     assert path.stat().st_size <= 700
     plr = load(path)
-    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves} leaves, depth {plr.depth}" in result.stdout
-    for word in ("error   max 0.0", "mean 0.0", "% of the largest distance", "s to build"):
+    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}" in result.stdout
+    assert f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven (" in result.stdout
+    largest, mean = map(float, re.search(r"error   max (\S+), mean (\S+) over", result.stdout).groups())
+    assert 0 < mean < largest <= plr.max_error
+    for word in ("% of the largest distance", "s to build"):
         assert word in result.stdout
 
 
@@ -94,10 +99,14 @@ def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):
 def test_build_is_construct(tmp_path):
     limits = {"max_bytes": 700, "max_leaves": 9, "max_depth": 4, "tolerance": 0.01, "seed": 3}
     options = [word for name, value in limits.items() for word in (f"--{name.replace('_', '-')}", value)]
-    assert run("build", "maze", "-o", tmp_path / "out.plr", *options).exit_code == 0
     workspace = scenes.maze().workspace
-    expected = construct(VisibilityGraph(workspace, scenes.maze().goals[0]), workspace.bounds, **limits)
-    assert (tmp_path / "out.plr").read_bytes() == expected.to_bytes()
+    oracle = VisibilityGraph(workspace, scenes.maze().goals[0])
+    built = {leaf: construct(oracle, workspace.bounds, leaf=leaf, certified=True, **limits) for leaf in leaf_names()}
+    for leaf, plr in built.items():
+        assert run("build", "maze", "--leaf", leaf, "-o", tmp_path / "out.plr", *options).exit_code == 0
+        assert (tmp_path / "out.plr").read_bytes() == plr.to_bytes()
+    assert run("build", "maze", "-o", tmp_path / "best.plr", *options).exit_code == 0
+    assert load(tmp_path / "best.plr").max_error == min(plr.max_error for plr in built.values())
 
 
 def test_build_knows_the_floor_plan(tmp_path):
@@ -236,26 +245,28 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
 
 def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, monkeypatch):
     calls, last_call = [], 4
+    parts = VisibleSources.parts
 
-    def interrupt_later(self, x):
-        calls.append(len(x))
+    def interrupt_later(self, *arguments):
+        calls.append(len(arguments))
         if len(calls) == last_call:
             raise KeyboardInterrupt
-        return np.hypot(*x.T)
+        return parts(self, *arguments)
 
-    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt_later)
+    monkeypatch.setattr(VisibleSources, "parts", interrupt_later)
     result = run("build", "maze", "-o", tmp_path / "out.plr")
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
-    assert len(calls) == last_call
-    assert plr_jax.load(tmp_path / "out.plr").num_leaves > 1
+    assert len(calls) > last_call, "what there is, is proven"
+    plr = plr_jax.load(tmp_path / "out.plr")
+    assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
 
 
 def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatch):
-    def interrupt(self, x):
+    def interrupt(self, domain):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.__call__", interrupt)
+    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.cell_sources", interrupt)
     result = run("build", "maze", "-o", tmp_path / "out.plr")
     assert result.exit_code == 130
     assert result.stderr == "Interrupted.\n"

@@ -5,7 +5,7 @@ import pytest
 from planner_helpers import exact, hallway, planned
 
 from plr_jax import BLOptions, bl_plan, scenes
-from plr_jax.planners import Status, straight_line, zero
+from plr_jax.planners import Status, straight_line, sum_of_distances, zero
 
 
 @pytest.mark.parametrize(
@@ -70,10 +70,23 @@ def test_on_a_given_lattice_improving_ends():
 def test_a_lower_bound_of_the_caller_counts():
     problem = scenes.single_door()
     alone = float(exact(problem)(problem.starts[None])[0])
-    solution = planned(problem, cost_factor=1.05, lower_bound=0.999 * alone)
+    solution = bl_plan(problem, straight_line(problem), BLOptions(cost_factor=1.05, lower_bound=0.999 * alone))
     assert solution.status is Status.SOLVED and solution.lower_bound == 0.999 * alone
-    below = planned(problem, lower_bound=0.1)
+    assert solution.factor == solution.cost / solution.lower_bound <= 1.05
+    below = bl_plan(problem, straight_line(problem), BLOptions(lower_bound=0.1))
     assert below.lower_bound == pytest.approx(np.hypot(8.21 - 2.13, 2.07 - 1.94)), "straight lines are a better one"
+
+
+def test_a_heuristic_that_is_a_lower_bound_proves_one():
+    problem = scenes.single_door()
+    oracle = exact(problem)
+    alone = float(oracle(problem.starts[None])[0])
+    assert oracle.is_lower_bound and not sum_of_distances([lambda x: np.zeros(len(x))]).is_lower_bound
+    solution = planned(problem)
+    assert solution.lower_bound == pytest.approx(alone) and solution.lower_bound <= alone
+    assert 1 <= solution.factor < 1.02 and 1 <= solution.motions_factor < 1.2
+    unknown = bl_plan(problem, lambda q: 1e3 + oracle(q))
+    assert unknown.lower_bound == pytest.approx(np.hypot(8.21 - 2.13, 2.07 - 1.94)), "it may be above the truth"
 
 
 class Interruption:
