@@ -24,9 +24,8 @@ def difference_of_cones(
 
     In double precision, to within its rounding: about 1e-15 of the coordinates.
     """
-    ex, ey, length = _edges(pieces)
-    ax, ay = pieces[0] - apex[:, :1], pieces[1] - apex[:, 1:]
-    bx, by = pieces[0] - other_apex[:, :1], pieces[1] - other_apex[:, 1:]
+    x, y, ex, ey, length = _corners_and_edges(pieces)
+    ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
     beside_a, beside_b = np.abs(ax * ey - ay * ex), np.abs(bx * ey - by * ex)
     apart = beside_b - beside_a
@@ -36,8 +35,8 @@ def difference_of_cones(
     on_edges = to_a - np.sqrt((place - along_b) ** 2 + beside_b * beside_b)
     at_corners = np.sqrt(ax * ax + ay * ay) - np.sqrt(bx * bx + by * by)
     shift = offset - other_offset
-    lowest = np.minimum(at_corners.min(axis=1), on_edges.min(axis=1))
-    return lowest + shift, np.maximum(at_corners.max(axis=1), on_edges.max(axis=1)) + shift
+    lowest = np.minimum(at_corners.min(axis=0), on_edges.min(axis=0))
+    return lowest + shift, np.maximum(at_corners.max(axis=0), on_edges.max(axis=0)) + shift
 
 
 def cone_above_plane(
@@ -47,9 +46,8 @@ def cone_above_plane(
 
     In double precision, to within its rounding.
     """
-    ex, ey, length = _edges(pieces)
-    ax, ay = pieces[0] - apex[:, :1], pieces[1] - apex[:, 1:]
-    sx, sy = slope[:, :1], slope[:, 1:]
+    x, y, ex, ey, length = _corners_and_edges(pieces)
+    ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)
     at_corners = np.sqrt(ax * ax + ay * ay) - (sx * ax + sy * ay)
     along, beside = -(ax * ex + ay * ey), np.abs(ax * ey - ay * ex)
@@ -57,16 +55,24 @@ def cone_above_plane(
     steep = np.sqrt(1 - rate * rate)
     place = along + np.divide(rate * beside, steep, out=np.where(rate > 0, np.inf, -np.inf), where=steep > 0)
     np.clip(place, 0, length, out=place)
-    x, y = ax + place * ex, ay + place * ey
-    on_edges = np.sqrt(x * x + y * y) - (sx * x + sy * y)
-    lowest = np.minimum(at_corners.min(axis=1), on_edges.min(axis=1))
+    px, py = ax + place * ex, ay + place * ey
+    on_edges = np.sqrt(px * px + py * py) - (sx * px + sy * py)
+    lowest = np.minimum(at_corners.min(axis=0), on_edges.min(axis=0))
     lowest = np.where(contain(pieces, apex, 0.0), np.minimum(lowest, 0.0), lowest)
-    return lowest + from_apex, at_corners.max(axis=1) + from_apex
+    return lowest + from_apex, at_corners.max(axis=0) + from_apex
 
 
-def _edges(pieces: Pieces) -> tuple[Float[np.ndarray, "pieces corners"], ...]:
-    """Unit vector along each edge, any where it has no length, and its length."""
-    x, y = np.concatenate([pieces[:, :, 1:], pieces[:, :, :1]], axis=2) - pieces
-    length = np.sqrt(x * x + y * y)
+def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
+    """Corners, the unit vector along each edge, any where it has no length, and its length.
+
+    Corner by corner, as NumPy is fast along pieces, of which there are many; what all of them repeat is left out.
+    """
+    x, y = pieces.transpose(0, 2, 1)
+    new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
+    count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1
+    x, y = np.ascontiguousarray(x[:count]), np.ascontiguousarray(y[:count])
+    ex, ey = np.roll(x, -1, axis=0) - x, np.roll(y, -1, axis=0) - y
+    length = np.sqrt(ex * ex + ey * ey)
     some = length > 0
-    return np.divide(x, length, out=np.ones_like(x), where=some), np.divide(y, length, out=y, where=some), length
+    ex, ey = np.divide(ex, length, out=np.ones_like(ex), where=some), np.divide(ey, length, out=ey, where=some)
+    return x, y, ex, ey, length

@@ -65,7 +65,7 @@ def construct(
             for their bytes. ``"cone"`` holds the distance to one *source*, a point that paths go to next, and on from
             there: among obstacles that is exact but where the next corner changes. Of a distance function that
             answers for whole cells, such as ``VisibilityGraph``, cones need no samples, and the partition is the best
-            of all at a price a leaf, up to 8 times as long as wide; ``should_split``, ``split``,
+            of all at a price a leaf, up to 4 times as long as wide; ``should_split``, ``split``,
             ``compute_coefficients`` and ``seed`` do not matter then. Cones answer finite numbers wherever they are
             asked. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved

@@ -21,15 +21,16 @@ from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
-_CHEAPER, _LEAST_CHEAPER = 0.05, 0.7  # of the price before, far from the limits and near them
+_CHEAPER, _LEAST_CHEAPER = 0.02, 0.7  # of the price before, far from the limits and near them
 _FAR, _BEYOND = (
     8.0,
     1.15,
 )  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
-_FIRST_RATE, _LEAST_ROOM, _UNLIMITED = 2.0, 20.0, 1e6  # the first tree has leaves as the price to the power of -1/2
+_FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
+_BITS_A_LEAF = 5.0  # about as many as one more takes
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
-_MAX_ASPECT_BITS = 3  # the longest side of a box is at most 2**3 times its shortest, in fractions of the domain
+_MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 _LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.1  # of a leaf's average share, that every box has besides its own
 _AT_ONCE = 1 << 14  # boxes
 _NUMBER_BITS = 31
@@ -132,9 +133,10 @@ class _Search:
         """A larger tree, after more boxes were looked at; None if there is none."""
         if now.is_final:
             return None
-        price = self._next_price(now)
+        most = self._expected_leaves(now)
+        price = self._next_price(now, most / len(now))
         least = _LEAST_SHARE if self._limits.proof is Proof.NONE else _LEAST_SHARE_PROVEN
-        least_share = least / len(now)
+        least_share = least / (most if most < _UNLIMITED else len(now))
         _expand(self._levels, price, least_share, self._limits)
         is_final = not any(
             (_may_expand(level, self._limits).any(axis=0) & (_costs(level, least_share) > 0)).any()
@@ -148,12 +150,17 @@ class _Search:
         """Of what the limits allow, how much a tree takes."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
-    def _next_price(self, now: _Tree) -> float:
+    def _expected_leaves(self, tree: _Tree) -> float:
+        """How many leaves the limits may allow, going by the bytes that a tree leaves."""
+        left = (self._limits.max_bytes - tree.num_bytes) * 8 / _BITS_A_LEAF
+        return float(min(self._limits.max_leaves, len(tree) + left))
+
+    def _next_price(self, now: _Tree, room: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
-        room, before = 1 / self._share(now), self._before
-        if before is None:
-            return now.price * max(room, _LEAST_ROOM) ** -_FIRST_RATE if room < _UNLIMITED else _CHEAPER * now.price
-        if len(before) == len(now) or room > _FAR:
+        before = self._before
+        if before is None and room < _UNLIMITED:
+            return now.price * room**-_FIRST_RATE
+        if before is None or len(before) == len(now) or room > _FAR:
             return _CHEAPER * now.price
         rate = np.log(len(now) / len(before)) / np.log(before.price / now.price)
         return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
