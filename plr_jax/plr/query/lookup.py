@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
 from plr_jax.plr.query.blocks import Blocks
-from plr_jax.plr.query.grid import FRACTION_BITS, WORD_BITS
+from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
 from plr_jax.plr.query.tables import Frame, Tables
 
@@ -97,10 +97,14 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
     Those are the fraction bits of one plus the place, a 32-bit float from 1 to below 2. The last place is for the
     upper edge, which belongs to the last cell.
     """
-    lo, start, scale = (tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE))
-    placed = ((x[..., axis] - lo) * scale + start).astype(jnp.float32)
-    last = np.float32(2 - 2.0**-FRACTION_BITS)
-    return jax.lax.bitcast_convert_type(jnp.where(placed < last, placed, last), jnp.uint32)
+    lo, start, scale, top = (
+        tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
+    )
+    share = (x[..., axis] - lo) * scale
+    # The bound stands before the sum, or a compiler might round product and sum at once in one part of a query and
+    # apart in another, and so put a point beside a border into a block of one cell and a slot of the other.
+    placed = jnp.where(share < top, share, top) + start
+    return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
 
 
 def _joined_bits(

@@ -69,7 +69,7 @@ class Tables:
         leaf: The leaf model, whose ``evaluate`` makes a value of them.
     """
 
-    frame: Float[Array, "6 dim"]
+    frame: Float[Array, "7 dim"]
     bits: UInt32[Array, "2 dim"]
     blocks: Blocks | None
     pages: Pages | None
@@ -92,6 +92,7 @@ class Frame(IntEnum):
 
     ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
     over its width. ``START`` is one minus ``LO_REST`` over the width: cells far from the origin so stay in place.
+    ``TOP`` is the largest share of the width that is told apart: with ``START`` it is below 2.
     """
 
     LO = 0
@@ -100,6 +101,7 @@ class Frame(IntEnum):
     HI_REST = 3
     START = 4
     SCALE = 5
+    TOP = 6
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
@@ -215,7 +217,7 @@ def max_entries(num_bytes: int) -> int:
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
-def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "6 dim"]:
+def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "7 dim"]:
     """The domain in 32-bit floats, for points counted from an origin."""
     lo, hi = table_corners(domain)
     # Rounded toward zero, so that the corners themselves stay inside.
@@ -224,4 +226,7 @@ def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "
     frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
+    top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
+    rounded = top.astype(np.float32)
+    frame[Frame.TOP] = np.where(rounded > top, np.nextafter(rounded, np.float32(0)), rounded)
     return frame

@@ -6,8 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from plr_helpers import chain, cone, evaluate_by_search, leaf_by_search, random_partition, walled
 
+from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
+from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.query import lookup as lookup_module
 from plr_jax.plr.query import tables as tables_module
 from plr_jax.plr.query.tables import build_tables
@@ -100,3 +102,20 @@ def test_large_tables_have_a_leafs_numbers_side_by_side_and_answer_alike(monkeyp
     assert small.tables.numbers.ndim == 2 and large.tables.numbers.ndim == 1
     x = np.random.default_rng(0).random((500, 2)).astype(np.float32)
     np.testing.assert_array_equal(large(x), small(x))
+
+
+def test_points_beside_borders_are_answered_by_the_leaf_that_is_found_for_them():
+    """A block and what lies within it are of one rounding, also where a compiler computes them apart."""
+    problem = scenes.floor_plan()
+    oracle = VisibilityGraph(problem.workspace, problem.goals[0][:2])
+    plr = construct(oracle, problem.workspace.bounds, leaf="continuous", max_bytes=4096, certified=True)
+    assert plr.tables.blocks is not None
+    rng, (lo, hi) = np.random.default_rng(0), plr.leaf_boxes
+    leaf = rng.integers(plr.num_leaves, size=20_000)
+    x, axis = lo[leaf] + (hi - lo)[leaf] * rng.random((len(leaf), 2)), rng.integers(2, size=len(leaf))
+    beside = rng.uniform(-1, 1, len(leaf)) * 2.0**-22 * plr.domain.width[axis]
+    border = np.where(rng.random(len(leaf)) < 0.5, lo[leaf, axis], hi[leaf, axis])
+    x[np.arange(len(leaf)), axis] = border + beside
+    x = np.clip(x, plr.domain.lo, plr.domain.hi).astype(np.float32).astype(float)
+    found = plr.values_in_leaves(leaf_of(plr, x), x)
+    np.testing.assert_allclose(np.asarray(plr(x), float), found, rtol=0, atol=1e-3)
