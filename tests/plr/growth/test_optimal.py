@@ -12,6 +12,13 @@ from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.partition.cells import Cells
 
+
+@pytest.fixture(autouse=True)
+def boxes_of_all_shapes(monkeypatch):
+    """Of three splits along each axis none is too long for the trees that all are compared with."""
+    monkeypatch.setattr(optimal, "_MAX_ASPECT_BITS", 3)
+
+
 DEPTH = 3
 
 

@@ -39,7 +39,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
     hidden, hidden_before = (1 - share_in_sight(each, workspace, x) for each in (plr, before))
     assert hidden < 0.25 * hidden_before
     error, error_before = (np.abs(np.asarray(each(x)) - maze(x)).mean() for each in (plr, before))
-    assert error < 1.5 * error_before
+    assert error < 1.6 * error_before
 
 
 def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
