@@ -7,7 +7,7 @@ fewer corners than rows have room for repeats its last one.
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from plr_jax.geometry.vectors import cross_product
 
@@ -26,9 +26,7 @@ def convex_pieces(region: Any) -> Float[np.ndarray, "2 pieces 3"]:
     return triangles.transpose(2, 0, 1)
 
 
-def clip(
-    pieces: Pieces, height: Float[np.ndarray, "pieces corners"], room: int = ROOM
-) -> Float[np.ndarray, "2 pieces room"]:
+def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
     """What of each piece lies where a linear function, given at its corners, is not below zero.
 
     Pieces must reach above zero; what touches it alone becomes a piece without area.
@@ -43,8 +41,8 @@ def clip(
     row, column = np.nonzero(kept)
     count = kept.sum(axis=1)
     place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    last = np.minimum(np.arange(room), np.maximum(count - 1, 0)[:, None])
-    result = np.empty((2, len(height), room))
+    last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
+    result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
         met = along + share * (_next(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
@@ -76,16 +74,13 @@ def contain(pieces: Pieces, points: Float[np.ndarray, "pieces 2"], tolerance: fl
 
 def clip_to_box(
     pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
-) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
-    """What of the pieces lies in a box, and of which pieces it is; none without area."""
-    kept = np.arange(pieces.shape[1])
+) -> Float[np.ndarray, "2 kept room"]:
+    """What of the pieces lies in a box, in their order, but nothing without area."""
     for axis in range(2):
         for height in (lambda x: x[axis] - lo[axis], lambda x: hi[axis] - x[axis]):  # noqa: B023
-            reaches = (height(pieces) > 0).any(axis=1)
-            pieces, kept = pieces[:, reaches], kept[reaches]
+            pieces = pieces[:, (height(pieces) > 0).any(axis=1)]
             pieces = clip(pieces, height(pieces))
-    some = areas(pieces) > 0
-    return pieces[:, some], kept[some]
+    return pieces[:, areas(pieces) > 0]
 
 
 def _next(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:

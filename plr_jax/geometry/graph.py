@@ -81,6 +81,11 @@ def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.
     return distances, parents
 
 
+def rooted(parents: Int[np.ndarray, "v"]) -> Int[np.ndarray, "v"]:
+    """The same parents, but where there is none the vertex itself."""
+    return np.where(parents == NO_PARENT, np.arange(len(parents)), parents)
+
+
 def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
     """Vertices from the root of a shortest-path tree, given by its parents, to one vertex, both included."""
     path = [vertex]

@@ -10,7 +10,7 @@ from plr_jax._arrays import run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
-from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, clip, clip_to_box, convex_pieces
+from plr_jax.geometry.convex_pieces import ROOM, Pieces, areas, boxes_as_pieces, clip, clip_to_box, convex_pieces
 from plr_jax.geometry.corners import TurnPoints
 from plr_jax.geometry.shadows import Shadows
 from plr_jax.geometry.workspace import Workspace
@@ -55,8 +55,8 @@ class Sight:
 class VisibleSources:
     """The free convex pieces of cells, and pairs of a piece and a source that a point of it may use.
 
-    Pieces stand cell by cell, pairs piece by piece. Pieces of which nothing reaches the goal are left out. Nothing of
-    this knows tolerances: what is said of a piece holds to within ``slack``.
+    Pieces stand cell by cell, pairs piece by piece. Pieces of which nothing reaches the goal are left out. What is
+    said of a piece holds to within ``slack``, as free space is known to a tolerance.
 
     Attributes:
         sight: Of the oracle.
@@ -188,7 +188,7 @@ class VisibleSources:
 
 def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleSources:
     """Those of the domain as one cell: the triangles of free space, and all sources that each may use."""
-    pieces, _ = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
+    pieces = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
     usable = np.append(0, sight.turns.vertex)
     step = max(1, _CHUNK // len(usable))
     found = []
@@ -199,7 +199,7 @@ def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleS
         every = np.ones(num_pieces, bool)
         found.append(_settled(_unsettled(sight, np.zeros(num_pieces, int), part, piece, source), every))
     if not found:
-        found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, 8)), np.zeros(0, int), np.zeros(0, int)))]
+        found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, ROOM)), np.zeros(0, int), np.zeros(0, int)))]
     return replace(
         VisibleSources.concatenate(found), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int)
     )

@@ -13,7 +13,7 @@ from plr_jax._arrays import as_finite_point, as_point, as_points, require_intege
 from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._prm_star import (
     IsFree,
@@ -170,8 +170,7 @@ class Roadmap:
     @cached_property
     def sources(self) -> Sources:
         """The vertices: a query's path goes to one of them first."""
-        parents = np.where(self._parents == NO_PARENT, np.arange(len(self._parents)), self._parents)
-        return Sources(self.graph.vertices, self.distances, parents)
+        return Sources(self.graph.vertices, self.distances, rooted(self._parents))
 
     def to_networkx(self) -> networkx.Graph:
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""

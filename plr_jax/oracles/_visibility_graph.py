@@ -12,7 +12,7 @@ from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
-from plr_jax.geometry.graph import NO_PARENT, Graph, dijkstra, path_from_root, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
 from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
 from plr_jax.geometry.workspace import Workspace
@@ -98,8 +98,7 @@ class VisibilityGraph:
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
-        parents = np.where(self._parents == NO_PARENT, np.arange(len(self._parents)), self._parents)
-        return Sources(self.graph.vertices, self.distances, parents)
+        return Sources(self.graph.vertices, self.distances, rooted(self._parents))
 
     def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.

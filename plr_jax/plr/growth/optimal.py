@@ -22,10 +22,8 @@ from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
 _CHEAPER, _LEAST_CHEAPER = 0.02, 0.7  # of the price before, far from the limits and near them
-_FAR, _BEYOND = (
-    8.0,
-    1.15,
-)  # how much larger a tree may be yet, to be far from them; how much beyond them one should be
+_FAR = 8.0  # times as large a tree may be yet, far from the limits
+_BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
 _BITS_A_LEAF = 5.0  # about as many as one more takes
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow

@@ -6,12 +6,8 @@ from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
 
-_MODELS: tuple[LeafModel, ...] = (
-    Plane(),
-    Continuous(order=0),
-    Continuous(order=1),
-    Cone(),
-)  # in the order of their codes
+# In the order of their codes.
+_MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())
 
 
 def leaf_names() -> list[str]:

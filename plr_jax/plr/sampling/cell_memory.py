@@ -17,7 +17,7 @@ class CellMemory:
     """The sources of the cells of a growing partition, in the plane."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
-        self._oracle, self._domain = oracle, domain
+        self._domain = domain
         self._parts = [oracle.cell_sources(grown_domain(domain))]
         self._place: dict[_Key, tuple[int, int]] = {_keys(Cells.root(2))[0]: (0, 0)}
 

@@ -170,5 +170,4 @@ class _ConesAboveOptions:
         self, pieces: Any, apex: Float[np.ndarray, "n 2"], offset: Float[np.ndarray, "n"], row: Int[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         own, sources = self.source[self.option[row]], self.visible.sources
-        lowest, highest = difference_of_cones(pieces, apex, offset, sources.points[own], sources.distances[own])
-        return lowest, highest
+        return difference_of_cones(pieces, apex, offset, sources.points[own], sources.distances[own])

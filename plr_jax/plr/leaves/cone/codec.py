@@ -9,8 +9,7 @@ number of its own.
 What a file keeps of the leaves, as bits:
 
     number of sources that are not on the lattice, in 20 bits, and if there are some: the exponent of their power of
-    two,
-      plus 2**15, in 16 bits, and their coordinates
+      two, plus 2**15, in 16 bits, and their coordinates
     number of those that are, in 20 bits, and if there are some: the fraction is 1 over a number of 16 bits; and their
       coordinates
     which sources are roots, 1 bit each, and their offsets as 32-bit floats
@@ -126,6 +125,8 @@ def _lattice(
     """The fraction with which coordinates take the fewest bits, and which of them are no multiples of it."""
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
+    if not len(fractions):  # a domain so wide that whole numbers are finer than what is kept
+        return 1, np.ones(len(points), bool)
     scaled = points * fractions[:, None, None]
     is_off = (np.abs(scaled - np.rint(scaled)) > fractions[:, None, None] * rounding).any(axis=2)
     bits = np.where(is_off, _FINE_BITS, np.log2(fractions)[:, None]).sum(axis=1)

@@ -195,3 +195,18 @@ def test_more_sources_than_bits_are_refused_before_they_are_made():
 def test_distances_too_large_for_floats_are_refused():
     with pytest.raises(ValueError, match="scale them down"):
         store_sources(np.array([[0.0, 0]]), np.array([1e39]), np.zeros(1, int), DOMAIN)
+
+
+@pytest.mark.parametrize("width", [1e6, 2.0**26, 1e9, 1e25])
+def test_domains_of_any_width(width):
+    points = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]])
+    parents, distances = np.array([0, 0, 1]), np.zeros(3)
+    distances[1] = _length(points, 0, 1)
+    distances[2] = distances[1] + _length(points, 1, 2)
+    domain = Box([0, 0], [width, width])
+    stored, index = store_sources(points, distances, parents, domain)
+    cones = StoredCones(stored, index[[2, 0, 1, 1]])
+    found = read_cones(BitReader(bits_of(domain, cones).to_bytes()), domain, 4)
+    np.testing.assert_array_equal(found.source, cones.source)
+    np.testing.assert_allclose(found.sources.points[index], points, atol=2.0**-25 * width)
+    np.testing.assert_allclose(found.sources.offsets[index], distances, rtol=1e-6)
