@@ -41,10 +41,11 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
     proof = Proof.LEAVES if leaf_bounds else Proof.LARGEST
-    return with_certificate(plr, certificate_of(plr._contents, as_certifiable(oracle, plr.dim), proof))
+    root = require_certifiable(oracle, plr.dim).cell_sources(grown_domain(plr.domain))
+    return with_certificate(plr, certificate_of(plr._contents, root, proof))
 
 
-def as_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
+def require_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
     """A distance function about which something can be proven; raises ``ValueError`` if it is none."""
     if dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
@@ -54,11 +55,11 @@ def as_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
     return oracle
 
 
-def certificate_of(contents: Contents, oracle: CellwiseFn, proof: Proof) -> Certificate:
-    """The proof for leaves."""
+def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certificate:
+    """The proof for leaves, from the sources of their grown domain."""
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
     coefficients = filled_coefficients(contents)
-    visible = _of_leaves(oracle.cell_sources(grown_domain(domain)), contents)
+    visible = _of_leaves(root, contents)
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
         lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]

@@ -8,7 +8,7 @@ from plr_jax._arrays import as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import plr_of_leaves
-from plr_jax.plr._certify import as_certifiable, certificate_of
+from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
@@ -16,6 +16,7 @@ from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.tables import table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
@@ -67,24 +68,28 @@ def construct(
             answers for whole cells, such as ``VisibilityGraph``, cones need no samples, and the partition is the best
             of all at a price a leaf, up to 4 times as long as wide; ``should_split``, ``split``,
             ``compute_coefficients`` and ``seed`` do not matter then. Cones answer finite numbers wherever they are
-            asked. Or a leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
+            asked. They rise by one unit a unit of length: what does not, such as a time, is for the others. Or a
+            leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
-            more often along one axis than the tables of a query of that size provide for: planes in the plane 7
-            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, the others as often in half the bytes; beyond, 14
-            times; in ``dim`` > 2 dimensions ``28 // dim`` times. That size is the smaller of ``max_bytes`` and what
-            ``max_leaves`` count: 2 bytes each, of planes ``4 * (dim + 1)``, but 32,768 in all at the least: tables of
+            more often along one axis than the tables of a query of that size provide for. In the plane: planes 7
+            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768; tied leaves, which are the continuous and the
+            smooth, as often in half the bytes; up to the largest of these sizes 13 times if ``certified``, and cones
+            13 times up to 8,192 bytes; beyond, 14 times. In ``dim`` > 2 dimensions ``28 // dim`` times. That size is
+            the smaller of ``max_bytes`` and what ``max_leaves`` count: tied ones 2 bytes each, planes
+            ``4 * (dim + 1)``, but 32,768 in all at the least, and cones half a byte each and 256 in all. Tables of
             PLRs of as many planes may differ in size.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes. Planes then have as few bits as serves the
             error best; without it they are 32-bit floats, in several times the bytes. No more leaves than half as
-            many as the bytes, of tied ones than as many.
+            many as the bytes, of tied ones than as many, of cones than twice as many.
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
             most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller. Of
-            cones, and with ``certified``, it is the proven error of the leaf.
+            cones that need no samples, and of planes with ``certified``, it is the proven error of the leaf.
         certified: Whether to prove the largest error, of all points from which the goal can be reached, which then is
-            ``plr.max_error``; it takes 4 bytes. The leaf of the largest proven error is split first, unless
-            ``should_split`` says otherwise, so that nothing is missed, however small. For distance functions that
-            answer for whole cells; see :func:`certify`.
+            ``plr.max_error``; it takes 4 bytes. Of planes the one of the largest proven error is split
+            first, unless ``should_split`` says otherwise, and in the best partition of cones large errors weigh more,
+            so that nothing is missed, however small. Tied leaves grow by their samples, and are proven afterwards.
+            For distance functions that answer for whole cells; see :func:`certify`.
         leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, which makes ``plr.bounds`` narrow.
         compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
             function of their kind. Models that tie their leaves fit all of them at once, whatever it says.
@@ -117,7 +122,8 @@ def construct(
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
     proof = _proof(certified, leaf_bounds)
-    certifiable = None if proof is Proof.NONE else as_certifiable(distance_fn, domain.dim)
+    if proof is not Proof.NONE:
+        require_certifiable(distance_fn, domain.dim)
     limits = check_limits(
         domain.dim,
         model.least_bytes,
@@ -147,17 +153,16 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
-    memory = None
-    if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and margin == 0:
-        memory = CellMemory(distance_fn, domain)
+    memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
     )
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
     contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
-    if certifiable is not None:
-        contents = replace(contents, certificate=certificate_of(contents, certifiable, proof))
+    if proof is not Proof.NONE and memory is not None:
+        root = memory.sources(Cells.root(domain.dim))
+        contents = replace(contents, certificate=certificate_of(contents, root, proof))
     return plr_of_leaves(contents)
 
 

@@ -149,6 +149,11 @@ def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
     assert plr.bounds(np.array([0.5, 0.9]))[0].shape == ()
 
 
+@pytest.mark.parametrize("leaf", ["plane", "cone"])
+def test_certified_construction_with_samples_beyond_their_cells(leaf, maze):
+    check_bounds(construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, margin=0.2), maze, 5_000)
+
+
 def test_bounds_under_jit_with_the_plr_closed_over_or_as_an_argument(certified):
     x = jnp.asarray(np.random.default_rng(0).random((300, 2)), jnp.float32)
     expected = certified.bounds(x)

@@ -91,8 +91,8 @@ _COLUMNS = [column.name for column in fields(CellFit) if column.name not in ("ce
 class Sampler:
     """How cells are sampled and fitted: what stays the same throughout a construction.
 
-    Cells of which too little was seen are sampled again with the dense pattern. Where there is a ``memory``, it
-    answers instead of the distance function.
+    Cells of which too little was seen are sampled again with the dense pattern. Where there is a ``memory``, as of
+    distance functions that answer for whole cells, it answers for samples inside them.
     """
 
     distance_fn: DistanceFn
@@ -109,7 +109,7 @@ class Sampler:
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         x = points.reshape(-1, cells.dim)
-        if self.memory is None:
+        if self.memory is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
             distance = self.memory.distances(cells, points)

@@ -27,6 +27,11 @@ class Pattern:
         return len(self.u)
 
     @cached_property
+    def reaches_beyond(self) -> bool:
+        """Whether some samples are outside their cell."""
+        return bool((np.abs(self.u) > 1).any())
+
+    @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
         """Rows ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)

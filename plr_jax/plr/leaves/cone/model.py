@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from plr_jax._types import CellwiseFn, Sources
+from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import Pieces
@@ -60,8 +60,8 @@ class Cone:
         Weights and rules of the caller's are of samples.
         """
         is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
-        if is_default and isinstance(sampler.distance_fn, CellwiseFn):
-            return _best_cones(sampler, sampler.distance_fn, limits)
+        if is_default and sampler.memory is not None:
+            return _best_cones(sampler, sampler.memory, limits)
         return grow_from_samples(sampler, rules, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
@@ -172,10 +172,10 @@ def _root_with_tangent(primals, tangents):
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-def _best_cones(sampler: Sampler, oracle: CellwiseFn, limits: Limits) -> tuple[Cells, StoredCones]:
+def _best_cones(sampler: Sampler, memory: CellMemory, limits: Limits) -> tuple[Cells, StoredCones]:
     """The best partition of all, its leaves left for sources in sight where that costs little."""
     domain = sampler.domain
-    visible = (CellMemory(oracle, domain) if sampler.memory is None else sampler.memory).sources(Cells.root(2))
+    visible = memory.sources(Cells.root(domain.dim))
     if not len(visible.cell):
         sampler.root()  # which says so
 
