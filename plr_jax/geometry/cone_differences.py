@@ -71,7 +71,7 @@ def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"]
     new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
     count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1
     x, y = np.ascontiguousarray(x[:count]), np.ascontiguousarray(y[:count])
-    ex, ey = np.roll(x, -1, axis=0) - x, np.roll(y, -1, axis=0) - y
+    ex, ey = np.concatenate([x[1:], x[:1]]) - x, np.concatenate([y[1:], y[:1]]) - y
     length = np.sqrt(ex * ex + ey * ey)
     some = length > 0
     ex, ey = np.divide(ex, length, out=np.ones_like(ex), where=some), np.divide(ey, length, out=ey, where=some)

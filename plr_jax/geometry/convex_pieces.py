@@ -32,9 +32,9 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     Pieces must reach above zero; what touches it alone becomes a piece without area.
     """
     inside = height >= 0
-    following = _next(height)
-    crosses = inside != (following >= 0)
-    share = np.divide(height, height - following, out=np.zeros_like(height), where=crosses)
+    after = following(height)
+    crosses = inside != (after >= 0)
+    share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
     repeats = np.zeros(inside.shape, bool)
     repeats[:, 1:] = (pieces[0, :, 1:] == pieces[0, :, :-1]) & (pieces[1, :, 1:] == pieces[1, :, :-1])
     kept = np.stack([inside & ~repeats, crosses], axis=2).reshape(len(height), 2 * height.shape[1])
@@ -44,7 +44,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
     result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
-        met = along + share * (_next(along) - along)
+        met = along + share * (following(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
         clipped[row, place] = points[row, column]
         clipped[:] = np.take_along_axis(clipped, last, axis=1)
@@ -68,7 +68,7 @@ def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) 
 def contain(pieces: Pieces, points: Float[np.ndarray, "pieces 2"], tolerance: float) -> Bool[np.ndarray, "pieces"]:
     """Whether each piece holds its point, to the tolerance."""
     dx, dy = points[:, :1] - pieces[0], points[:, 1:] - pieces[1]
-    ex, ey = _next(pieces[0]) - pieces[0], _next(pieces[1]) - pieces[1]
+    ex, ey = following(pieces[0]) - pieces[0], following(pieces[1]) - pieces[1]
     return (ex * dy - ey * dx >= -tolerance * np.sqrt(ex * ex + ey * ey)).all(axis=1)
 
 
@@ -83,6 +83,6 @@ def clip_to_box(
     return pieces[:, areas(pieces) > 0]
 
 
-def _next(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
+def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
     """What belongs to the next corner."""
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import runs
-from plr_jax.geometry.convex_pieces import Pieces, contain
+from plr_jax.geometry.convex_pieces import Pieces, contain, following
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import VisibilityTable
 
@@ -84,7 +84,7 @@ class Shadows:
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = pieces[0] - point[:, :1], pieces[1] - point[:, 1:]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx
-        next_along, next_beside = np.roll(along, -1, axis=1), np.roll(beside, -1, axis=1)
+        next_along, next_beside = following(along), following(beside)
         crosses = (beside >= 0) != (next_beside >= 0)
         share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
         at = along + share * (next_along - along)

@@ -21,7 +21,8 @@ from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
-_CHEAPER, _LEAST_CHEAPER = 0.02, 0.7  # of the price before, far from the limits and near them
+_CHEAPER, _LEAST_CHEAPER = 0.005, 0.7  # of the price before, far from the limits and near them
+_DEARER = 8.0  # times the price, to see how it falls as leaves get more
 _FAR = 8.0  # times as large a tree may be yet, far from the limits
 _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
@@ -115,7 +116,6 @@ class _Search:
 
     def __init__(self, root: Boxes, limits: Limits, size: Callable[[Any], int]) -> None:
         self._levels, self._limits, self._size = [_level_of(root)], limits, size
-        self._before: _Tree | None = None
 
     def tree(self, price: float, least_share: float, is_final: bool = False) -> _Tree:
         """The best tree of what was looked at."""
@@ -132,16 +132,15 @@ class _Search:
         if now.is_final:
             return None
         most = self._expected_leaves(now)
-        price = self._next_price(now, most / len(now))
         least = _LEAST_SHARE if self._limits.proof is Proof.NONE else _LEAST_SHARE_PROVEN
         least_share = least / (most if most < _UNLIMITED else len(now))
+        price = self._next_price(now, most / len(now), least_share)
         _expand(self._levels, price, least_share, self._limits)
         is_final = not any(
             (_may_expand(level, self._limits).any(axis=0) & (_costs(level, least_share) > 0)).any()
             for level in self._levels
         )
         larger = self.tree(_LAST * price if is_final else price, least_share, is_final)
-        self._before = now
         return larger if self.fits(larger) else self._largest(now, larger, least_share)
 
     def _share(self, tree: _Tree) -> float:
@@ -153,14 +152,14 @@ class _Search:
         left = (self._limits.max_bytes - tree.num_bytes) * 8 / _BITS_A_LEAF
         return float(min(self._limits.max_leaves, len(tree) + left))
 
-    def _next_price(self, now: _Tree, room: float) -> float:
+    def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
-        before = self._before
-        if before is None and room < _UNLIMITED:
-            return now.price * room**-_FIRST_RATE
-        if before is None or len(before) == len(now) or room > _FAR:
+        if len(now) == 1:
+            return now.price * (max(room, 2.0) ** -_FIRST_RATE if room < _UNLIMITED else _CHEAPER)
+        before = len(_best_leaves(self._levels, _DEARER * now.price, least_share).cells)
+        if before == len(now) or room > _FAR:
             return _CHEAPER * now.price
-        rate = np.log(len(now) / len(before)) / np.log(before.price / now.price)
+        rate = np.log(len(now) / before) / np.log(_DEARER)
         return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
 
     def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:

@@ -30,7 +30,7 @@ def share_in_sight(plr, workspace, x):
 @pytest.mark.parametrize("max_bytes", [300, 700])
 def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
     workspace = maze.workspace
-    x = workspace.sample_free(5_000, seed=0)
+    x = workspace.sample_free(20_000, seed=0)
     plr = construct(maze, workspace.bounds, leaf="cone", max_bytes=max_bytes, certified=True)
     monkeypatch.setattr(model, "sources_in_sight", own_sources)
     before = construct(maze, workspace.bounds, leaf="cone", max_bytes=max_bytes, certified=True)
@@ -39,7 +39,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
     hidden, hidden_before = (1 - share_in_sight(each, workspace, x) for each in (plr, before))
     assert hidden < 0.25 * hidden_before
     error, error_before = (np.abs(np.asarray(each(x)) - maze(x)).mean() for each in (plr, before))
-    assert error < 1.6 * error_before
+    assert error < 1.5 * error_before
 
 
 def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
