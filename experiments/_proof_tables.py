@@ -3,6 +3,7 @@
 from typing import Any
 
 from experiments._tables import markdown
+from experiments.proving._speed import cone_over_plane
 
 
 def proofs(results: dict[str, Any]) -> str:
@@ -26,6 +27,22 @@ def proofs(results: dict[str, Any]) -> str:
     return markdown(rows, numbers=7) + f"\n{note}\n"
 
 
+def proof_speed(results: dict[str, Any]) -> str:
+    """Seconds of queries and builds of cones beside planes."""
+    queries, ratios = results["speed"]["queries"], cone_over_plane(results["speed"]["queries"])
+    medians = {(row["leaf"], row["max_leaves"]): row["nanoseconds"][0] for row in queries["rows"]}
+    rows = [["leaves", *(f"{number:,}" for number in ratios)]]
+    for leaf in ("cone", "plane"):
+        rows.append([f"{leaf}, ns a point", *(f"{medians[leaf, number]:.2f}" for number in ratios)])
+    rows.append(["cone / plane", *(f"{ratio:.2f}" for ratio in ratios.values())])
+    builds = ", ".join(
+        f"{row['map']} {row['leaf']}s {row['seconds'][0]:.2g} s ({row['leaves']:,} leaves, {row['bytes']:,} bytes)"
+        for row in results["speed"]["builds"]
+    )
+    note = f"{queries['points']:,} points of the {queries['map']}. From workspace to PLR, warm: {builds}."
+    return markdown(rows, numbers=len(ratios)) + f"\n{note}\n"
+
+
 def proof_checks(results: dict[str, Any]) -> str:
     """What was tried against the proofs, and how often one did not hold."""
     rows = [["map", "truth", "points", "broken bounds"]]
@@ -46,6 +63,17 @@ def proof_checks(results: dict[str, Any]) -> str:
         f"themselves {misled}."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"
+
+
+def trace(results: dict[str, Any]) -> str:
+    """How many ways home arrive, how many are free, and how much longer they are."""
+    rows = [["map", "bytes", "arrive", "meet no wall", "length over exact", "longest"]]
+    for row in results["rows"]:
+        shares = [f"{row[name]:.2%}" for name in ("arrived", "clear")]
+        over = [f"1 + {row['ratio'][name] - 1:.1e}" for name in ("mean", "max")]
+        rows.append([row["map"], f"{row['bytes']:,}", *shares, *over])
+    note = f"{results['starts']:,} starts; no deeper inside a wall than {results['depth']:.0e} of the map's width."
+    return markdown(rows, numbers=5) + f"\n{note}\n"
 
 
 def _counted(rows: list[dict[str, Any]]) -> tuple[str, str]:

@@ -8,6 +8,7 @@ from experiments._tables import at_least, markdown, mean_and_largest, spread
 
 _BYTES = 6_144
 _APPROXIMATIONS = {
+    "PLR, cones": "PLR, cones",
     "PLR": "PLR, planes",
     "PLR, continuous": "PLR, continuous",
     "bilinear grid, 16-bit": "bilinear grid, 16-bit",

@@ -1,4 +1,4 @@
-"""Error against bytes: PLRs by split rule and coefficients, a bilinear grid, LightGBM's linear trees.
+"""Error against bytes: PLRs of cones and of planes, by rule and coefficients, a bilinear grid, LightGBM's trees.
 
 All are measured over the same random free points against the exact distance. What each rival is given:
 
@@ -32,12 +32,14 @@ from plr_jax.plr import Plane
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena")
-_PLRS = {
+_PLANES = {
     f"PLR, {rule}, {coefficients}": {"split": split, "leaf": Plane(coefficient_bits=bits)}
     for rule, split in (("best axis", best_axis), ("axes in turn", cyclic_axis))
     for coefficients, bits in (("chosen bits", None), ("16-bit", 16), ("float32", 32))
 }
+_PLRS: dict[str, dict[str, Any]] = {**_PLANES, "PLR, cones": {"leaf": "cone"}}
 _STYLES = {
+    "PLR, cones": ("#0072B2", "-", "*", "PLR, cones"),
     "PLR, best axis, chosen bits": ("#0072B2", "-", "o", "PLR (default)"),
     "PLR, best axis, float32": ("#0072B2", "--", "o", "PLR, float32"),
     "PLR, axes in turn, chosen bits": ("#009E73", "-", "^", "PLR, axes in turn"),
@@ -88,7 +90,7 @@ def _measure_map(
             return exact(x)
 
         for name, options in _PLRS.items():
-            default = name == next(iter(_PLRS))
+            default = name == next(iter(_PLANES))
             plr = construct(counted if default else exact, workspace.bounds, max_bytes=budget, seed=seed, **options)
             record(name, plr.num_bytes, plr)
         grid = bilinear_grid(workspace, exact, budget)

@@ -64,7 +64,7 @@ def table1(results: dict[str, Any]) -> str:
         cells = [row["scene"], row["method"], row["configuration"], f"{row['seeds'][0]['bytes']:,}"]
         for error in ("max", "mean"):
             values = [entry[error] for entry in row["seeds"]]
-            cells.append(f"{values[0]:.4f} ({max(values):.4f})")
+            cells.append(f"{values[0]:.2g} ({max(values):.2g})")
         rows.append(cells)
     note = f"\nOf seed {results['seeds'][0]}; in brackets the worst of {len(results['seeds'])} seeds.\n"
     return markdown(rows, numbers=3) + note
@@ -225,6 +225,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "trajectory": lambda: gradients.trajectory(results_of("trajectory")),
     "refinement": lambda: gradients.refinement(results_of("refinement")),
     "proofs": lambda: proof_tables.proofs(results_of("proofs")),
+    "proof_speed": lambda: proof_tables.proof_speed(results_of("proofs")),
+    "trace": lambda: proof_tables.trace(results_of("trace")),
     "proof_checks": lambda: proof_tables.proof_checks(results_of("proofs")),
 }
 

@@ -1,7 +1,7 @@
 """Table I of the paper: bytes and error of PLRs built from the exact distance and from PRM*, and of PRM* itself.
 
-Every error is against the exact visibility graph, over the same random free points. Seeds change the roadmap's
-samples and the pattern in which construction samples a cell.
+Beside the paper's planes stand cones. Every error is against the exact visibility graph, over the same random free
+points. Seeds change the roadmap's samples and the pattern in which construction samples a cell.
 """
 
 import time
@@ -49,6 +49,11 @@ def ours(*budgets: int) -> dict[str, dict[str, Any]]:
     return {f"best axis, {budget:,} bytes": {"max_bytes": budget} for budget in budgets}
 
 
+def cones(*budgets: int) -> dict[str, dict[str, Any]]:
+    """Leaves of another kind under budgets of bytes."""
+    return {f"cones, {budget:,} bytes": {"leaf": "cone", "max_bytes": budget} for budget in budgets}
+
+
 def smoothed(budget: int) -> dict[str, dict[str, Any]]:
     """For a noisy oracle: samples from a quarter of a cell's width around it average the noise of the roadmap."""
     return {f"best axis, margin 1/4, {budget:,} bytes": {"max_bytes": budget, "margin": 0.25}}
@@ -80,6 +85,7 @@ def _measure_scene(
     points = workspace.sample_free(num_points, POINT_SEED + seeds[0])
     distance = exact(points)
     fixed, budgets = (papers_own(3), (128,)) if smoke else (papers_own(9), (1_024, 2_048, 6_144))
+    cone_budgets = (128,) if smoke else (256, 512, 1_024)
     table: dict[tuple[str, str], list[dict[str, Any]]] = {}
 
     def measure(method: str, configuration: str, seed: int, build: Callable[[], Any]) -> None:
@@ -100,12 +106,13 @@ def _measure_scene(
         table.setdefault((method, configuration), []).append(entry)
 
     for seed in tqdm(seeds, desc="seeds", delay=3, disable=None):
-        for name, options in {**fixed, **ours(*budgets)}.items():
+        for name, options in {**fixed, **ours(*budgets), **cones(*cone_budgets)}.items():
             measure("PLR (VG)", name, seed, partial(construct, exact, workspace.bounds, seed=seed, **options))
         if num_samples:
             make_roadmap = partial(Roadmap.from_workspace, workspace, goal, num_samples, seed=seed)
             roadmap = make_roadmap()
-            for name, options in {**fixed, **smoothed(128 if smoke else 1_536), **ours(*budgets[-2:])}.items():
+            of_roadmap = {**fixed, **smoothed(128 if smoke else 1_536), **ours(*budgets[-2:]), **cones(budgets[-1])}
+            for name, options in of_roadmap.items():
                 measure("PLR (PRM*)", name, seed, partial(construct, roadmap, workspace.bounds, seed=seed, **options))
             measure("PRM*", f"{num_samples:,} samples", seed, make_roadmap)
     return [{"method": method, "configuration": name, "seeds": entry} for (method, name), entry in table.items()]
@@ -138,8 +145,8 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
         first = row["seeds"][0]
         worst = [max(entry[key] for entry in row["seeds"]) for key in ("max", "mean")]
         lines.append(
-            f"{row['scene']:10}{row['method']:12}{row['configuration']:30}{first['bytes']:10,}{first['max']:10.5f}"
-            f"{worst[0]:10.5f}{first['mean']:10.5f}{worst[1]:10.5f}"
+            f"{row['scene']:10}{row['method']:12}{row['configuration']:30}{first['bytes']:10,}{first['max']:10.2g}"
+            f"{worst[0]:10.2g}{first['mean']:10.2g}{worst[1]:10.2g}"
         )
     path.write_text("\n".join(lines) + "\n")
     return [path]

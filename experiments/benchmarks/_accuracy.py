@@ -3,8 +3,8 @@
 All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
 map's smaller side. What each is given:
 
-- The PLRs, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they like, which is
-  counted.
+- The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
+  like, which is counted; cones ask it what whole cells see, which is not.
 - Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
   many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
 - Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half
@@ -48,7 +48,7 @@ _MAPS = ("maze", "thin_maze", "arena", "den312d")
 _BUDGETS = (2_048, 6_144, 30_720)
 _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
-_PLRS = {"PLR": "plane", "PLR, continuous": "continuous"}
+_PLRS = {"PLR, cones": "cone", "PLR": "plane", "PLR, continuous": "continuous"}
 _TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
 
 draw = _accuracy_figure.draw
@@ -120,7 +120,8 @@ def _measure_map(
 
 
 def _plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
-    plr = construct(oracle, workspace.bounds, leaf=leaf, max_bytes=budget, seed=seed)
+    distance_fn = oracle.exact if leaf == "cone" else oracle
+    plr = construct(distance_fn, workspace.bounds, leaf=leaf, max_bytes=budget, seed=seed)
     return Rival(plr.num_bytes, plr, True)
 
 
@@ -224,5 +225,5 @@ def _claims(name: str, rows: list[dict[str, Any]]) -> list[str]:
         best = min((row for row in rivals if not row["free"]["unanswered"]), key=lambda row: row["free"]["mean"])
         ratio = plr["free"]["mean"] / best["free"]["mean"]
         names = f"{plr['contender']} / {best['contender']}"
-        lines.append(f"{name}, {plr['budget']:,} bytes: mean error, {names} {ratio:.2f} (below 1)")
+        lines.append(f"{name}, {plr['budget']:,} bytes: mean error, {names} {ratio:.2g} (below 1)")
     return lines

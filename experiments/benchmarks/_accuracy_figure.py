@@ -10,6 +10,7 @@ from experiments._figures import label_ends
 
 # interpax's linear answers are those of the bilinear grid.
 _STYLES = {
+    "PLR, cones": ("#0072B2", "-", "*"),
     "PLR": ("#0072B2", "-", "o"),
     "PLR, continuous": ("#0072B2", "--", "o"),
     "bilinear grid, 16-bit": ("#444444", "-", "D"),

@@ -9,7 +9,7 @@ import pytest
 
 from experiments import _proof_tables, proofs
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
-from experiments.proving import _astar, _bounds, _hard_points, _slivers, _worst_points
+from experiments.proving import _astar, _bounds, _hard_points, _slivers, _speed, _worst_points
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
 
@@ -51,6 +51,13 @@ def test_errors_found_are_just_below_those_proven():
         assert row["proven_to_found"] < 1.1
         assert 0 < row["seconds_oracle"] < row["seconds"]
     assert [row["leaf"] for row in smoke("sizes")["rows"]] == ["cone", "plane", "continuous"]
+
+
+def test_cones_are_timed_beside_planes():
+    speed = smoke("speed")
+    assert _speed.cone_over_plane(speed["queries"]).keys() == {128}
+    assert {(row["map"], row["leaf"]) for row in speed["builds"]} == {("maze", "cone"), ("maze", "plane")}
+    assert all(row["seconds"][0] > 0 for row in speed["builds"])
 
 
 def test_the_search_for_the_largest_error_meets_a_peak_that_samples_miss():
