@@ -112,7 +112,7 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
 
 
 class _Search:
-    """The search of a price: what was looked at so far, and the two last trees."""
+    """The search of a price, and the boxes that were looked at so far."""
 
     def __init__(self, root: Boxes, limits: Limits, size: Callable[[Any], int]) -> None:
         self._levels, self._limits, self._size = [_level_of(root)], limits, size
