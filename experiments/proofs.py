@@ -5,10 +5,11 @@ they are. What a section does is told in its file in ``experiments/proving/``.
 """
 
 from experiments._sections import Section, run_sections
-from experiments.proving import _astar, _bands, _bounds, _gradient, _leaves, _notch, _sizes, _speed, _theorem2
+from experiments.proving import _astar, _bands, _bounds, _gradient, _leaves, _notch, _plain, _sizes, _speed, _theorem2
 
 SECTIONS: dict[str, Section] = {
     "sizes": _sizes,
+    "plain": _plain,
     "speed": _speed,
     "bands": _bands,
     "gradient": _gradient,

@@ -9,7 +9,7 @@ import pytest
 
 from experiments import _proof_tables, proofs
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
-from experiments.proving import _astar, _bounds, _hard_points, _slivers, _speed, _worst_points
+from experiments.proving import _astar, _bounds, _hard_points, _plain, _slivers, _speed, _worst_points
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
 
@@ -51,6 +51,24 @@ def test_errors_found_are_just_below_those_proven():
         assert row["proven_to_found"] < 1.1
         assert 0 < row["seconds_oracle"] < row["seconds"]
     assert [row["leaf"] for row in smoke("sizes")["rows"]] == ["cone", "plane", "continuous"]
+
+
+def test_noise_is_small_normal_and_the_same_at_the_same_point():
+    problem = scenes.maze()
+    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+    x = problem.workspace.sample_free(20_000, 1)
+    noisy = _plain.with_noise(oracle, 1e-3)
+    noise = (noisy(x) - oracle(x)) / 1e-3
+    np.testing.assert_array_equal(noisy(x[::-1])[::-1], noisy(x))
+    assert abs(noise.mean()) < 0.03 and abs(noise.std() - 1) < 0.03
+    assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.03
+    assert np.isclose((np.abs(noise) < 1).mean(), 0.683, atol=0.02)
+
+
+def test_cones_are_found_from_values_alone():
+    cone, plane = (row for row in smoke("plain")["rows"] if row["noise"] == 0)
+    assert cone["leaf"] == "cone" and plane["leaf"] == "plane"
+    assert cone["mean"] < plane["mean"] / 2
 
 
 def test_cones_are_timed_beside_planes():
