@@ -51,6 +51,7 @@ def proof_checks(results: dict[str, Any]) -> str:
         points, broken = _counted(of_leaves)
         rows.append([name, truth, points, broken])
     slivers = results["bounds"]["slivers"]
+    tried = len(slivers["totals"]) * slivers["num_maps"]
     points, broken = _counted(list(slivers["totals"].values()))
     rows.append([f"{slivers['num_maps']} random ones with slivers", "oracle", points, broken])
     (searches, wrong), (_, misled) = (_searches(results["astar"], kind) for kind in (", lower", " itself"))
@@ -58,9 +59,8 @@ def proof_checks(results: dict[str, Any]) -> str:
         "Of cones, planes and continuous leaves, with bounds of every leaf; half of the points are uniform, half "
         "beside walls, corners and borders of cells; brute force shares no code with the package. "
         f"In obstacles, by less than the workspace's tolerance, {_in_obstacles(results)} more are broken. "
-        f"{len(slivers['refused'])} of {3 * slivers['num_maps']} PLRs of random maps could not be built. A* on "
-        f"grids, {searches:,} searches under proven lower bounds: {wrong} paths that are not optimal; under PLRs "
-        f"themselves {misled}."
+        f"{len(slivers['refused'])} of {tried} PLRs of random maps could not be built. A* on grids, {searches:,} "
+        f"searches under proven lower bounds: {wrong} paths that are not optimal; under PLRs themselves {misled}."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"
 

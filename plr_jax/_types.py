@@ -104,10 +104,10 @@ class CellSources(Protocol):
         cell: The cell of each piece.
         pieces: Corners of the pieces, counterclockwise, ``(2, pieces, corners)``; the last is repeated.
         center: A point inside each.
-        distance: Its exact distance.
-        best: Its source.
+        distance: Exact distance of each center.
+        best: Source of each center's shortest path.
         piece: The piece of each pair.
-        source: Its source.
+        source: The source of each pair.
         by_all: Whether every point of the piece sees it.
         first_piece: Where the pieces of each cell begin, and their number.
         first_pair: Where the pairs of each piece begin, and their number.
@@ -160,8 +160,8 @@ class CellSources(Protocol):
         """Those of boxes ``lo`` to ``hi``, each cut from a cell along an axis, at its upper or lower end."""
         ...
 
-    def concatenate(self, several: Sequence[Any], /) -> "CellSources":
-        """Those of the cells of several, one after the other, at least one."""
+    def append(self, *others: Any) -> "CellSources":
+        """Those of these cells followed by others."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""How wide proven bounds of every leaf are, beside the errors themselves, and those of the largest errors."""
+"""How wide proven bounds of leaves are beside mean errors, and largest proven errors beside the largest found."""
 
 from pathlib import Path
 from typing import Any

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from experiments._tables import aligned
 from experiments.benchmarks._maps import load_maps
+from experiments.proving._worst_points import widest_bounds
 from plr_jax import PLR, VisibilityGraph, Workspace, certify, construct, from_bytes, plot
 
 BUDGETS = {"maze": 512, "arena": 4_096}
@@ -85,15 +86,10 @@ def _sources(
     return plr.stored.source, plr.stored.sources.points, plr.stored.sources.parent
 
 
-def _errors(plr: PLR) -> Float[np.ndarray, "leaves"]:
-    assert plr.band is not None
-    return np.abs(np.asarray(plr.band)).max(axis=0)[: plr.num_leaves].astype(float)
-
-
 def _share_within(plr: PLR) -> float:
     """Area of the leaves whose proven error is small, as a share of the domain."""
     lo, hi = plr.leaf_boxes
-    area, small = np.prod(hi - lo, axis=1), _errors(plr) <= _SMALL * plr.domain.width.max()
+    area, small = np.prod(hi - lo, axis=1), widest_bounds(plr) <= _SMALL * plr.domain.width.max()
     return float(area[small].sum() / area.sum())
 
 
@@ -122,7 +118,7 @@ def _draw_sources(ax: Axes, plr: PLR, goal: Float[np.ndarray, "2"]) -> None:
 
 
 def _draw_errors(ax: Axes, plr: PLR) -> ScalarMappable:
-    errors = _errors(plr)
+    errors = widest_bounds(plr)
     norm = LogNorm(errors.min(), errors.max())
     cells = PolyCollection(
         list(_boxes(plr)), array=errors, cmap=_ERROR_COLORS, norm=norm, edgecolors="#888888", linewidths=0.15

@@ -101,7 +101,7 @@ def table(results: dict[str, Any]) -> str:
         cells = [f"{row['max_leaves']:,}", f"{row['leaves']:,}", f"{row['nanoseconds'][0]:.2f}", ratio]
         rows.append([row["leaf"], *cells])
     builds = [_build_line(row) for row in results["builds"]]
-    head = f"{queries['map']}, {queries['points']:,} points (cone / plane: at most 1.4)\n"
+    head = f"{queries['map']}, {queries['points']:,} points\n"
     return head + aligned(rows, numbers=4) + "\nfrom workspace to PLR\n" + "\n".join(builds) + "\n"
 
 

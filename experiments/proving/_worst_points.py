@@ -16,9 +16,13 @@ Points = Float[np.ndarray, "n 2"]
 
 def leaf_errors(plr: PLR, oracle: VisibilityGraph) -> Float[np.ndarray, "leaves"]:
     """Proven bound of the error of each leaf."""
-    band = certify(plr, oracle, leaf_bounds=True).band
-    assert band is not None
-    return np.abs(np.asarray(band)).max(axis=0)[: plr.num_leaves].astype(float)
+    return widest_bounds(certify(plr, oracle, leaf_bounds=True))
+
+
+def widest_bounds(plr: PLR) -> Float[np.ndarray, "leaves"]:
+    """The larger of the two bounds of each leaf of a PLR that has them."""
+    assert plr.band is not None
+    return np.abs(np.asarray(plr.band)).max(axis=0)[: plr.num_leaves].astype(float)
 
 
 def largest_found(plr: PLR, oracle: VisibilityGraph, x: Points, errors: Float[np.ndarray, "n"], smoke: bool) -> float:

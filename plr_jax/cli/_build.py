@@ -13,16 +13,15 @@ BEST = "best"
 
 def build_proven(
     oracle: "VisibilityGraph", domain: "Box", leaf: str, *, seed: int, **limits: int | float | None
-) -> tuple["PLR", dict[str, float]]:
-    """A PLR with its proof, and the proven largest error of each leaf model that was tried.
+) -> tuple["PLR", dict[str, float], bool]:
+    """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
-    An interrupt (Ctrl-C) ends what is being built early, with a ``ConstructionInterrupted`` warning, and leaves the
-    rest untried.
+    An interrupt (Ctrl-C) ends what is being built and leaves the rest untried.
     """
     from plr_jax.plr import ConstructionInterrupted, construct
     from plr_jax.plr.leaves import leaf_names
 
-    best, errors = None, {}
+    best, errors, interrupted = None, {}, False
     for name in leaf_names() if leaf == BEST else [leaf]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ConstructionInterrupted)
@@ -30,8 +29,12 @@ def build_proven(
         errors[name] = plr.max_error
         if best is None or errors[name] < errors[best.leaf.name]:
             best = plr
-        if caught:
-            warnings.warn(caught[0].message, stacklevel=2)  # type: ignore[arg-type]
+        for warning in caught:
+            if issubclass(warning.category, ConstructionInterrupted):
+                interrupted = True
+            else:
+                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+        if interrupted:
             break
     assert best is not None, "there are leaf models"
-    return best, errors
+    return best, errors, interrupted

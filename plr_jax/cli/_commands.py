@@ -5,7 +5,6 @@ Heavy libraries are imported inside the commands, so that ``plr-jax --help`` ans
 
 import sys
 import time
-import warnings
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -67,7 +66,10 @@ def build(
     max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(help="Proven error (workspace units) at which to stop.", show_default=False),
+        typer.Option(
+            help="Error (workspace units) at which to stop: proven for planes and cones, sampled for others.",
+            show_default=False,
+        ),
     ] = None,
     leaf: Annotated[
         str,
@@ -76,14 +78,14 @@ def build(
             "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' builds "
             "all of them and keeps the one whose proven error is least."
         ),
-    ] = "best",
+    ] = BEST,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
     from plr_jax import metrics
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import ConstructionInterrupted, save
+    from plr_jax.plr import save
     from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
@@ -98,12 +100,10 @@ def build(
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ConstructionInterrupted)
-        limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-        plr, errors = build_proven(oracle, workspace.bounds, leaf, seed=seed, **limits)
+    limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
+    plr, errors, interrupted = build_proven(oracle, workspace.bounds, leaf, seed=seed, **limits)
     save(plr, output)
-    if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
+    if interrupted:
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
         raise typer.Exit(INTERRUPTED_EXIT)
     built = time.perf_counter() - began

@@ -77,9 +77,9 @@ def clip_to_box(
 ) -> Float[np.ndarray, "2 kept room"]:
     """What of the pieces lies in a box, in their order, but nothing without area."""
     for axis in range(2):
-        for height in (lambda x: x[axis] - lo[axis], lambda x: hi[axis] - x[axis]):  # noqa: B023
-            pieces = pieces[:, (height(pieces) > 0).any(axis=1)]
-            pieces = clip(pieces, height(pieces))
+        for sign, bound in ((1, lo[axis]), (-1, hi[axis])):
+            pieces = pieces[:, (sign * (pieces[axis] - bound) > 0).any(axis=1)]
+            pieces = clip(pieces, sign * (pieces[axis] - bound))
     return pieces[:, areas(pieces) > 0]
 
 

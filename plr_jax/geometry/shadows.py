@@ -3,6 +3,8 @@
 Inside a free piece, what a viewpoint sees and what it does not are parted by *shadows* alone: the rays from a corner
 onward, between the nearer wall that ends there and the farther one behind. A piece that none of them crosses is seen
 as its center is.
+
+Directions have *keys*, counterclockwise from the *cut* of their viewpoint, 4 a full turn.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Which sources the points of a cell may use: all that some of them may, and those that every one of them can."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -64,10 +64,10 @@ class VisibleSources:
         cell: The cell of each piece.
         pieces: The pieces.
         center: A point inside each.
-        distance: Its exact distance to the goal.
-        best: The source that its shortest path goes to.
+        distance: Exact distance of each center to the goal.
+        best: Source that each center's shortest path goes to.
         piece: The piece of each pair.
-        source: Its source.
+        source: The source of each pair.
         by_all: Whether every point of the piece sees it.
     """
 
@@ -166,22 +166,23 @@ class VisibleSources:
         )
         return _with_whole_cells(inherited, cut, lo, hi)
 
-    @staticmethod
-    def concatenate(several: list["VisibleSources"]) -> "VisibleSources":
-        """Of the cells of several, one after the other, at least one."""
-        first, *others = several
+    def append(self, *others: "VisibleSources") -> "VisibleSources":
+        """Of these cells followed by others."""
         if not others:
-            return first
+            return self
+        several = (self, *others)
         cells = np.cumsum([0] + [each.num_cells for each in several])
         pieces = np.cumsum([0] + [len(each.cell) for each in several])
-        names = [column.name for column in fields(VisibleSources)][4:]
-        columns = {name: np.concatenate([getattr(each, name) for each in several]) for name in names}
-        columns["piece"] = np.concatenate([each.piece + start for each, start in zip(several, pieces, strict=False)])
+        columns = {
+            name: np.concatenate([getattr(each, name) for each in several])
+            for name in ("center", "distance", "best", "source", "by_all")
+        }
         return VisibleSources(
-            sight=first.sight,
+            sight=self.sight,
             num_cells=int(cells[-1]),
-            cell=np.concatenate([each.cell + start for each, start in zip(several, cells, strict=False)]),
+            cell=np.concatenate([each.cell + start for each, start in zip(several, cells[:-1], strict=True)]),
             pieces=np.concatenate([each.pieces for each in several], axis=1),
+            piece=np.concatenate([each.piece + start for each, start in zip(several, pieces[:-1], strict=True)]),
             **columns,
         )
 
@@ -200,9 +201,8 @@ def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleS
         found.append(_settled(_unsettled(sight, np.zeros(num_pieces, int), part, piece, source), every))
     if not found:
         found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, ROOM)), np.zeros(0, int), np.zeros(0, int)))]
-    return replace(
-        VisibleSources.concatenate(found), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int)
-    )
+    first, *others = found
+    return replace(first.append(*others), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
 
 
 def _unsettled(

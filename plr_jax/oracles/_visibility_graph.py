@@ -104,10 +104,10 @@ class VisibilityGraph:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
 
         Args:
-            domain: The box, as one cell, of which smaller ones can be cut.
+            domain: The box, as one cell, of which smaller ones can be cut. It may reach beyond the workspace.
 
         Returns:
-            The pieces of free space in the box, and their sources.
+            The pieces of free space in the box from which the goal can be reached, and their sources.
         """
         sight = Sight(self.sources, shadows_of(self._goal_table.followed_by(self._corners.table)), self._turns)
         return visible_sources(sight, self.workspace, domain)

@@ -61,9 +61,9 @@ class Solution:
         stats: What the planner did.
         samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of BL,
             those of its last search.
-        motions_factor: How many times as much the path as it was found, before it was shortened, costs at the most as
-            the best one that is made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions
-            of its lattices.
+        motions_factor: Proven bound of the cost of the path that ``path`` was shortened from, over that of the
+            cheapest one made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions of the
+            lattices on which it was found.
     """
 
     path: Float[np.ndarray, "steps robots dof"] | None

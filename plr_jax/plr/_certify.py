@@ -32,7 +32,7 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
         leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
 
     Returns:
-        The same PLR with the proof, in ``max_error`` and ``bounds``; its file is larger by as much.
+        The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
 
     Raises:
         ValueError: If it is no PLR in the plane, the oracle does not answer for cells, or a leaf answers ``inf``
@@ -89,7 +89,7 @@ def _of_leaves(root: CellSources, contents: Contents) -> CellSources:
         visible = visible.parts(parent, axis, is_upper, lo, hi)
     order = np.argsort(np.concatenate(leaves))
     place = np.argsort(np.argsort(tree.node_of_leaf))
-    return root.concatenate(parts).of_cells(order[place])
+    return parts[0].append(*parts[1:]).of_cells(order[place])
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,19 +65,25 @@ def construct(
             continuous gradient as well, in 1 or 2 dimensions. Both take longer to build and to query, and err less
             for their bytes. ``"cone"`` holds the distance to one *source*, a point that paths go to next, and on from
             there: among obstacles that is exact but where the next corner changes. Of a distance function that
-            answers for whole cells, such as ``VisibilityGraph``, cones need no samples, and the partition is the best
-            of all at a price a leaf, up to 4 times as long as wide; ``should_split``, ``split``,
-            ``compute_coefficients`` and ``seed`` do not matter then. Cones answer finite numbers wherever they are
-            asked. They rise by one unit a unit of length: what does not, such as a time, is for the others. Or a
-            leaf model, such as ``plr_jax.plr.Plane(coefficient_bits=16)``.
+            answers for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf,
+            its boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources
+            that serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones
+            grow from samples, as for any other function; their sources are those that the function offers, as
+            ``Roadmap`` does, or are found from samples. Cones answer finite numbers wherever they are asked. They
+            rise by one unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such
+            as ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
-            more often along one axis than the tables of a query of that size provide for. In the plane: planes 7
-            times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768; tied leaves, which are the continuous and the
-            smooth, as often in half the bytes; up to the largest of these sizes 13 times if ``certified``, and cones
-            13 times up to 8,192 bytes; beyond, 14 times. In ``dim`` > 2 dimensions ``28 // dim`` times. That size is
-            the smaller of ``max_bytes`` and what ``max_leaves`` count: tied ones 2 bytes each, planes
-            ``4 * (dim + 1)``, but 32,768 in all at the least, and cones half a byte each and 256 in all. Tables of
-            PLRs of as many planes may differ in size.
+            more often along one axis than the tables of a query of that size provide for. In the plane:
+
+            - planes 7 times up to 2,048 bytes, 8 up to 8,192, 9 up to 32,768, or 13 if ``certified``;
+            - tied leaves, which are the continuous and the smooth, the same in half the bytes;
+            - cones 13 times up to 8,192 bytes;
+            - all of them 14 times beyond.
+
+            On a line twice as often up to these sizes, if not certified, and 18 times beyond. In ``dim`` > 2
+            dimensions ``28 // dim`` times. That size is the smaller of ``max_bytes`` and what ``max_leaves`` count:
+            tied ones 2 bytes each; planes ``4 * (dim + 1)``, but 32,768 in all at the least; cones half a byte each,
+            and 256 in all. Tables of PLRs of as many planes may differ in size.
         max_leaves: Largest number of leaves.
         max_bytes: Largest size of the file that :func:`save` writes. Planes then have as few bits as serves the
             error best; without it they are 32-bit floats, in several times the bytes. No more leaves than half as
@@ -85,11 +91,12 @@ def construct(
         tolerance: Cells whose priority (the largest sample error, unless ``should_split`` says otherwise) is at
             most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller. Of
             cones that need no samples, and of planes with ``certified``, it is the proven error of the leaf.
-        certified: Whether to prove the largest error, of all points from which the goal can be reached, which then is
-            ``plr.max_error``; it takes 4 bytes. Of planes the one of the largest proven error is split
-            first, unless ``should_split`` says otherwise, and in the best partition of cones large errors weigh more,
-            so that nothing is missed, however small. Tied leaves grow by their samples, and are proven afterwards.
-            For distance functions that answer for whole cells; see :func:`certify`.
+        certified: Whether to prove a bound of the largest error, over all points from which the goal can be reached:
+            ``plr.max_error``, 4 bytes of the file. The plane of the largest proven error is then split first, unless
+            ``should_split`` says otherwise, and the best partition of cones weighs large errors more, so that nothing
+            is missed, however small. Tied leaves grow by their samples and are proven afterwards: where samples
+            missed something, their bound is large. For distance functions that answer for whole cells; see
+            :func:`certify`.
         leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, which makes ``plr.bounds`` narrow.
         compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
             function of their kind. Models that tie their leaves fit all of them at once, whatever it says.

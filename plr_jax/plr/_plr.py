@@ -38,8 +38,8 @@ class PLR:
     Attributes:
         tables: What a query reads, derived from ``file`` alone.
         file: The bytes that :func:`save` writes, padded with zeros to a power of two.
-        band: Proven lower and upper bounds of the distance minus an answer, for each leaf or for all alike, see
-            :meth:`bounds`; None if nothing is proven.
+        band: Proven lower and upper bounds of the distance minus an answer, ``(2, rows)``: one row for all leaves, or
+            one a leaf, padded to a power of two; see :meth:`bounds`. None if nothing is proven.
     """
 
     tables: Tables
@@ -75,16 +75,20 @@ class PLR:
         Raises:
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
-        return bound_points(self._proven_band, *self._placed(x))
+        return bound_points(self._require_band(), *self._placed(x))
 
     @property
     def lower(self) -> LowerBound:
-        """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does."""
-        self._proven_band  # noqa: B018 (which raises an error that says what to do)
+        """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does.
+
+        Of points ``(..., dim)`` as :meth:`bounds` takes them: at least 0, ``inf`` outside the domain, NaN for NaN. In
+        obstacles, and where the goal cannot be reached, it means nothing. Raises ``ValueError`` if nothing is proven
+        of the PLR.
+        """
+        self._require_band()
         return LowerBound(self)
 
-    @property
-    def _proven_band(self) -> Float[Array, "2 rows"]:
+    def _require_band(self) -> Float[Array, "2 rows"]:
         if self.band is None:
             raise ValueError(
                 "Nothing is proven of this PLR: build it with certified=True, or use certify(plr, oracle)."
@@ -100,10 +104,17 @@ class PLR:
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
         """Where to go straight to from each point: the source of the leaf that holds it.
 
-        A leaf may name the very source that a point is at: for whole paths, see :func:`trace`. Takes points as
-        :func:`evaluate` does, and raises what it raises; or ``ValueError`` if leaves have no sources, as only those
-        of cones do. Answers points in the same precision, NaN outside the domain and for NaN. Of NumPy's 64-bit
-        points in a domain far from the origin, it answers NumPy's.
+        A leaf may name the very source that a point is at: for whole paths, see :func:`trace`. It knows no walls.
+
+        Args:
+            x: Points, ``(..., dim)``, as for :func:`evaluate`.
+
+        Returns:
+            Points, ``(..., dim)``, in the same precision; NaN outside the domain and for NaN. Of NumPy's 64-bit
+            points in a domain far from the origin, NumPy's.
+
+        Raises:
+            ValueError: If leaves have no sources, as only those of cones do, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
         tables, placed = self._placed(x)
@@ -211,7 +222,10 @@ class PLR:
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves of which nothing was found to reach the goal; they borrow a neighbor's plane or answer ``inf``."""
+        """Leaves of which nothing was found to reach the goal; they borrow a neighbor's plane or answer ``inf``.
+
+        None of cones, of which every leaf has a source.
+        """
         return self.leaf.unreachable(self.stored)
 
     @property
@@ -291,8 +305,9 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
         value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
-        something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. The
-        upper edge of the domain belongs to the last cell. An approximation may be a little below 0 near the goal.
+        something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. Cones answer a
+        finite number everywhere in the domain, where the goal cannot be reached as well. The upper edge of the domain
+        belongs to the last cell. An approximation may be a little below 0 near the goal.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.

@@ -23,7 +23,7 @@ class TraceStatus(IntEnum):
     """How the path from a start ended."""
 
     ARRIVED = 0
-    """At the goal."""
+    """At the goal; without a workspace, whether walls are in the way is not known."""
     OUTSIDE = 1
     """There is none: the start is outside the domain, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
@@ -67,7 +67,9 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
 
     The first leg goes to the source of the start's leaf, every further one to the source that follows it on its own
     shortest path. So a path ends after at most as many legs as there are sources. Where all sources are an oracle's,
-    their own ways home cross no wall; only a first leg may, where the start does not see its leaf's source.
+    their own ways home cross no wall; only a first leg may, where the start does not see its leaf's source. The
+    file knows no walls: a start in an obstacle, or cut off from the goal, is led straight through them, and only with
+    the workspace given is that told.
 
     Runs on the host, in double precision: the leaves of all starts are found in one compiled query, the rest is
     looked up.

@@ -3,6 +3,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -260,6 +261,19 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, mo
     assert len(calls) > last_call, "what there is, is proven"
     plr = plr_jax.load(tmp_path / "out.plr")
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
+
+
+def test_a_warning_of_something_else_does_not_end_a_build(tmp_path, monkeypatch):
+    cell_sources = plr_jax.VisibilityGraph.cell_sources
+
+    def with_warning(self, domain):
+        warnings.warn("of something else", RuntimeWarning, stacklevel=1)
+        return cell_sources(self, domain)
+
+    monkeypatch.setattr(plr_jax.VisibilityGraph, "cell_sources", with_warning)
+    with pytest.warns(RuntimeWarning, match="of something else"):
+        result = run("build", "maze", "--max-bytes", 300, "-o", tmp_path / "out.plr")
+    assert result.exit_code == 0 and "leaf    cone: no error above" in result.stdout
 
 
 def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatch):

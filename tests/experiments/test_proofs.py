@@ -144,7 +144,7 @@ def test_a_star_under_lower_bounds_is_optimal():
     assert rows["cone, lower, and straight line"]["to_straight"] < 1
 
 
-def test_a_star_follows_a_wall_as_by_hand():
+def test_a_star_crosses_an_open_grid_as_by_hand():
     rng = np.random.default_rng(3)
     grid = _astar.random_grid(Workspace(((0, 0), (1, 1))), rng)
     a, b = 0, len(grid.points) - 1

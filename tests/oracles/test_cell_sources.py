@@ -40,7 +40,7 @@ def halved(cells, lo, hi, rng, share=0.8):
         some = rng.permutation(len(parent))
         new_lo, new_hi = np.concatenate([lo[split], upper_lo])[some], np.concatenate([lower_hi, hi[split]])[some]
         parts = cells.parts(parent[some], np.concatenate([axis, axis])[some], upper[some], new_lo, new_hi)
-        cells = cells.concatenate([cells.of_cells(alone), parts])
+        cells = cells.of_cells(alone).append(parts)
         lo, hi = np.concatenate([lo[alone], new_lo]), np.concatenate([hi[alone], new_hi])
     return cells, lo, hi
 
@@ -174,7 +174,7 @@ def test_nothing_is_said_of_what_does_not_reach_the_goal():
         np.array([[8.0, 9], [9, 9]]),
     )
     assert (parts.num_cells, len(parts.cell)) == (2, 0)
-    both = beyond.concatenate([beyond, oracle.cell_sources(DOMAINS[0]), parts])
+    both = beyond.append(oracle.cell_sources(DOMAINS[0]), parts)
     assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
 
 
@@ -201,7 +201,7 @@ def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
     assert chosen.num_cells == 9
     check_in_order(chosen)
     same(chosen, cells, range(9), some)
-    both = cells.concatenate([chosen, cells, root])
+    both = chosen.append(cells, root)
     check_in_order(both)
     assert both.num_cells == 9 + len(lo) + 1
     same(both, cells, [*range(9), *range(9, 9 + len(lo))], [*some, *range(len(lo))])

@@ -89,7 +89,7 @@ def test_bounds_of_the_largest_error_hold_and_are_tight(certified, maze):
     np.testing.assert_allclose([value - lower[0], upper[0] - value], plr.max_error, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("leaf", "kind"), zip((*LEAVES, "cone", "plane"), WORKSPACES * 2, strict=True))
+@pytest.mark.parametrize(("leaf", "kind"), list(zip((*LEAVES, "cone", "plane"), WORKSPACES * 2, strict=True)))
 def test_bounds_hold_among_slivers_contacts_and_parts_that_are_cut_off(leaf, kind):
     """Where the goal is a corner, or the domain is another than the bounds."""
     number = LEAVES.index(leaf)
@@ -152,6 +152,21 @@ def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 def test_certified_construction_with_samples_beyond_their_cells(leaf, maze):
     check_bounds(construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, margin=0.2), maze, 5_000)
+
+
+@pytest.mark.parametrize("leaf", LEAVES)
+def test_free_space_that_no_sample_meets_is_proven_as_well(leaf):
+    """A slit of which the samples of the whole domain, and of its denser ones, meet nothing."""
+    walls = [box(0, 0, 10, 4.99999), box(0, 5.00001, 10, 10), box(3, 4, 3.5, 5.000009)]
+    workspace = Workspace(((0, 0), (10, 10)), walls)
+    oracle = VisibilityGraph(workspace, (9.0, 5.0))
+    plr = construct(oracle, workspace.bounds, leaf=leaf, max_leaves=30, certified=True)
+    rng = np.random.default_rng(0)
+    x = np.column_stack([10 * rng.random(20_000), 5 + 2e-5 * (rng.random(20_000) - 0.5)])
+    exact = oracle(x)
+    x, exact = x[np.isfinite(exact)], exact[np.isfinite(exact)]
+    lower, upper = plr.bounds(x)
+    assert len(x) > 10_000 and (lower <= exact).all() and (exact <= upper).all()
 
 
 def test_bounds_under_jit_with_the_plr_closed_over_or_as_an_argument(certified):

@@ -121,6 +121,15 @@ def test_legs_through_walls_are_told(plr):
     assert trace(plr, [[0.45, 0.2]], ROOM).status.tolist() == [TraceStatus.CROSSES_WALL]  # from within a wall
 
 
+def test_a_start_that_is_cut_off_is_led_through_the_wall_as_only_a_workspace_tells():
+    workspace = Workspace(UNIT, [[(0.4, 0), (0.5, 0), (0.5, 1), (0.4, 1)]])
+    plr = construct(VisibilityGraph(workspace, (0.1, 0.5)), workspace.bounds, leaf="cone", max_leaves=8)
+    starts = np.array([[0.9, 0.5], [0.45, 0.5], [0.2, 0.2]])
+    assert (trace(plr, starts).status == TraceStatus.ARRIVED).all()
+    told = trace(plr, starts, workspace).status
+    np.testing.assert_array_equal(told, [TraceStatus.CROSSES_WALL] * 2 + [TraceStatus.ARRIVED])
+
+
 def test_corners_that_the_file_rounds_are_no_walls():
     octagon = shapely.Point(0.5, 0.5).buffer(0.2 / np.pi, quad_segs=2)
     workspace = Workspace(((0, 0), (1, 1)), [octagon])

@@ -149,8 +149,7 @@ class _Run:
                 status = self._run(search, size, turn[size])
                 if status is Status.SOLVED:
                     self.budget.memory = 0
-                    self._compare_with_motions(search)
-                    self._offer(search.joint.configurations(search.branch), size)
+                    self._offer_found(search, size)
                 elif status is Status.EXHAUSTED:
                     self.budget.memory -= searches.pop(size).memory
                 if status not in (None, Status.EXHAUSTED):
@@ -158,12 +157,19 @@ class _Run:
                 turn[size] = int(_LONGER * turn[size])
             step /= _REFINEMENT
 
-    def _compare_with_motions(self, search: BestFirstSearch) -> None:
-        """Prove how far a path may be from the best of its lattices' motions: each robot's alone costs no more."""
+    def _offer_found(self, search: BestFirstSearch, step: float) -> None:
+        """Offer a path that was found, and if it becomes the best, say how far from the best of its lattices it was.
+
+        The cheapest motions of each robot alone cost no more than those of any path.
+        """
+        path, before = search.joint.configurations(search.branch), self.cost
         least = sum(lattice.least_cost() for lattice in search.joint.lattices)
-        cost = path_cost(self.problem, search.joint.configurations(search.branch))
-        if cost < self.cost:
-            self.motions_factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0
+        factor = (1 + _ROUNDING) * path_cost(self.problem, path) / least if least > 0 else 1.0
+        try:
+            self._offer(path, step)
+        finally:
+            if self.cost < before:
+                self.motions_factor = factor
 
     def _run(self, search: BestFirstSearch, step: float, num_expansions: int) -> Status | None:
         """Let a search run until it has made so many expansions in all."""

@@ -14,7 +14,7 @@ from plr_jax._types import CellSources
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate.bounds import bounds_of_pieces
 
-_MOST_ROUNDS = 48
+_MOST_ROUNDS = 48  # of halving; then bounds are taken as they are, valid and not tight
 _RATIO = 1.005  # of a bound of the largest error and an error that is met
 _RATIO_OF_LEAVES = 1.04  # the same where each leaf has bounds of its own
 _OF_LARGEST = 1e-3  # of the largest error, by which bounds of a leaf may be beyond what is met, however small that is

@@ -49,7 +49,7 @@ class Limits:
 def check_limits(
     dim: int,
     least_bytes: int | float,
-    has_deep_trees: bool,
+    is_deep: bool,
     bytes_without_budget: Callable[[int, int], int],
     max_depth: int | None,
     max_leaves: int | None,
@@ -81,7 +81,7 @@ def check_limits(
         check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
     return Limits(
         max_depth=max_depth,
-        max_axis_depth=max_axis_depth(dim, table_class, least_bytes, has_deep_trees),
+        max_axis_depth=max_axis_depth(dim, table_class, least_bytes, is_deep),
         max_leaves=most_leaves,
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),

@@ -21,9 +21,9 @@ from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.partition.cells import Cells
 
-_CHEAPER, _LEAST_CHEAPER = 0.005, 0.7  # of the price before, far from the limits and near them
-_DEARER = 8.0  # times the price, to see how it falls as leaves get more
-_FAR = 8.0  # times as large a tree may be yet, far from the limits
+_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
+_RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
+_MUCH_ROOM = 8.0  # times as large a tree may be yet, far from the limits
 _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
 _BITS_A_LEAF = 5.0  # about as many as one more takes
@@ -32,7 +32,7 @@ _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that
 _MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 _LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.1  # of a leaf's average share, that every box has besides its own
 _AT_ONCE = 1 << 14  # boxes
-_NUMBER_BITS = 31
+_KEY_BITS = 63  # of a box, for all axes
 
 
 @runtime_checkable
@@ -68,7 +68,7 @@ class Boxes(Protocol):
         """The integral of each one's error over its share of the domain."""
         ...
 
-    def leaves(self, index: Int[np.ndarray, "some"]) -> Any:
+    def leaves(self, index: Int[np.ndarray, "some"]) -> Leaves:
         """Some of the boxes as leaves."""
         ...
 
@@ -87,7 +87,7 @@ class Boxes(Protocol):
 class _Tree:
     """The leaves of the best tree at a price a leaf, and the bytes of their file."""
 
-    leaves: Any
+    leaves: Leaves
     price: float
     num_bytes: int
     is_final: bool
@@ -155,12 +155,12 @@ class _Search:
     def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
         if len(now) == 1:
-            return now.price * (max(room, 2.0) ** -_FIRST_RATE if room < _UNLIMITED else _CHEAPER)
-        before = len(_best_leaves(self._levels, _DEARER * now.price, least_share).cells)
-        if before == len(now) or room > _FAR:
-            return _CHEAPER * now.price
-        rate = np.log(len(now) / before) / np.log(_DEARER)
-        return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _CHEAPER, _LEAST_CHEAPER))
+            return now.price * (max(room, 2.0) ** -_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP)
+        before = len(_best_leaves(self._levels, _RATE_STEP * now.price, least_share).cells)
+        if before == len(now) or room > _MUCH_ROOM:
+            return _LARGEST_DROP * now.price
+        rate = np.log(len(now) / before) / np.log(_RATE_STEP)
+        return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
 
     def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:
         """The largest tree that fits, of prices between one that does and one that does not."""
@@ -231,7 +231,7 @@ def _add_halves(
     each = np.arange(len(parent))
     number[each, axis] = 2 * number[each, axis] + is_upper
     known = levels[depth + 1].number if depth + 1 < len(levels) else np.zeros((0, dim), np.int64)
-    keys = np.concatenate([known, number]) @ (np.int64(1) << (_NUMBER_BITS * np.arange(dim)))
+    keys = np.concatenate([known, number]) @ (np.int64(1) << (_KEY_BITS // dim * np.arange(dim)))
     _, first, index = np.unique(keys, return_index=True, return_inverse=True)
     is_new = first >= len(known)
     found = np.sort(first[is_new]) - len(known)

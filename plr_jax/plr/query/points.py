@@ -1,4 +1,4 @@
-"""Points as a query takes them, checked, and what is compiled of it: what they are told, and where they are."""
+"""The compiled queries of tables, and the check of the points that they are given."""
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, 
 from plr_jax.plr.query.tables import Tables
 
 find_leaves = jax.jit(lookup)
+"""The leaf of each point, as its index."""
 
 
 @jax.jit

@@ -9,12 +9,13 @@ PLRs have *pages* instead (see ``pages.py``), whatever their depth: they are rea
 
 How large tables are the byte class of the file says, the exponent of the power of two that holds its bytes, so that
 PLRs of one class and leaf model share compiled code: how many leaves there is room for and, by these, how many slots
-there are. Beyond 16,384 leaves (planes of 32 KB, others of 16) there is room for the next power of two, and slots as
-many where leaves need more than the class has. What is left is padding, which is never read.
+there are. Beyond 16,384 leaves (planes of 32 KB, tied ones of 16, cones of 8) there is room for the next power of
+two, and slots as many where leaves need more than the class has. What is left is padding, which is never read.
 
-In the plane and on a line no leaves need more slots than the class of a budget up to there has. Planes without a
-budget may be as deep as if they had one of 32 KB, however small their file: in the plane up to 9 halvings along an
-axis, for which their class may have too few slots. Pages nearly always fit the slots of their class, four a leaf that
+In the plane and on a line leaves of small classes need no more slots than the class of a budget has. There are two
+exceptions, for which their class may have too few: planes without a budget may be as deep as if they had one of
+32 KB, however small their file, in the plane up to 9 halvings along an axis; and what is certified while it grows may
+be as deep as if it had pages. Pages nearly always fit the slots of their class, four a leaf that
 it has room for, as blocks may be finer in four steps; else 65,536 slots, and else the leaves get no pages.
 """
 
@@ -199,16 +200,16 @@ def slot_bits_of_rows(rows: int) -> int:
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
-def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, has_deep_trees: bool) -> int:
+def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
     """How often a cell may be halved along one axis, for a class of files or for any.
 
-    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice, or its pages if the leaf model has
-    deep trees; else the tables' size is bounded.
+    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; trees that are to be deep, as of
+    leaf models with pages or for a proof, may go as far as pages do. Else the tables' size is bounded.
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if has_deep_trees else 0)
+    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
 
 
 def max_entries(num_bytes: int) -> int:

@@ -133,7 +133,8 @@ class Sampler:
     def root(self) -> CellFit:
         """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""
         fit = self(Cells.root(self.domain.dim))
-        if not fit.reachable.any():
+        has_pieces = self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
+        if not (fit.reachable.any() or has_pieces):
             raise ValueError(
                 "distance_fn found nothing reachable: it returned inf at every sample of the domain. Check that the "
                 "goal lies in free space and that the domain is the part of the world it is in; if free space is a "

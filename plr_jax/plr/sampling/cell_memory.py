@@ -78,7 +78,7 @@ class CellMemory:
         order = np.argsort(part, kind="stable")
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
         parts = [self._parts[part[run[0]]].of_cells(place[run]) for run in runs]
-        return parts[0].concatenate(parts).of_cells(np.argsort(order))
+        return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
 
 
 def _keys(cells: Cells) -> list[_Key]:

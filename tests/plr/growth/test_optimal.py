@@ -186,7 +186,7 @@ def test_no_axis_is_halved_more_often_than_allowed():
     assert found.cells.depth.max() == 1
 
 
-def test_no_box_is_longer_than_eight_times_its_width(monkeypatch):
+def test_no_box_is_longer_than_allowed(monkeypatch):
     monkeypatch.setattr(optimal, "_MAX_ASPECT_BITS", 1)
     for seed in range(4):
         _, _, found = search(random_costs(seed))

@@ -75,7 +75,7 @@ class ConeBoxes:
             self.domain,
             self.negligible,
             self.cells.append(*(other.cells for other in others)),
-            self.visible.concatenate([part.visible for part in parts]),
+            self.visible.append(*(other.visible for other in others)),
             *columns,
         )
 

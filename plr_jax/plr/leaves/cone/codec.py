@@ -108,6 +108,8 @@ def store_sources(
     """
     if max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
+    if len(points) >= 1 << _COUNT_BITS:
+        raise ValueError(f"A file holds fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}.")
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
     fraction, is_fine = _lattice(points, domain, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
@@ -123,7 +125,8 @@ def _lattice(
     points: Float[np.ndarray, "sources dim"], domain: Box, exponent: int
 ) -> tuple[int, Bool[np.ndarray, "sources"]]:
     """The fraction with which coordinates take the fewest bits, and which of them are no multiples of it."""
-    rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)  # of a workspace
+    # As much as a workspace rounds the corners that it is given, and some.
+    rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # a domain so wide that whole numbers are finer than what is kept
         return 1, np.ones(len(points), bool)

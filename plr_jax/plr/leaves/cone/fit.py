@@ -5,7 +5,8 @@ The square of ``distance - offset = |x - source|``, which is
     |x|^2 - distance^2 = 2 source . x - 2 offset distance + (offset^2 - |source|^2),
 
 is linear in the source, the offset and the rest. That gives a start; Gauss-Newton steps on the distance itself
-follow. Where the solution is of the other sign, or far away, a plane gives another: a source far off.
+follow. The square also admits ``distance = offset - |x - source|``: where the solution is that one, or its source is
+too far, the slope of a plane gives a second start, a source far away against it.
 """
 
 from dataclasses import dataclass

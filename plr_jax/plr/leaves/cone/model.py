@@ -61,7 +61,7 @@ class Cone:
         """
         is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
         if is_default and sampler.memory is not None:
-            return _best_cones(sampler, sampler.memory, limits)
+            return _best_partition(sampler, sampler.memory, limits)
         return grow_from_samples(sampler, rules, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
@@ -172,7 +172,7 @@ def _root_with_tangent(primals, tangents):
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-def _best_cones(sampler: Sampler, memory: CellMemory, limits: Limits) -> tuple[Cells, StoredCones]:
+def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tuple[Cells, StoredCones]:
     """The best partition of all, its leaves left for sources in sight where that costs little."""
     domain = sampler.domain
     visible = memory.sources(Cells.root(domain.dim))

@@ -1,4 +1,4 @@
-"""The sources that boxes are left for: of those that serve a box about as well, one that most of it sees.
+"""Choosing sources in sight: of those that serve a box about as well, one that most of it sees.
 
 Who goes straight from a point to its leaf's source meets a wall where the source is out of sight. There the distance
 is larger than the cone says, for if it were in sight, the way by it would be as short. So samples tell.
@@ -27,8 +27,8 @@ Pairs: TypeAlias = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Boo
 def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSources], bool]) -> BoxSources:
     """The source of every box, another one where a part of it does not see the best one and that one is worth it.
 
-    No box errs more than the one that errs most did: what is proven of all of them holds as before. Of the changes,
-    the most useful first, as many are made as fit.
+    No box's proven error rises above the largest of all: what is proven of all of them holds as before. Of the
+    changes, the most useful first, as many are made as fit.
     """
     box, source = _changes(boxes, sampler)
 
