@@ -5,7 +5,19 @@ they are. What a section does is told in its file in ``experiments/proving/``.
 """
 
 from experiments._sections import Section, run_sections
-from experiments.proving import _astar, _bands, _bounds, _gradient, _leaves, _notch, _plain, _sizes, _speed, _theorem2
+from experiments.proving import (
+    _astar,
+    _bands,
+    _bounds,
+    _gradient,
+    _leaves,
+    _notch,
+    _plain,
+    _sizes,
+    _slivers,
+    _speed,
+    _theorem2,
+)
 
 SECTIONS: dict[str, Section] = {
     "sizes": _sizes,
@@ -18,6 +30,7 @@ SECTIONS: dict[str, Section] = {
     "astar": _astar,
     "leaves": _leaves,
     "bounds": _bounds,
+    "slivers": _slivers,
 }
 
 if __name__ == "__main__":

@@ -1,15 +1,55 @@
-"""Random workspaces with what proofs stumble over: slivers, thin gaps, notches, walls that touch in a point."""
+"""Whether proofs hold on random maps with what they stumble over: slivers, thin gaps, notches, walls that touch.
 
+As in :mod:`experiments.proving._bounds`, with the oracle as truth. A map's number gives it back: its seed is
+``[seed, number]``.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
 import numpy as np
 import shapely
 from jaxtyping import Float
+from tqdm import tqdm
 
-from plr_jax import Workspace
+from experiments._tables import aligned
+from experiments.proving._bounds import NO_VIOLATIONS, violations
+from experiments.proving._sizes import LEAVES
+from plr_jax import VisibilityGraph, Workspace, construct
+
+MAPS, POINTS, BUDGET = 200, 100_000, 600
 
 _WIDTHS = -6.0, -3.0  # of gaps, notches and thin walls, as powers of ten of the map's width
 _SCALES = (1.0, 40.0, 1_000.0)
 
 Ring = Float[np.ndarray, "n 2"]
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    num_maps, points = (3, 5_000) if smoke else (MAPS, POINTS)
+    totals: dict[str, dict[str, Any]] = {leaf: {"maps": 0, "points": 0, **NO_VIOLATIONS} for leaf in LEAVES}
+    options = {"max_bytes": BUDGET, "certified": True, "leaf_bounds": True}
+    examples, refused = [], []
+    for number in tqdm(range(num_maps), desc="slivers", disable=None):
+        jax.clear_caches()  # PLRs of other maps have tables of other shapes: hundreds of compiled queries otherwise
+        rng = np.random.default_rng([seed, number])
+        workspace, goal = random_workspace(rng)
+        oracle, plrs = VisibilityGraph(workspace, goal), {}
+        for leaf in LEAVES:
+            try:
+                plrs[leaf] = construct(oracle, workspace.bounds, leaf=leaf, **options)
+            except Exception as error:  # whatever goes wrong on a random map is a result
+                refused.append({"map": number, "leaf": leaf, "error": f"{type(error).__name__}: {error}"})
+        for row in violations(workspace, goal, plrs, {"oracle": oracle}, points, rng) if plrs else []:
+            total = totals[row["leaf"]]
+            total["maps"] += 1
+            for name in ("points", "violations", "by_tolerance"):
+                total[name] += row[name]
+            total["worst"] = max(total["worst"], row["worst"] / float(workspace.bounds.width.max()))
+            if row["violations"] + row["by_tolerance"]:
+                examples.append({"map": number, **row})
+    return {"num_maps": num_maps, "totals": totals, "examples": examples, "refused": refused}
 
 
 def random_workspace(rng: np.random.Generator) -> tuple[Workspace, Float[np.ndarray, "2"]]:
@@ -95,3 +135,17 @@ def _wedge(rng: np.random.Generator) -> list[Ring]:
 
 
 _FEATURES = np.array([_star, _gap, _notch, _needle, _contact, _wedge], dtype=object)
+
+
+def table(results: dict[str, Any]) -> str:
+    rows = [["leaf", "maps", "points", "violations", "worst, of the width", "by tolerance"]]
+    for leaf, total in results["totals"].items():
+        counts = [f"{total['maps']}", f"{total['points']:,}", f"{total['violations']:,}", f"{total['worst']:.2g}"]
+        rows.append([leaf, *counts, f"{total['by_tolerance']:,}"])
+    refused = [f"not built: map {each['map']}, {each['leaf']}: {each['error']}" for each in results["refused"]]
+    return "\n".join([aligned(rows, numbers=5).rstrip(), *refused]) + "\n"
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """No figure."""
+    return []

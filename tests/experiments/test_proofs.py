@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import shapely
 
 from experiments import _proof_tables, proofs
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
@@ -96,9 +97,9 @@ def _corner_errors(plr, oracle):
 def test_no_bound_is_broken():
     results = smoke("bounds")
     assert {row["truth"] for row in results["rows"]} == {"oracle", "brute force"}
-    for row in [*results["rows"], *results["slivers"]["totals"].values()]:
+    for row in [*results["rows"], *smoke("slivers")["totals"].values()]:
         assert row["points"] > 1_000 and row["violations"] == 0
-    assert not results["slivers"]["refused"]
+    assert not smoke("slivers")["refused"]
     assert all(row["violations"] == 0 for row in smoke("bands")["rows"])
 
 
@@ -108,9 +109,20 @@ def test_a_bound_that_is_broken_is_counted():
     plrs = _bounds.certified(oracle, problem.workspace, 512, 0)
     rng = np.random.default_rng(0)
     further = {"further": lambda x: oracle(x) + 0.5}
-    for row in _bounds.violations(problem.workspace, plrs, further, 2_000, rng):
-        assert row["violations"] + row["in_obstacles"] == row["points"] > 0 and row["worst"] > 0.3
+    for row in _bounds.violations(problem.workspace, problem.goals[0], plrs, further, 2_000, rng):
+        assert row["violations"] + row["by_tolerance"] == row["points"] > 0 and row["worst"] > 0.3
         assert len(row["examples"]) == 3 and row["examples"][0]["distance"] > row["examples"][0]["bounds"][1]
+
+
+def test_points_that_reach_the_goal_by_tolerance_alone_are_told_apart():
+    """Two rooms that touch in a point, as walls do: the goal is in one of them."""
+    walls = [[(0, 0.5), (0.5, 0.5), (0.5, 1), (0, 1)], [(0.5, 0), (1, 0), (1, 0.5), (0.5, 0.5)]]
+    goal = np.array([0.2, 0.2])
+    x = shapely.points([(0.4, 0.4), (0.5, 0.5), (0.5 + 1e-10, 0.5 + 1e-10), (0.9, 0.9), (0.2, 0.5 + 1e-12)])
+    part = _bounds.part_of_goal(Workspace(((0, 0), (1, 1)), walls), goal)
+    np.testing.assert_array_equal(shapely.covers(part, x), [True, True, False, False, False])
+    part = _bounds.part_of_goal(Workspace(((0, 0), (1, 1)), walls, squeeze=True), goal)
+    np.testing.assert_array_equal(shapely.covers(part, x), [True, True, True, True, False])
 
 
 def test_hard_points_are_free_and_near_walls():
@@ -173,7 +185,7 @@ def test_theorem_2_is_refuted_and_what_is_proven_holds():
 
 
 def test_readme_tables_count_what_the_results_have():
-    results = {name: smoke(name) for name in ("sizes", "bounds", "astar")}
+    results = {name: smoke(name) for name in ("sizes", "bounds", "slivers", "astar")}
     lines = _proof_tables.proofs(results).splitlines()
     assert len([line for line in lines if line.startswith("|")]) == 2 + len(results["sizes"]["rows"])
     text = _proof_tables.proof_checks(results)
