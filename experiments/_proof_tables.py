@@ -56,7 +56,8 @@ def proof_checks(results: dict[str, Any]) -> str:
     rows.append([f"{slivers['num_maps']} random ones with slivers", "oracle", points, broken])
     (searches, wrong), (_, misled) = (_searches(results["astar"], kind) for kind in (", lower", " itself"))
     note = (
-        "Of cones, planes and continuous leaves, with bounds of every leaf; half of the points are uniform, half "
+        "Points times leaf models, which are cones, planes and continuous, with bounds of every leaf; half of the "
+        "points are uniform, half "
         "beside walls, corners and borders of cells; brute force shares no code with the package. "
         "Of points from which no path leads to the goal but to the workspace's tolerance, "
         f"{_by_tolerance(results)} are beyond the bounds. "

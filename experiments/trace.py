@@ -1,4 +1,4 @@
-"""Ways home read from PLRs of cones alone: how many arrive, how many meet a wall, how much longer they are.
+"""Ways home read from PLRs of cones alone: how many arrive and meet no wall, and how much longer those are.
 
 On each map, at each size: paths from random free starts, each leg tested by Shapely, how deep it is inside walls.
 """
@@ -39,13 +39,14 @@ def _measure(exact: VisibilityGraph, starts: Float[np.ndarray, "n 2"], max_bytes
     plr = construct(exact, exact.workspace.bounds, leaf="cone", max_bytes=max_bytes)
     traces, distance = trace(plr, starts), exact(starts)
     error = np.abs(np.asarray(plr(starts)) - distance)
-    ratio = (traces.lengths / distance)[traces.arrived & (distance > 0)]
+    is_clear = _clear(traces, exact.workspace)
+    ratio = (traces.lengths / distance)[traces.arrived & is_clear & np.isfinite(distance) & (distance > 0)]
     return {
         "bytes": plr.num_bytes,
         "leaves": plr.num_leaves,
         "starts": len(starts),
         "arrived": float(traces.arrived.mean()),
-        "clear": float(_clear(traces, exact.workspace).mean()),
+        "clear": float((traces.arrived & is_clear).mean()),
         "clear_by_status": float((trace(plr, starts, exact.workspace).status != TraceStatus.CROSSES_WALL).mean()),
         "ratio": {"mean": float(ratio.mean()), "max": float(ratio.max())},
         "error": {"mean": float(error.mean()), "max": float(error.max())},
@@ -54,7 +55,7 @@ def _measure(exact: VisibilityGraph, starts: Float[np.ndarray, "n 2"], max_bytes
 
 def _clear(traces: Traces, workspace: Workspace) -> Bool[np.ndarray, "n"]:
     """Which paths are nowhere deeper inside walls than ``DEPTH``."""
-    grown = workspace.free_space.buffer(DEPTH * workspace.bounds.width.max(), join_style="mitre")
+    grown = workspace.free_space.buffer(DEPTH * workspace.bounds.width.max(), join_style="round")
     shapely.prepare(grown)
     paths: Any = shapely.linestrings(traces.paths)
     return shapely.covers(grown, paths)

@@ -124,6 +124,13 @@ def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -
     return result
 
 
+def as_bool(name: str, value: object) -> bool:
+    """A truth value; raises ``ValueError`` if it is none."""
+    if not isinstance(value, bool | np.bool):
+        raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
+    return bool(value)
+
+
 def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
     """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
     run = np.repeat(np.arange(len(counts)), counts)

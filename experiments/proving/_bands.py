@@ -33,7 +33,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
             row = {"map": name, "leaf": leaf, "bytes": plr.num_bytes, "mean": float(errors.mean()), "band": band}
             row |= {"band_to_mean": band / row["mean"], "largest_found": found, "proven": plr.max_error}
             row |= {"proven_to_found": plr.max_error / found}
-            row |= {"violations": int(((distance < lower) | (distance > upper)).sum())}
+            row |= {"violations": int((~((lower <= distance) & (distance <= upper))).sum())}
             rows.append(row)
     return {"points": points, "rows": rows}
 

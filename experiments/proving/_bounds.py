@@ -114,21 +114,23 @@ def _count(
     upper: Float[np.ndarray, "n"],
     how: str,
 ) -> None:
-    """Add to a row what these points show; those outside of the domain by rounding get no bounds."""
-    reached = np.isfinite(distance) & np.isfinite(upper)
-    rounding = _ROUNDING * distance[reached].max(initial=0.0)
-    beyond = np.maximum(lower[reached] - distance[reached], distance[reached] - upper[reached])
-    broken = np.flatnonzero(beyond > rounding)
-    exactly = shapely.covers(part, shapely.points(x[reached][broken]))
-    row["points"] += int(reached.sum())
+    """Add to a row what these points show. Where the goal is reached, a bound that is no number is broken."""
+    reached = np.isfinite(distance)
+    x, distance, lower, upper = x[reached], distance[reached], lower[reached], upper[reached]
+    rounding = _ROUNDING * distance.max(initial=0.0)
+    holds = (lower - rounding <= distance) & (distance <= upper + rounding) & np.isfinite(upper)
+    broken = np.flatnonzero(~holds)
+    beyond = np.maximum(lower - distance, distance - upper)[broken]
+    exactly = shapely.covers(part, shapely.points(x[broken]))
+    row["points"] += len(x)
     row["violations"] += int(exactly.sum())
     row["by_tolerance"] += int((~exactly).sum())
-    row["worst"] = max(row["worst"], float(beyond[broken][exactly].max(initial=0.0)))
-    order = np.lexsort((-beyond[broken], ~exactly))[: _KEPT - len(row["examples"])]
+    row["worst"] = max(row["worst"], float(np.nan_to_num(beyond[exactly], nan=np.inf).max(initial=0.0)))
+    order = np.lexsort((-beyond, ~exactly))[: _KEPT - len(row["examples"])]
     for at, is_exact in zip(broken[order], exactly[order], strict=True):
-        point = {"x": x[reached][at].tolist(), "violation": bool(is_exact), "query": how}
-        point["distance"] = float(distance[reached][at])
-        row["examples"].append(point | {"bounds": [float(lower[reached][at]), float(upper[reached][at])]})
+        point = {"x": x[at].tolist(), "violation": bool(is_exact), "query": how}
+        point["distance"] = float(distance[at])
+        row["examples"].append(point | {"bounds": [float(lower[at]), float(upper[at])]})
 
 
 def table(results: dict[str, Any]) -> str:

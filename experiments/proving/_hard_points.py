@@ -1,6 +1,6 @@
 """Points at which proofs are put to the test: uniform ones, and ones beside walls, corners and borders of cells."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,20 +13,27 @@ Points = Float[np.ndarray, "n 2"]
 
 
 def mixed_points(workspace: Workspace, plrs: Sequence[PLR], count: int, rng: np.random.Generator) -> Points:
-    """Free points, about so many: half uniform, a sixth each beside walls, corners and borders of cells.
+    """Free points, so many: half uniform, a sixth each beside walls, corners and borders of cells.
 
     Offsets are log-uniform from 1e-12 to 1e-2 of the domain's width: across walls and borders to either side, from
     corners anywhere. One in ten is none at all.
     """
-    parts = [workspace.sample_free(count // 2, int(rng.integers(2**31)))]
-    sixth = count // 6
-    for points in (
-        _beside_walls(workspace, sixth, rng),
-        _beside_corners(workspace, sixth, rng),
-        _beside_cells(workspace, plrs, sixth, rng),
-    ):
-        parts.append(points[workspace.is_free(points)])
-    return np.concatenate(parts)
+    uniform = workspace.sample_free(count // 2, int(rng.integers(2**31)))
+    beside = (
+        lambda: _beside_walls(workspace, count // 6, rng),
+        lambda: _beside_corners(workspace, count // 6, rng),
+        lambda: _beside_cells(workspace, plrs, count // 6, rng),
+    )
+    return np.concatenate([uniform, *(_free(draw, count // 6, workspace) for draw in beside)])
+
+
+def _free(draw: Callable[[], Points], count: int, workspace: Workspace) -> Points:
+    """The first free ones of many points that are drawn again and again."""
+    found = np.empty((0, 2))
+    while len(found) < count:
+        points = draw()
+        found = np.concatenate([found, points[workspace.is_free(points)]])
+    return found[:count]
 
 
 def _offsets(workspace: Workspace, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 1"]:

@@ -12,7 +12,7 @@ BEST = "best"
 
 
 def build_proven(
-    oracle: "VisibilityGraph", domain: "Box", leaf: str, *, seed: int, **limits: int | float | None
+    oracle: "VisibilityGraph", domain: "Box", leaf: str, leaf_bounds: bool, *, seed: int, **limits: int | float | None
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
@@ -25,8 +25,16 @@ def build_proven(
     for name in leaf_names() if leaf == BEST else [leaf]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ConstructionInterrupted)
-            plr = construct(oracle, domain, leaf=name, seed=seed, certified=True, **limits)  # type: ignore[arg-type]
-        errors[name] = plr.max_error
+            plr = construct(
+                oracle,
+                domain,
+                leaf=name,
+                seed=seed,
+                certified=True,
+                leaf_bounds=leaf_bounds,
+                **limits,  # type: ignore[arg-type]
+            )
+        errors[name] = float("inf") if plr.max_error is None else plr.max_error  # if interrupted in its proof
         if best is None or errors[name] < errors[best.leaf.name]:
             best = plr
         for warning in caught:

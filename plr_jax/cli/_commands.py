@@ -48,7 +48,7 @@ _Goal = Annotated[
 
 @command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
-    "plr-jax build floor_plan --leaf cone --max-bytes 1024",
+    "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build arena.map --goal 10.5,30",
 )
 def build(
@@ -79,6 +79,10 @@ def build(
             "all of them and keeps the one whose proven error is least."
         ),
     ] = BEST,
+    leaf_bounds: Annotated[
+        bool,
+        typer.Option("--leaf-bounds", help="Prove bounds of every cell, 2 bytes each, beside the largest error."),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
@@ -101,7 +105,7 @@ def build(
         max_bytes = DEFAULT_BYTES
     oracle = VisibilityGraph(workspace, goal_point)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    plr, errors, interrupted = build_proven(oracle, workspace.bounds, leaf, seed=seed, **limits)
+    plr, errors, interrupted = build_proven(oracle, workspace.bounds, leaf, leaf_bounds, seed=seed, **limits)
     save(plr, output)
     if interrupted:
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
@@ -142,7 +146,7 @@ def query(
         bool, typer.Option("--bounds", help="Print distance,lower,upper: proven bounds beside the distance.")
     ] = False,
 ) -> None:
-    """Print the distance of each point, one a line; inf where the goal cannot be reached.
+    """Print the distance of each point, one a line; inf outside the domain.
 
     A first line that is no row of numbers is taken as a header.
     """
@@ -156,6 +160,8 @@ def query(
         import jax
 
         answers = np.hstack([answers, jax.vmap(jax.grad(plr))(x)])
+    if bounds and plr.max_error is None:
+        raise ValueError(f"Nothing is proven of {file}: files that plr-jax build writes have a proof.")
     if bounds:
         answers = np.column_stack([answers, *plr.bounds(x)])
     sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,8 +17,10 @@ from plr_jax.geometry.shadows import Shadows
 from plr_jax.geometry.workspace import Workspace
 
 _CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many
-_WHOLE = 1 - 1e-12
-"""Share of a cell's area that its pieces fill if nothing blocks any of it; a wall 1e-9 of it wide takes more."""
+_FILLED = 1 - 1e-9
+"""Share of a cell's area that its pieces fill, for it to be worth asking whether a wall is in it."""
+_LEAD = 1 / 128
+"""Tolerances by which a source may be better yet and is left out; cells are halved less often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,26 @@ class Sight:
         index = np.full(len(self.sources.points), -1)
         index[self.turns.vertex] = np.arange(len(self.turns.vertex))
         return index
+
+    @cached_property
+    def _walls(self) -> Any:
+        """The walls, to be asked for those that meet boxes."""
+        import shapely  # which a query does not need
+
+        walls: Any = shapely.linestrings(self.shadows.table.boundary.segments)
+        return shapely.STRtree(walls)
+
+    def meet_walls(
+        self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
+    ) -> Bool[np.ndarray, "boxes"]:
+        """Whether a wall reaches into each box."""
+        import shapely
+
+        boxes: Any = shapely.box(*lo.T, *hi.T)
+        box, wall = self._walls.query(boxes, predicate="intersects")
+        met = np.zeros(len(lo), bool)
+        met[box[~shapely.touches(boxes[box], self._walls.geometries[wall])]] = True
+        return met
 
     def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
         """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
@@ -64,7 +87,7 @@ class VisibleSources:
         cell: The cell of each piece.
         pieces: The pieces.
         center: A point inside each.
-        distance: Exact distance of each center to the goal.
+        distance: Distance of each center to the goal.
         best: Source that each center's shortest path goes to.
         piece: The piece of each pair.
         source: The source of each pair.
@@ -213,7 +236,7 @@ def _unsettled(
     source: Int[np.ndarray, "pairs"],
 ) -> VisibleSources:
     """Pieces of one cell of which nothing is known yet."""
-    unknown = np.zeros(len(cell))
+    unknown = np.full(len(cell), np.inf)
     return VisibleSources(
         sight, 1, cell, pieces, pieces.mean(axis=2).T, unknown, cell, piece, source, np.zeros(len(piece), bool)
     )
@@ -228,7 +251,9 @@ def _with_whole_cells(
     """Settled, after the pieces of cells that lie in free space altogether are put together."""
     area = areas(found.pieces)
     total, count = (np.bincount(found.cell, weight, len(lo)) for weight in (area, None))
-    merged = (total >= _WHOLE * np.prod(hi - lo, axis=1)) & (count > 1)
+    merged = (total >= _FILLED * np.prod(hi - lo, axis=1)) & (count > 1)
+    filled = np.flatnonzero(merged)
+    merged[filled[found.sight.meet_walls(lo[filled], hi[filled])]] = False
     stays = area > 0
     if merged.any():
         is_merged = merged[found.cell]
@@ -259,7 +284,8 @@ def _settled(found: VisibleSources, changed: Bool[np.ndarray, "pieces"]) -> Visi
     """
     center = found.center.copy()
     center[changed] = found.pieces[:, changed].mean(axis=2).T
-    found = replace(found, center=center)
+    # At most that by the center before, which is in the same free convex piece, or in the cell that is one now.
+    found = replace(found, center=center, distance=found.distance + np.linalg.norm(center - found.center, axis=1))
     open_ = np.flatnonzero(changed[found.piece] & ~found.by_all)
     bends = found.sight.may_bend(found.pieces[:, found.piece[open_]], found.source[open_])
     keep = np.ones(len(found.piece), bool)
@@ -277,14 +303,16 @@ def _settled(found: VisibleSources, changed: Bool[np.ndarray, "pieces"]) -> Visi
 def _undominated(
     found: VisibleSources, changed: Bool[np.ndarray, "pieces"], by_center: Bool[np.ndarray, "pairs"]
 ) -> VisibleSources:
-    """With the distance at the centers of changed pieces, and without pairs that another one beats everywhere."""
+    """With the distance at the centers of changed pieces, and without pairs that another one beats everywhere.
+
+    A center that none of the sources is said to see keeps the bound of its distance that it has.
+    """
     sources, pairs = found.sources, np.flatnonzero(changed[found.piece] & by_center)
     piece, source = found.piece[pairs], found.source[pairs]
     length = sources.distances[source] + np.linalg.norm(found.center[piece] - sources.points[source], axis=1)
     order = np.lexsort((~found.by_all[pairs], length, piece))
     order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
     best_pair, distance, best = np.full(len(changed), -1), found.distance.copy(), found.best.copy()
-    distance[changed] = np.inf
     best_pair[piece[order]], distance[piece[order]], best[piece[order]] = pairs[order], length[order], source[order]
     by_best = best_pair >= 0
     by_best[by_best] = found.by_all[best_pair[by_best]]
@@ -298,7 +326,7 @@ def _undominated(
         found.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
     )
     keep = np.isfinite(distance)[found.piece]
-    keep[rivals[lowest > np.where(by_best[piece], -found.sight.shadows.table.tolerance, 0.0)]] = False
+    keep[rivals[lowest > np.where(by_best[piece], -_LEAD * found.sight.shadows.table.tolerance, 0.0)]] = False
     found = replace(
         found,
         distance=distance,

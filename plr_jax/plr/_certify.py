@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._assembly import with_certificate
@@ -23,8 +23,8 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
 
     Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
     them can. The proof holds for all points of the domain from which the goal can be reached. It is about this
-    oracle, to its workspace's tolerance: where that is itself an approximation, as of an inflated workspace, so is
-    the proof.
+    oracle: where that is itself an approximation, as of an inflated workspace, so is the proof. Where free space
+    touches itself in a point, the cell there holds both sides, and the proven error is at least half of the jump.
 
     Args:
         plr: The PLR, of any leaf model, in the plane.
@@ -35,12 +35,12 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
         The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
 
     Raises:
-        ValueError: If it is no PLR in the plane, the oracle does not answer for cells, or a leaf answers ``inf``
-            although some of its points reach the goal: then nothing can be proven.
+        ValueError: If it is no PLR in the plane, ``leaf_bounds`` is no bool, the oracle does not answer for cells, or
+            a leaf answers ``inf`` although some of its points reach the goal: then nothing can be proven.
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
-    proof = Proof.LEAVES if leaf_bounds else Proof.LARGEST
+    proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.LARGEST
     root = require_certifiable(oracle, plr.dim).cell_sources(grown_domain(plr.domain))
     return with_certificate(plr, certificate_of(plr._contents, root, proof))
 
@@ -50,7 +50,7 @@ def require_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
     if dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got {shortened(oracle)} in {dim} dimensions. Build the PLR without one, and measure its error."
+            f"got a {type(oracle).__name__} in {dim} dimensions. Build the PLR without one, and measure its error."
         )
     return oracle
 

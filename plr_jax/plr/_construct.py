@@ -1,10 +1,9 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
+import warnings
 from dataclasses import replace
 
-import numpy as np
-
-from plr_jax._arrays import as_number, require_integer, shortened
+from plr_jax._arrays import as_bool, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import plr_of_leaves
@@ -12,7 +11,7 @@ from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth.limits import check_limits
+from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules
@@ -112,7 +111,8 @@ def construct(
         seed: Seed of the samples' scrambling. The same seed gives the same PLR.
 
     Returns:
-        The PLR. If interrupted (Ctrl-C), the one built so far, with a ``ConstructionInterrupted`` warning.
+        The PLR. If interrupted (Ctrl-C) once there is a leaf, the one built so far, with a
+        ``ConstructionInterrupted`` warning; if in its proof, the whole one without a proof.
 
     Raises:
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
@@ -169,14 +169,16 @@ def construct(
     contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
     if proof is not Proof.NONE and memory is not None:
         root = memory.sources(Cells.root(domain.dim))
-        contents = replace(contents, certificate=certificate_of(contents, root, proof))
+        try:
+            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+        except KeyboardInterrupt:
+            message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     return plr_of_leaves(contents)
 
 
 def _proof(certified: bool, leaf_bounds: bool) -> Proof:
-    for name, value in (("certified", certified), ("leaf_bounds", leaf_bounds)):
-        if not isinstance(value, bool | np.bool):
-            raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
+    certified, leaf_bounds = as_bool("certified", certified), as_bool("leaf_bounds", leaf_bounds)
     if leaf_bounds and not certified:
         raise ValueError("leaf_bounds=True needs certified=True: bounds of leaves are a part of the proof.")
     return Proof.LEAVES if leaf_bounds else Proof.LARGEST if certified else Proof.NONE

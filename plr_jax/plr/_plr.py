@@ -62,8 +62,10 @@ class PLR:
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance at each point from which the goal can be reached.
 
-        The proof is about the distance function that :func:`construct` or :func:`certify` was given, in free space to
-        the workspace's tolerance, and covers what a query rounds.
+        The proof is about the distance function that :func:`construct` or :func:`certify` was given, at points of
+        free space, walls included, but not at such as count as free, or reach the goal, to the workspace's tolerance
+        alone. It covers what a query rounds; in a domain far from the origin, where 32-bit floats resolve points
+        worse than cells, it is about the rounded points where they come as JAX arrays, or inside a compiled function.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
@@ -80,6 +82,10 @@ class PLR:
     @property
     def lower(self) -> LowerBound:
         """A distance function that is nowhere above the truth, an admissible heuristic; stacks as a PLR does.
+
+        What a leaf answers, less ``max_error``, or less the leaf's own bound if the proof has bounds of leaves, which
+        is far closer to the truth. It jumps from leaf to leaf, and so is not consistent: a search must open nodes
+        again to which it finds a shorter way.
 
         Of points ``(..., dim)`` as :meth:`bounds` takes them: at least 0, ``inf`` outside the domain, NaN for NaN. In
         obstacles, and where the goal cannot be reached, it means nothing. Raises ``ValueError`` if nothing is proven

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 _ROUNDING = 2.0**-24
-"""Widths of the domain to which a file keeps the place of a source that is on no lattice."""
+"""Widths of the domain: four times what a file rounds the place of a source that is on no lattice."""
 
 
 class TraceStatus(IntEnum):
@@ -43,12 +43,14 @@ class Traces:
             where there is no path.
         lengths: Length of each path, ``(n,)``, in the units of the domain; ``inf`` where there is none.
         status: How each path ended, a number of :class:`TraceStatus`, ``(n,)``.
+        are_tested: Whether legs were tested in a workspace.
     """
 
     paths: Float[np.ndarray, "n steps dim"]
     counts: Int[np.ndarray, "n"]
     lengths: Float[np.ndarray, "n"]
     status: Int[np.ndarray, "n"]
+    are_tested: bool
 
     @property
     def arrived(self) -> Bool[np.ndarray, "n"]:
@@ -59,17 +61,18 @@ class Traces:
         return len(self.counts)
 
     def __repr__(self) -> str:
-        return f"Traces({int(self.arrived.sum()):,} of {len(self):,} starts arrive at the goal)"
+        walls = "" if self.are_tested else "; no walls were given to test"
+        return f"Traces({int(self.arrived.sum()):,} of {len(self):,} starts arrive at the goal{walls})"
 
 
 def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
     """Paths to the goal from many starts, read from a PLR of cones alone, without a map.
 
     The first leg goes to the source of the start's leaf, every further one to the source that follows it on its own
-    shortest path. So a path ends after at most as many legs as there are sources. Where all sources are an oracle's,
-    their own ways home cross no wall; only a first leg may, where the start does not see its leaf's source. The
-    file knows no walls: a start in an obstacle, or cut off from the goal, is led straight through them, and only with
-    the workspace given is that told.
+    shortest path. So a path ends after at most as many legs as there are sources, and is as long as the PLR says.
+    Where all sources are an oracle's, their own ways home cross no wall; only a first leg may, where the start does
+    not see its leaf's source. The file knows no walls: a start in an obstacle, or cut off from the goal, is led
+    straight through them, and only with the workspace given is that told.
 
     Runs on the host, in double precision: the leaves of all starts are found in one compiled query, the rest is
     looked up.
@@ -77,8 +80,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     Args:
         plr: The PLR, of leaves that have sources: built with ``leaf="cone"``.
         starts: Where to begin, ``(n, dim)``.
-        workspace: Free space in which to test every leg, to within what a file rounds (6e-8 of the domain's width);
-            None: nothing is tested.
+        workspace: Free space in which to test every leg, each alone, to within what a file rounds (6e-8 of the
+            domain's width): a way that goes on at the very point where walls touch passes. None: nothing is tested.
 
     Returns:
         The paths, with a status for each. A start that is a source begins with the leg from there.
@@ -94,7 +97,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     inside = np.flatnonzero(plr.domain.contains(starts))
     way = _ways(sources.parents, source_of_leaf[leaf_of(plr, starts[inside])])
     paths, counts = _paths(starts[inside], sources.points, way)
-    ends_at_goal = sources.distances[way[:, -1]] == 0
+    ends_at_goal = sources.distances[way[:, -1]] <= _ROUNDING * float(plr.domain.width.max())
     status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     if workspace is not None:
         is_clear = _legs_are_clear(plr, sources, workspace, starts[inside], way)
@@ -106,6 +109,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         _spread(counts, inside, size, 0),
         _spread(lengths, inside, size, np.inf),
         _spread(status, inside, size, TraceStatus.OUTSIDE),
+        workspace is not None,
     )
 
 

@@ -12,7 +12,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
-from plr_jax.plr import certify, construct, from_bytes, load, save
+from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes, load, save
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
 NUM_POINTS = 100_000
@@ -169,6 +169,56 @@ def test_free_space_that_no_sample_meets_is_proven_as_well(leaf):
     assert len(x) > 10_000 and (lower <= exact).all() and (exact <= upper).all()
 
 
+def _spike(angle, depth):
+    """A spike whose tip is just beyond a border of cells, and a goal beside it."""
+    tip, half = np.array([0.4, 0.25 + depth]), 0.125 * angle
+    return [(0.4, tip[1]), (0.4 - half, depth), (0.4 + half, depth)], tip - (3 * angle * depth, depth * 2 / 3)
+
+
+def _floating(width, length):
+    """A short thin wall inside of cells, and a goal beside it."""
+    return box(0.4 - width / 2, 0.4 - length, 0.4 + width / 2, 0.4 + length), (0.4 - length / 4, 0.4)
+
+
+@pytest.mark.parametrize("leaf", ["plane", "cone"])
+@pytest.mark.parametrize(
+    ("wall", "goal"), [_spike(1e-4, 2e-5), _spike(1e-3, 1e-5), _spike(1e-5, 1e-4), _floating(5e-9, 4e-6)]
+)
+def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
+    """However little of a cell's area they take: who is behind one has to go around it."""
+    workspace = Workspace(((0, 0), (1, 1)), [wall])
+    oracle = VisibilityGraph(workspace, goal)
+    plr = construct(oracle, workspace.bounds, leaf=leaf, max_bytes=512, certified=True, leaf_bounds=True)
+    rng, size = np.random.default_rng(0), 4 * np.abs(np.array(wall)[0] - goal).max()
+    x = np.array(wall)[0] + size * np.column_stack([rng.random(20_000) ** 3, 2 * rng.random(20_000) - 1])
+    x = x[workspace.clearance(x) >= 0]
+    exact = oracle(x)
+    lower, upper = plr.bounds(x)
+    assert len(x) > 5_000 and (lower <= exact).all() and (exact <= upper).all()
+
+
+def test_an_interrupted_proof_leaves_the_plr_without_one(maze, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    whole = construct(maze, UNIT, max_leaves=20, certified=True)
+    monkeypatch.setattr("plr_jax.plr._construct.certificate_of", interrupt)
+    with pytest.warns(ConstructionInterrupted, match="nothing is proven"):
+        plr = construct(maze, UNIT, max_leaves=20, certified=True)
+    assert plr.max_error is None
+    np.testing.assert_array_equal(plr.leaf_boxes, whole.leaf_boxes)
+
+
+def test_proofs_end_where_bounds_cannot_get_better(maze, monkeypatch):
+    """Then they are as they were found so far, and hold."""
+    plr = construct(maze, UNIT, max_leaves=20)
+    tight = certify(plr, maze, leaf_bounds=True)
+    monkeypatch.setattr("plr_jax.plr.certificate.branch_and_bound._MOST_PIECES", 10)
+    loose = certify(plr, maze, leaf_bounds=True)
+    assert np.ptp(loose.band, axis=0).sum() > np.ptp(tight.band, axis=0).sum()
+    check_bounds(loose, maze, 5_000)
+
+
 def test_bounds_under_jit_with_the_plr_closed_over_or_as_an_argument(certified):
     x = jnp.asarray(np.random.default_rng(0).random((300, 2)), jnp.float32)
     expected = certified.bounds(x)
@@ -177,6 +227,14 @@ def test_bounds_under_jit_with_the_plr_closed_over_or_as_an_argument(certified):
     one_by_one = jax.vmap(certified.bounds)(x)
     np.testing.assert_allclose(one_by_one, expected, rtol=1e-6)
     assert jax.tree_util.tree_map(lambda leaf: leaf, certified).max_error == certified.max_error
+
+
+def test_bounds_have_the_slope_of_what_is_answered(certified):
+    x = jnp.array([0.3, 0.85])
+    slope = jax.grad(certified)(x)
+    for bound in range(2):
+        np.testing.assert_array_equal(jax.grad(lambda x, bound=bound: certified.bounds(x)[bound])(x), slope)
+    np.testing.assert_array_equal(jax.vmap(jax.grad(certified.lower))(x[None]), slope[None])
 
 
 def test_bounds_outside_the_domain_and_of_nan(certified):

@@ -51,7 +51,7 @@ def test_a_drawn_way(plr):
     np.testing.assert_array_equal(traces.paths[2], [GOAL] * 4)
     legs = np.hypot(0.4, 0.6) + 0.1 + np.hypot(0.3, 0.6)
     np.testing.assert_allclose(traces.lengths, [legs, np.hypot(0.1, 0.4), 0], rtol=1e-15)
-    assert repr(traces) == "Traces(3 of 3 starts arrive at the goal)"
+    assert repr(traces) == "Traces(3 of 3 starts arrive at the goal; no walls were given to test)"
 
 
 def test_a_start_at_a_source_begins_with_the_leg_from_there(plr):

@@ -14,7 +14,8 @@ from plr_jax._types import CellSources
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate.bounds import bounds_of_pieces
 
-_MOST_ROUNDS = 48  # of halving; then bounds are taken as they are, valid and not tight
+# Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
+_MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 _RATIO = 1.005  # of a bound of the largest error and an error that is met
 _RATIO_OF_LEAVES = 1.04  # the same where each leaf has bounds of its own
 _OF_LARGEST = 1e-3  # of the largest error, by which bounds of a leaf may be beyond what is met, however small that is
@@ -70,7 +71,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, each_leaf: bool
         )
         low_enough, high_enough = _good_bounds(least, most, visible.slack, each_leaf)
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
-        open_ &= round_ < _MOST_ROUNDS - 1
+        open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
         np.minimum.at(lower, leaf[~open_], below[~open_])
         np.maximum.at(upper, leaf[~open_], above[~open_])
         if not open_.any():

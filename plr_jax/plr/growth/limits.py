@@ -71,7 +71,8 @@ def check_limits(
         as_finite("tolerance", tolerance)
     if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
         max_leaves = DEFAULT_MAX_LEAVES
-    sizes = (max_bytes, None if max_leaves is None else bytes_without_budget(dim, max_leaves))
+    max_bytes = None if max_bytes is None else int(max_bytes)
+    sizes = (max_bytes, None if max_leaves is None else bytes_without_budget(dim, int(max_leaves)))
     table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
     most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
     if max_bytes is not None:

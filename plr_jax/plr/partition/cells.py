@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.box import Box
 
-PLACING = 2.0**-22
-"""How far beside its cell, in widths of the domain, a query may place a point: twice the last bit of a place."""
+PLACING = 2.0**-21
+"""How far beside its cell, in widths of the domain, a query may place a point, as it computes in 32 bits."""
 
 
 @dataclass(frozen=True, eq=False)

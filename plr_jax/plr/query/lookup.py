@@ -1,6 +1,6 @@
 """A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
 
-from functools import reduce
+from functools import partial, reduce
 
 import jax
 import jax.numpy as jnp
@@ -34,9 +34,20 @@ def bounds_of_tables(
     else:
         leaf = lookup(tables, jax.lax.stop_gradient(x.astype(value.dtype)))
         below, above = _gather(band[0], leaf), _gather(band[1], leaf)
-    lower = jnp.nextafter(value + below.astype(value.dtype), jnp.asarray(-jnp.inf, value.dtype))
-    upper = jnp.nextafter(value + above.astype(value.dtype), jnp.asarray(jnp.inf, value.dtype))
+    lower = _next_number(value + below.astype(value.dtype), -jnp.inf)
+    upper = _next_number(value + above.astype(value.dtype), jnp.inf)
     return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _next_number(value: Float[Array, "*batch"], toward: float) -> Float[Array, "*batch"]:
+    """The next number in that direction, which has the slope of the value."""
+    return jnp.nextafter(value, jnp.asarray(toward, value.dtype))
+
+
+@_next_number.defjvp
+def _next_number_with_tangent(toward, primals, tangents):
+    return _next_number(primals[0], toward), tangents[0]
 
 
 def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:

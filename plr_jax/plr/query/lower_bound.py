@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
+import jax
 from jaxtyping import Array, Float
 
+from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr.query.stack import TableStack
 
@@ -34,6 +36,7 @@ class BoundedFn(Protocol):
         ...
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LowerBound:
     """A distance function that is nowhere above the truth: see :attr:`plr_jax.PLR.lower`.
@@ -58,5 +61,7 @@ class LowerBound:
     @staticmethod
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
         """One function of all robots' lower bounds, as PLRs stack."""
+        if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
+            raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
         first, *_ = fns
         return replace(first.plr.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))

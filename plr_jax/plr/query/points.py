@@ -35,7 +35,9 @@ def waypoints_of_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 
 def as_array(x: ArrayLike) -> np.ndarray:
-    """Points on the host. Integers become floats here, where they cannot wrap around."""
+    """Points on the host. Integers become floats here, where they cannot wrap around, and masked numbers NaN."""
+    if isinstance(x, np.ma.MaskedArray):
+        x = np.ma.filled(x.astype(np.float64), np.nan)
     try:
         x = np.asarray(x)
     except ValueError as error:

@@ -39,6 +39,7 @@ from plr_jax.plr.query.tables import LARGEST
 
 _STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
 _MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
+_LARGEST_SQUARED = 1e18
 _FINE_BITS = 26  # of a coordinate that is not on the lattice
 _FARTHEST = 2.0**60  # steps of the domain's corner from the origin
 _ESCAPE = 3
@@ -106,8 +107,12 @@ def store_sources(
 
     A parent is an index, of another source, or of a root its own.
     """
-    if max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0)) > LARGEST:
-        raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
+    largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
+    if largest > _LARGEST_SQUARED:
+        raise ValueError(
+            f"Cones take distances and domains within {_LARGEST_SQUARED:g}, as they are squared in 32 bits, got "
+            f"{largest:g}; scale them down, or use another leaf model."
+        )
     if len(points) >= 1 << _COUNT_BITS:
         raise ValueError(f"A file holds fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}.")
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS

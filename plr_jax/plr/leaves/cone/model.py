@@ -27,6 +27,8 @@ from plr_jax.plr.query.tables import Frame, Tables, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
 
+_UNDERFLOW = 1.1e-19
+"""The root of the smallest 32-bit float: shorter differences may square to zero."""
 _ROOM = 64
 """One byte for so many is left for sources to be changed to others that are in sight."""
 
@@ -125,12 +127,12 @@ class Cone:
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
-        """Of the numbers, of the point, of differences, squares, sums and the root."""
+        """Of the numbers, of the point, of differences, squares, sums and the root; and of squares that underflow."""
         numbers = np.abs(self.numbers(domain, cells, coefficients))
         along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
         length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
-        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length)
+        return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
     def evaluate(
         self,

@@ -197,7 +197,12 @@ def test_distances_too_large_for_floats_are_refused():
         store_sources(np.array([[0.0, 0]]), np.array([1e39]), np.zeros(1, int), DOMAIN)
 
 
-@pytest.mark.parametrize("width", [1e6, 2.0**26, 1e9, 1e25])
+def test_what_cannot_be_squared_in_32_bits_is_refused():
+    with pytest.raises(ValueError, match=r"Cones take distances and domains within 1e\+18"):
+        store_sources(np.array([[1e19, 0.0]]), np.zeros(1), np.zeros(1, int), Box([0, 0], [2e19, 1]))
+
+
+@pytest.mark.parametrize("width", [1e6, 2.0**26, 1e9, 1e17])
 def test_domains_of_any_width(width):
     points = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]])
     parents, distances = np.array([0, 0, 1]), np.zeros(3)
