@@ -237,6 +237,23 @@ def test_bounds_have_the_slope_of_what_is_answered(certified):
     np.testing.assert_array_equal(jax.vmap(jax.grad(certified.lower))(x[None]), slope[None])
 
 
+def test_lower_bounds_stack_with_lower_bounds_alone(certified):
+    for fns in ([], [certified.lower, certified]):
+        with pytest.raises(ValueError, match="Lower bounds of PLRs can be stacked"):
+            certified.lower.stack(fns)
+
+
+def test_a_lower_bound_is_an_argument_of_compiled_functions(certified):
+    x = jnp.array([[0.3, 0.85], [0.7, 0.2]])
+    np.testing.assert_array_equal(jax.jit(lambda lower, x: lower(x))(certified.lower, x), certified.lower(x))
+
+
+def test_masked_points_are_not_answered(certified):
+    x = np.ma.masked_invalid([[0.3, np.nan], [0.3, 0.85]])
+    for answer in (certified(x), certified.bounds(x)[0], certified.lower(x)):
+        np.testing.assert_array_equal(np.isnan(answer), [True, False])
+
+
 def test_bounds_outside_the_domain_and_of_nan(certified):
     lower, upper = certified.bounds(np.array([[2.0, 0.5], [np.nan, 0.5], [0.5, -1e-3]]))
     np.testing.assert_array_equal(lower, [np.inf, np.nan, np.inf])
