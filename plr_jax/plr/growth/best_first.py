@@ -147,4 +147,5 @@ def _expected_error(nodes: Nodes, encoding: Encoding, leaf: Int[np.ndarray, "lea
 
 
 def _fit_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"]) -> float:
-    return float(np.sum(nodes.share[leaf] * nodes.error[leaf]) / np.sum(nodes.share[leaf]))
+    share = nodes.share[leaf]
+    return float(np.sum(share * nodes.error[leaf]) / np.sum(share)) if share.any() else 0.0

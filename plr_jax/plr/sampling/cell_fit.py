@@ -130,10 +130,13 @@ class Sampler:
         """Sample cells again with many more points: those that :attr:`CellFit.is_hardly_seen`."""
         return replace(self, pattern=self.dense_pattern)(cells)
 
-    def root(self) -> CellFit:
-        """The whole domain as one cell; raises ``ValueError`` if nothing in it can be reached."""
+    def root(self, pieces_suffice: bool = False) -> CellFit:
+        """The whole domain as one cell.
+
+        Raises ``ValueError`` if no sample reaches the goal, and no free piece either if these suffice.
+        """
         fit = self(Cells.root(self.domain.dim))
-        has_pieces = self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
+        has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
             raise ValueError(
                 "distance_fn found nothing reachable: it returned inf at every sample of the domain. Check that the "

@@ -90,17 +90,15 @@ class Plane:
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
+        by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
             fit = with_unseen_planes(fit, sampler)
-            if rules.should_split is largest_error and limits.proof is not Proof.NONE:
-                priority = self._proven_errors(fit, sampler)
-            else:
-                priority = np.asarray(rules.should_split(fit), float)
+            priority = self._proven_errors(fit, sampler) if by_proof else np.asarray(rules.should_split(fit), float)
             axis = np.asarray(rules.split(fit))
             return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
 
-        root = nodes_of(sampler.root(), np.array([np.inf]))
+        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
 
         def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
             cells = nodes.cells[leaf]
