@@ -125,7 +125,7 @@ def _count(
     row["points"] += len(x)
     row["violations"] += int(exactly.sum())
     row["by_tolerance"] += int((~exactly).sum())
-    row["worst"] = max(row["worst"], float(np.nan_to_num(beyond[exactly], nan=np.inf).max(initial=0.0)))
+    row["worst"] = max(row["worst"], float(np.nan_to_num(beyond[exactly]).max(initial=0.0)))
     order = np.lexsort((-beyond, ~exactly))[: _KEPT - len(row["examples"])]
     for at, is_exact in zip(broken[order], exactly[order], strict=True):
         point = {"x": x[at].tolist(), "violation": bool(is_exact), "query": how}
