@@ -296,7 +296,9 @@ def script(code, *arguments, **environment):
 def test_an_interrupt_while_the_command_loads_is_no_traceback(tmp_path):
     (tmp_path / "typer.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    done = script("from plr_jax.cli import main; main()", PYTHONPATH=path)
+    # A job in the background starts with Ctrl-C ignored, and so would the process.
+    in_front = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    done = script(f"{in_front}; from plr_jax.cli import main; main()", PYTHONPATH=path)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
