@@ -47,7 +47,7 @@ _ARROW_COLOR = "#0072B2"
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_starts, num_points, num_runs = (20, 200, 2) if smoke else (10_000, 100_000, 15)
+    num_starts, num_points, num_runs = (10, 200, 1) if smoke else (10_000, 100_000, 15)
     sizes = {"maze": [512]} if smoke else SIZES
     results = []
     for name, (workspace, goal) in load_maps(sizes).items():

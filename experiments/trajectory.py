@@ -34,7 +34,7 @@ NUM_GUESSES, NUM_WAY_POINTS, NUM_ROADMAP_SAMPLES, SHAKE = 64, 6, 300, 0.01
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    names, plr_bytes = (["single door", SHOWN], SMOKE_BYTES) if smoke else (list(SCENES), PLR_BYTES)
+    names, plr_bytes = ([SHOWN], SMOKE_BYTES) if smoke else (list(SCENES), PLR_BYTES)
     return {
         "plr_bytes": plr_bytes,
         "rows": [scene_row(name, plr_bytes, seed, smoke) for name in names],

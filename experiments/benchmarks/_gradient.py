@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments._tables import aligned
-from experiments.benchmarks._query import LEAVES, POINT_SEED, makers, maze_plr
+from experiments.benchmarks._query import LEAVES, POINT_SEED, SMOKE_LEAVES, makers, maze_plr
 from experiments.benchmarks._rivals import Rival, compiled, make_all
 from experiments.benchmarks._timing import interleaved
 from plr_jax import scenes
@@ -29,7 +29,7 @@ ValueAndGradient = Callable[[Any], tuple[Any, Any]]
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     num_points, turns, num_samples, num_steps = (1_000, 3, 2_000, 20) if smoke else (1_000_000, 15, 100_000, 4_000)
-    plr, exact = maze_plr(LEAVES, seed)
+    plr, exact = maze_plr(SMOKE_LEAVES if smoke else LEAVES, seed)
     chosen = {
         name: make for name, make in makers(plr, exact, num_samples, num_steps, seed).items() if name in _RIVALS
     }

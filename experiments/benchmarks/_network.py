@@ -1,5 +1,6 @@
 """The smooth rival: a small neural network, trained with optax."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -76,6 +77,7 @@ def _apply(layers: Layers, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"
     return jnp.sum(x * weights[:, 0], axis=-1) + bias[0]
 
 
+@partial(jax.jit, static_argnames="num_steps")
 def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, "n"], num_steps: int, seed: int) -> Layers:
     optimizer = optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, num_steps))
 
@@ -89,5 +91,5 @@ def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, "n"], 
         return (optax.apply_updates(layers, change), moments), None  # type: ignore[reportReturnType]
 
     keys = jax.random.split(jax.random.key(seed + 1), num_steps)
-    state, _ = jax.jit(lambda state: jax.lax.scan(step, state, keys))((layers, optimizer.init(layers)))
+    state, _ = jax.lax.scan(step, (layers, optimizer.init(layers)), keys)
     return state[0]

@@ -32,7 +32,7 @@ from experiments.benchmarks._trees import linear_trees
 from plr_jax import PLR, VisibilityGraph, construct, metrics, scenes
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
-LEAVES = 512
+LEAVES, SMOKE_LEAVES = 512, 64
 _SAMPLES_OF_JOINT = 64
 _DOUBLE = ", float64 points"
 _RATIOS = {
@@ -45,9 +45,9 @@ _RATIOS = {
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    points, turns, leaves = ([1, 1_000], 2, 64) if smoke else ([1, 1_000, 1_000_000], 15, LEAVES)
+    points, turns, leaves = ([1, 1_000], 2, SMOKE_LEAVES) if smoke else ([1, 1_000, 1_000_000], 15, LEAVES)
     return {
-        "plane": _plane(points, turns, leaves, seed, *((2_000, 20) if smoke else (100_000, 4_000))),
+        "plane": _plane(points, turns, leaves, seed, *((2_000, 20, 1_000) if smoke else (100_000, 4_000, 20_000))),
         "joint": _joint(points[-1], turns, 500 if smoke else 50_000, seed),
         **_query_sizes.measure(points, leaves, turns, seed, smoke),
     }
@@ -60,12 +60,14 @@ def maze_plr(leaves: int, seed: int) -> tuple[PLR, VisibilityGraph]:
     return construct(exact, problem.workspace.bounds, max_leaves=leaves, seed=seed), exact
 
 
-def _plane(points: list[int], turns: int, leaves: int, seed: int, num_samples: int, num_steps: int) -> dict[str, Any]:
+def _plane(
+    points: list[int], turns: int, leaves: int, seed: int, num_samples: int, num_steps: int, num_tests: int
+) -> dict[str, Any]:
     """All contenders in the maze: bytes, errors, and quartiles of nanoseconds a point for every number of points."""
     plr, exact = maze_plr(leaves, seed)
     rivals, skipped = make_all(makers(plr, exact, num_samples, num_steps, seed))
     contenders = {"PLR": Rival(plr.num_bytes, plr, True), **rivals}
-    x_free = scenes.maze().workspace.sample_free(20_000, POINT_SEED + seed)
+    x_free = scenes.maze().workspace.sample_free(num_tests, POINT_SEED + seed)
     rows = {name: {"bytes": rival.num_bytes, **_errors(rival, exact, x_free)} for name, rival in contenders.items()}
     times = {n: interleaved(_calls(contenders, _points(n, 2, seed)), turns) for n in points}
     nanoseconds = {
