@@ -139,13 +139,13 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     """The table as a plain text file; Markdown is made by ``experiments.readme_tables``."""
     path = output / "table1.txt"
     lines = [
-        f"{'scene':10}{'method':12}{'configuration':30}{'bytes':>10}{'max':>10}{'worst':>10}{'mean':>10}{'worst':>10}"
+        f"{'scene':10}{'method':12}{'configuration':36}{'bytes':>10}{'max':>10}{'worst':>10}{'mean':>10}{'worst':>10}"
     ]
     for row in results["rows"]:
         first = row["seeds"][0]
         worst = [max(entry[key] for entry in row["seeds"]) for key in ("max", "mean")]
         lines.append(
-            f"{row['scene']:10}{row['method']:12}{row['configuration']:30}{first['bytes']:10,}{first['max']:10.2g}"
+            f"{row['scene']:10}{row['method']:12}{row['configuration']:36}{first['bytes']:10,}{first['max']:10.2g}"
             f"{worst[0]:10.2g}{first['mean']:10.2g}{worst[1]:10.2g}"
         )
     path.write_text("\n".join(lines) + "\n")
