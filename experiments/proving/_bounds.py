@@ -87,7 +87,8 @@ def violations(
         for leaf, plr in plrs.items():
             lower, upper = _bounds(plr, x, how)
             for name, distance in distances.items():
-                _count(rows[leaf, name], part, x, distance, lower, upper, how)
+                inside = plr.domain.contains(x) & np.isfinite(distance)
+                _count(rows[leaf, name], part, *(each[inside] for each in (x, distance, lower, upper)), how)
     return list(rows.values())
 
 
@@ -114,9 +115,7 @@ def _count(
     upper: Float[np.ndarray, "n"],
     how: str,
 ) -> None:
-    """Add to a row what these points show. Where the goal is reached, a bound that is no number is broken."""
-    reached = np.isfinite(distance)
-    x, distance, lower, upper = x[reached], distance[reached], lower[reached], upper[reached]
+    """Add to a row what points of the domain show that reach the goal: there a bound that is no number is broken."""
     rounding = _ROUNDING * distance.max(initial=0.0)
     holds = (lower - rounding <= distance) & (distance <= upper + rounding) & np.isfinite(upper)
     broken = np.flatnonzero(~holds)
@@ -130,7 +129,7 @@ def _count(
     for at, is_exact in zip(broken[order], exactly[order], strict=True):
         point = {"x": x[at].tolist(), "violation": bool(is_exact), "query": how}
         point["distance"] = float(distance[at])
-        row["examples"].append(point | {"bounds": [float(lower[at]), float(upper[at])]})
+        row["examples"].append(point | {"bounds": np.nan_to_num([lower[at], upper[at]]).tolist()})
 
 
 def table(results: dict[str, Any]) -> str:
