@@ -30,7 +30,7 @@ _BITS_A_LEAF = 5.0  # about as many as one more takes
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 _MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-_LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.1  # of a leaf's average share, that every box has besides its own
+_LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
 _AT_ONCE = 1 << 14  # boxes
 _KEY_BITS = 63  # of a box, for all axes
 
