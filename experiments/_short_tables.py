@@ -34,7 +34,8 @@ def rivals(results: dict[str, Any]) -> str:
             next((row["free"] for row in rows if (row["contender"], row["budget"]) == (contender, budget)), None)
             for rows in maps.values()
         ]
-        table.append([label, *map(mean_and_largest, errors)])
+        if any(errors):  # of what was not measured there is no row
+            table.append([label, *map(mean_and_largest, errors)])
     return markdown(table, numbers=len(maps))
 
 
