@@ -104,8 +104,8 @@ class CellSources(Protocol):
         cell: The cell of each piece.
         pieces: Corners of the pieces, counterclockwise, ``(2, pieces, corners)``; the last is repeated.
         center: A point inside each.
-        distance: Exact distance of each center.
-        best: Source of each center's shortest path.
+        distance: Distance of each center; a bound of it where no source is said to see the center.
+        best: Source of each center's shortest path, of one near it where none is said to see the center.
         piece: The piece of each pair.
         source: The source of each pair.
         by_all: Whether every point of the piece sees it.

@@ -87,8 +87,8 @@ class VisibleSources:
         cell: The cell of each piece.
         pieces: The pieces.
         center: A point inside each.
-        distance: Distance of each center to the goal.
-        best: Source that each center's shortest path goes to.
+        distance: Distance of each center to the goal; a bound of it where no source is said to see the center.
+        best: Source that each center's shortest path goes to, or one near it where none is said to see the center.
         piece: The piece of each pair.
         source: The source of each pair.
         by_all: Whether every point of the piece sees it.

@@ -1,7 +1,8 @@
 """How far the distance is above and below what every leaf holds: pieces are halved where that is not sure enough.
 
-Bounds of a piece hold for all of it, and the error at its center is one that is met. Pieces whose bounds are not much
-beyond errors that are met are done with; the others are halved, which brings both together.
+Bounds of a piece hold for all of it, and the error at its center is one that is met; where the center's distance is
+known as a bound alone, that is taken for met, and bounds may be less tight. Pieces whose bounds are not much beyond
+errors that are met are done with; the others are halved, which brings both together.
 """
 
 from dataclasses import dataclass
