@@ -12,6 +12,7 @@ _APPROXIMATIONS = {
     "PLR": "PLR, planes",
     "PLR, continuous": "PLR, continuous",
     "bilinear grid, 16-bit": "bilinear grid, 16-bit",
+    "interpax, cubic, 16-bit": "cubic grid, 16-bit",
     "LinearNDInterpolator": "triangles",
     "LightGBM linear trees": "linear trees",
     "network, 16-bit": "network, 16-bit",
