@@ -224,7 +224,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "descent": lambda: gradients.descent(results_of("descent")),
     "trajectory": lambda: gradients.trajectory(results_of("trajectory")),
     "refinement": lambda: gradients.refinement(results_of("refinement")),
-    "proofs": lambda: proof_tables.proofs(results_of("proofs")),
+    "proofs": lambda: proof_tables.proofs(results_of("proofs"), results_of("benchmark")["oracle"]),
     "proof_speed": lambda: proof_tables.proof_speed(results_of("proofs")),
     "trace": lambda: proof_tables.trace(results_of("trace")),
     "proof_checks": lambda: proof_tables.proof_checks(results_of("proofs")),
