@@ -5,7 +5,6 @@ from typing import Any
 from experiments._tables import markdown
 from experiments.proving._speed import cone_over_plane
 
-
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
 
 
@@ -25,9 +24,9 @@ def proofs(results: dict[str, Any], oracles: dict[str, Any]) -> str:
     note = (
         f"Mean over {results['sizes']['points']:,} free points; exact: share of them whose error is at most "
         f"{results['sizes']['exact']:.0e} of the largest distance; seconds from polygons to the certified PLR. The "
-        f"largest error that was found is the largest proven one, to a factor of {worst:.3f}. The maps themselves, as "
-        f"16-bit corners, take {_bytes_of_maps(results, oracles)} bytes, mostly less than these files: what files buy "
-        "is a query without visibility tests, the proof, and the way home."
+        f"largest error that was found is the largest proven one, to a factor of {worst:.3f}. The maps themselves, "
+        f"as 16-bit corners, take {_bytes_of_maps(results, oracles)} bytes, mostly less than these files: what files "
+        "buy is a query without visibility tests, the proof, and the way home."
     )
     return markdown(rows, numbers=7) + f"\n{note}\n"
 

@@ -13,7 +13,7 @@ import plr_jax
 from plr_jax import VisibilityGraph, construct, scenes
 from plr_jax.cli import load_app
 from plr_jax.oracles._cell_sources import VisibleSources
-from plr_jax.plr import load
+from plr_jax.plr import load, save
 from plr_jax.plr.leaves import leaf_names
 
 runner, app = CliRunner(), load_app()
@@ -261,6 +261,28 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, mo
     assert len(calls) > last_call, "what there is, is proven"
     plr = plr_jax.load(tmp_path / "out.plr")
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
+
+
+def test_bounds_of_cells_are_narrower_and_need_a_proof(tmp_path):
+    widths = []
+    for options in ([], ["--leaf-bounds"]):
+        assert (
+            run("build", "maze", "--leaf", "cone", "--max-bytes", 400, *options, "-o", tmp_path / "a.plr").exit_code
+            == 0
+        )
+        result = run("query", tmp_path / "a.plr", "-", "--bounds", input="0.3,0.85\n0.9,0.9\n")
+        distance, lower, upper = np.loadtxt(result.stdout.splitlines(), delimiter=",").T
+        assert ((lower <= distance) & (distance <= upper)).all()
+        widths.append((upper - lower).mean())
+    assert widths[1] < widths[0]
+    save(construct(lambda x: np.hypot(*x.T), ([0, 0], [1, 1]), max_leaves=4), tmp_path / "b.plr")
+    result = run("query", tmp_path / "b.plr", "-", "--bounds", input="0.3,0.85\n")
+    assert result.exit_code == 2 and "Nothing is proven" in result.stderr
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "plr_jax", "--help"], check=False, capture_output=True, text=True)
+    assert done.returncode == 0 and "build" in done.stdout
 
 
 def test_a_warning_of_something_else_does_not_end_a_build(tmp_path, monkeypatch):
