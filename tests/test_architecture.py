@@ -18,6 +18,7 @@ LAYERS = [
     ["oracles", "plr", "planners"],
     ["optimize", "metrics", "plot", "scenes"],
     ["cli"],
+    ["__main__"],
 ]
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
