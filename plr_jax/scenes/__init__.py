@@ -1,5 +1,6 @@
 """Named scenes, the scene file format, readers of public formats, and variants of a problem."""
 
+from plr_jax.scenes._crowded import crowd, door
 from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
 from plr_jax.scenes._movingai import Scenario, read_map, read_scen
@@ -10,6 +11,8 @@ from plr_jax.scenes._published import cross, floor_plan, four_rooms, maze, singl
 __all__ = [
     "Scenario",
     "cross",
+    "crowd",
+    "door",
     "floor_plan",
     "four_rooms",
     "is_scene",

@@ -1,8 +1,9 @@
-"""The configurations that one robot visits: a lattice of cells, and the primitives that lead from cell to cell.
+"""The configurations that robots visit: a lattice of cells, and the primitives that lead from cell to cell.
 
 Every cell that holds a free configuration has one representative: its center where that is free, else the free
-sample that lies farthest from obstacles, so that a passage narrower than a cell is still found. The start and
-the goal represent their own cells, which makes the ends of every path exact. Headings are periodic.
+sample that lies farthest from obstacles, so that a passage narrower than a cell is still found. Headings are
+periodic. Robots of one kind share a table of the motions between representatives. For each of them, its own start and
+goal represent their cells, which makes the ends of every path exact: they are nodes of the table beside the others.
 """
 
 import math
@@ -42,28 +43,88 @@ _BYTES = 80  # what a motion takes, in its lattice and while that is built
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
-    """One robot's configurations and its motions between them.
+class MotionTable:
+    """Configurations of one kind of robot, and the motions between them.
 
     The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own configuration at
-    infinite cost. Configurations represent their cells; ``start`` and ``goal`` are indices.
+    infinite cost. The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which
+    no primitive leads.
     """
 
     q: Float[np.ndarray, "nodes dof"]
     child: Int[np.ndarray, "nodes primitives"]
     cost: Float[np.ndarray, "nodes primitives"]
-    start: int
-    goal: int
+    num_cells: int
+
+
+class End(NamedTuple):
+    """A robot's start or goal, which stands for its cell.
+
+    Args:
+        node: Its node.
+        cell: The node of its cell's representative, which the robot never visits.
+        entry: Cost of the motion to it by each primitive that leads to its cell, ``inf`` where it is not free: first
+            from representatives, then from the robot's other end.
+    """
+
+    node: int
+    cell: int
+    entry: Float[np.ndarray, "2 primitives"]
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells."""
+
+    table: MotionTable
+    ends: tuple[End, End]
+
+    @property
+    def q(self) -> Float[np.ndarray, "nodes dof"]:
+        """The configurations."""
+        return self.table.q
+
+    @property
+    def start(self) -> int:
+        """The node of the start."""
+        return self.ends[0].node
+
+    @property
+    def goal(self) -> int:
+        """The node of the goal."""
+        return self.ends[1].node
+
+    @property
+    def num_primitives(self) -> int:
+        """Primitives, staying among them."""
+        return self.table.child.shape[1]
+
+    def motions(
+        self, node: Int[np.ndarray, "*batch"]
+    ) -> tuple[Int[np.ndarray, "*batch primitives"], Float[np.ndarray, "*batch primitives"]]:
+        """Where the primitives of some nodes lead, and what they cost."""
+        child, cost = self.table.child[node], self.table.cost[node]
+        from_end = (node >= self.table.num_cells).astype(int)
+        for end in self.ends:
+            enters, entry = child == end.cell, end.entry[from_end]
+            cost = np.where(enters, entry, cost)
+            child = np.where(enters, np.where(np.isfinite(entry), end.node, node[..., None]), child).astype(np.int32)
+        return child, cost
 
     @cached_property
-    def end(self) -> Float[np.ndarray, "nodes primitives dof"]:
-        """Configuration in which each primitive ends."""
-        return self.q[self.child]
+    def child(self) -> Int[np.ndarray, "nodes primitives"]:
+        """Where the primitives of all nodes lead."""
+        return self.motions(np.arange(len(self.q)))[0]
+
+    @cached_property
+    def cost(self) -> Float[np.ndarray, "nodes primitives"]:
+        """What the primitives of all nodes cost."""
+        return self.motions(np.arange(len(self.q)))[1]
 
     @cached_property
     def stride(self) -> float:
         """Largest distance that a primitive translates, in workspace units."""
-        offset = self.end - self.q[:, None]
+        offset = self.q[self.child] - self.q[:, None]
         return float(np.hypot(offset[..., 0], offset[..., 1]).max())
 
     def least_cost(self) -> float:
@@ -81,7 +142,8 @@ class Lattice:
         reached, newest = np.zeros(len(self.q), dtype=bool), np.array([self.start])
         while len(newest) and not reached[self.goal]:
             reached[newest] = True
-            children = self.child[newest][np.isfinite(self.cost[newest])]
+            child, cost = self.motions(newest)
+            children = child[np.isfinite(cost)]
             newest = np.unique(children[~reached[children]])
         return bool(reached[self.goal])
 
@@ -127,28 +189,90 @@ class Motions(NamedTuple):
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
-    def with_ends(self, ends: Float[np.ndarray, "2 dof"]) -> Lattice:
-        """The lattice of a robot whose start and goal stand for their cells."""
-        motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
-        cells = self.grid.cells_of(ends)
-        motions.q[cells], motions.free[cells] = ends, True
-        # The opposite of an offset may be no primitive: test all motions that begin or end in these cells.
-        around, exists = self.grid.neighbors(cells, np.concatenate([self.offsets, -self.offsets]))
-        motions.connect(np.unique(around[exists]))
-        index = np.cumsum(motions.free) - 1
+    def with_ends(
+        self, starts: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "robots dof"]
+    ) -> list[Lattice]:
+        """The lattices of robots of this kind."""
+        ends = np.concatenate([starts, goals])
+        motions, cells = self._with_representatives(ends), self.grid.cells_of(ends)
+        index, num_cells = np.cumsum(motions.free) - 1, int(motions.free.sum())
+        nodes = num_cells + np.arange(len(ends))
         child = np.where(np.isfinite(motions.cost), index[motions.child], index[:, None])[motions.free]
-        q, cost = motions.q[motions.free], motions.cost[motions.free]
-        return Lattice(q, child.astype(np.int32), cost, *index[cells].tolist())
+        away, leaving = motions._motions_from(ends)
+        away = np.where(np.isfinite(leaving), index[away], nodes[:, None])
+        leaving[:, 0] = 0.0
+        table = MotionTable(
+            np.concatenate([motions.q[motions.free], ends]),
+            np.concatenate([child, away], dtype=np.int32),
+            np.concatenate([motions.cost[motions.free], leaving]),
+            num_cells,
+        )
+        others = np.concatenate([goals, starts])
+        entry = np.stack([motions._motions_to(ends), motions._motions_between(others, ends)], axis=1)
+        # A goal that is the start, but for whole turns, is the same node.
+        nodes[: len(starts)][straight_costs(starts, goals, 1.0) == 0] += len(starts)
+        both = [End(*end) for end in zip(nodes.tolist(), index[cells].tolist(), entry, strict=True)]
+        return [Lattice(table, pair) for pair in zip(both[: len(starts)], both[len(starts) :], strict=True)]
+
+    def _with_representatives(self, q: Float[np.ndarray, "n dof"]) -> "Motions":
+        """The motions with one of some configurations for each of their cells that has no representative."""
+        cells, first = np.unique(self.grid.cells_of(q), return_index=True)
+        missing = ~self.free[cells]
+        if not missing.any():
+            return self
+        motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
+        motions.q[cells[missing]], motions.free[cells[missing]] = q[first[missing]], True
+        # The opposite of an offset may be no primitive: test all motions that begin or end in these cells.
+        offsets = np.concatenate([self.offsets, -self.offsets])
+        around, exists = self.grid.neighbors(cells[missing], offsets)
+        motions.connect(np.unique(around[exists]))
+        return motions
+
+    def _motions_from(
+        self, q: Float[np.ndarray, "n dof"]
+    ) -> tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]:
+        """The cells that primitives lead to from configurations, and the costs, ``inf`` where they are not free."""
+        cells, exists = self.grid.neighbors(self.grid.cells_of(q), self.offsets)
+        row, primitive = np.nonzero(exists & self.free[cells])
+        cost = np.full(cells.shape, np.inf)
+        cost[row, primitive] = self._motion_costs(q[row], self.q[cells[row, primitive]])
+        cost[:, 0] = np.inf
+        return cells, cost
+
+    def _motions_to(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n primitives"]:
+        """Costs of the motions to configurations by each primitive that leads from a representative to their cells."""
+        cells, exists = self.grid.neighbors(self.grid.cells_of(q), -self.offsets)
+        row, primitive = np.nonzero(exists & self.free[cells])
+        cost = np.full(cells.shape, np.inf)
+        cost[row, primitive] = self._motion_costs(self.q[cells[row, primitive]], q[row])
+        cost[:, 0] = np.inf
+        return cost
+
+    def _motions_between(
+        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"]
+    ) -> Float[np.ndarray, "n primitives"]:
+        """Costs of the motions from configurations to others by each primitive that leads from cell to cell."""
+        cells, exists = self.grid.neighbors(self.grid.cells_of(begin), self.offsets)
+        row, primitive = np.nonzero(exists & (cells == self.grid.cells_of(end)[:, None]))
+        cost = np.full(cells.shape, np.inf)
+        cost[row, primitive] = self._motion_costs(begin[row], end[row])
+        cost[:, 0] = np.inf
+        return cost
+
+    def _motion_costs(
+        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"]
+    ) -> Float[np.ndarray, "n"]:
+        """Cost of straight motions, ``inf`` for those that are not free."""
+        return np.where(self.test(begin, end), straight_costs(begin, end, self.rotation_weight), np.inf)
 
     def connect(self, cells: Int[np.ndarray, "n"]) -> None:
         """Test the motions that begin in some cells, in place."""
         child, exists = self.grid.neighbors(cells, self.offsets)
         exists &= self.free[cells, None] & self.free[child]
-        row, primitive = np.nonzero(exists)
-        begin, end = self.q[cells[row]], self.q[child[exists]]
-        length = straight_costs(begin, end, self.rotation_weight)
+        exists[:, 0] = False
         cost = np.full(child.shape, np.inf)
-        cost[row, primitive] = np.where((primitive == 0) | self.test(begin, end), length, np.inf)
+        cost[exists] = self._motion_costs(self.q[cells[np.nonzero(exists)[0]]], self.q[child[exists]])
+        cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
 
@@ -187,22 +311,44 @@ def build_lattices(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    lattices, primitives = [], tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
+    primitives = tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
+    kinds: dict[tuple[Robot, float], list[int]] = {}
     for i, robot in enumerate(problem.robots):
-        ends = np.stack([problem.starts[i], problem.goals[i]])[:, : robot.dof]
-        recipe = _Recipe(problem.workspace, robot, float(problem.rotation_weights[i]), step, primitives, deadline)
-        grid = _grid(problem.workspace, robot, step)
-        if len(set(grid.cells_of(ends).tolist())) == 1 and not np.array_equal(*ends):
-            motions = _motions(recipe, _split_between(grid, ends))
-        else:
-            motions = _shared_motions(recipe)
-        lattices.append(motions.with_ends(ends))
-    return lattices
+        kinds.setdefault((robot, float(problem.rotation_weights[i])), []).append(i)
+    lattices: dict[int, Lattice] = {}
+    for (robot, weight), alike in kinds.items():
+        recipe = _Recipe(problem.workspace, robot, weight, step, primitives, deadline)
+        starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
+        motions = _shared_motions(recipe)
+        cells = motions.grid.cells_of(starts), motions.grid.cells_of(goals)
+        split = (cells[0] == cells[1]) & (straight_costs(starts, goals, 1.0) > 0)
+        for k in np.flatnonzero(split).tolist():
+            grid = _split_between(motions.grid, np.stack([starts[k], goals[k]]))
+            (lattices[alike[k]],) = _motions(recipe, grid).with_ends(starts[[k]], goals[[k]])
+        shared = np.flatnonzero(~split)
+        if len(shared):
+            ours = motions.with_ends(starts[shared], goals[shared])
+            lattices.update(zip(np.array(alike)[shared].tolist(), ours, strict=True))
+    return [lattices[i] for i in range(len(problem.robots))]
 
 
 @lru_cache(maxsize=8)
 def _shared_motions(recipe: _Recipe) -> Motions:
     return _motions(recipe, _grid(recipe.workspace, recipe.robot, recipe.step))
+
+
+def _motions(recipe: _Recipe, grid: Grid) -> Motions:
+    dof, q, test = len(grid.shape), grid.centers(), motion_test(recipe.workspace, recipe.robot)
+    offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
+    child = np.empty((len(q), len(offsets)), dtype=np.intp)
+    motions = Motions(
+        grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
+    )
+    for cells in _chunks(grid, recipe.deadline):
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+    for cells in _chunks(grid, recipe.deadline):
+        motions.connect(np.arange(cells.start, cells.stop))
+    return motions
 
 
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
@@ -228,21 +374,6 @@ def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:
     lo[axis] = middle - np.ceil((middle - lo[axis]) / grid.side[axis]) * grid.side[axis]
     shape[axis] += axis < 2  # headings are periodic
     return Grid(lo, tuple(shape), grid.side)
-
-
-def _motions(recipe: _Recipe, grid: Grid) -> Motions:
-    dof, test = len(grid.shape), motion_test(recipe.workspace, recipe.robot)
-    offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
-    q = grid.centers()
-    child = np.empty((len(q), len(offsets)), dtype=np.intp)
-    motions = Motions(
-        grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
-    )
-    for cells in _chunks(grid, recipe.deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
-    for cells in _chunks(grid, recipe.deadline):
-        motions.connect(np.arange(cells.start, cells.stop))
-    return motions
 
 
 def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:

@@ -47,8 +47,8 @@ class JointLattice(NamedTuple):
         reach = robot_a.circumscribed_radius + robot_b.circumscribed_radius + a.stride + b.stride
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
         near = np.flatnonzero(x * x + y * y < reach * reach)
-        motions_a = qa[near, None, None], a.end[state[near, i], :, None]
-        motions_b = qb[near, None, None], b.end[state[near, j], None, :]
+        motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
+        motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
         return near, ~self.test.apart(i, *motions_a, j, *motions_b)
 
 

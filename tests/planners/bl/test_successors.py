@@ -143,7 +143,7 @@ def test_collisions_are_those_that_samples_show():
             for array, lattice, k, primitive in ((0, a, i, p), (2, b, j, q)):
                 dof = lattice.q.shape[1]
                 pad[array][:, :dof] = lattice.q[state[row, k]]
-                pad[array + 1][:, :dof] = lattice.end[state[row, k], primitive]
+                pad[array + 1][:, :dof] = lattice.q[lattice.child[state[row, k], primitive]]
             robots = joint.problem.robots
             distance = sampled_distance(robots[i], pad[0], pad[1], robots[j], pad[2], pad[3], 60)
             at = np.flatnonzero(near == row)
