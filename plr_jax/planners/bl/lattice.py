@@ -106,7 +106,7 @@ class Lattice:
         child, cost = self.table.child[node], self.table.cost[node]
         from_end = (node >= self.table.num_cells).astype(int)
         for end in self.ends:
-            enters, entry = child == end.cell, end.entry[from_end]
+            enters, entry = (child == end.cell) & (child != node[..., None]), end.entry[from_end]
             cost = np.where(enters, entry, cost)
             child = np.where(enters, np.where(np.isfinite(entry), end.node, node[..., None]), child).astype(np.int32)
         return child, cost

@@ -59,7 +59,8 @@ class Kind:
         child, cost = self.table.child[node], self.table.cost[node]
         rows, from_end = np.arange(len(node)), (node >= self.table.num_cells).astype(np.intp)
         for end in range(2):
-            enters, entry = child == self.cell[:, [end]], self.entry[rows, end, from_end]
+            enters = (child == self.cell[:, [end]]) & (child != node[:, None])
+            entry = self.entry[rows, end, from_end]
             cost = np.where(enters, entry, cost)
             child = np.where(enters, np.where(np.isfinite(entry), self.node[:, [end]], node[:, None]), child)
         return child, cost

@@ -24,9 +24,7 @@ class StepSearch:
         self.order: list[int] = []
         self.effort = _LARGEST_EFFORT * num_robots
 
-    def step(
-        self, order: Sequence[int], constraints: Sequence[tuple[int, int]]
-    ) -> list[int] | None:
+    def step(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
         """Primitives of all robots, of which some are given; None if no step was found.
 
         Args:

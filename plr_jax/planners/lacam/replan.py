@@ -111,7 +111,12 @@ class Conflicts:
         row, edge = row[k], others.by_begin[others.first[node][k] + step]
         p = others.kind.table.q
         apart = motions_apart(
-            ours.kind.robot, begin[row], end[row], others.kind.robot, p[others.begin[edge]], p[others.end[edge]],
+            ours.kind.robot,
+            begin[row],
+            end[row],
+            others.kind.robot,
+            p[others.begin[edge]],
+            p[others.end[edge]],
             self.tolerance,
         )
         row, edge = row[~apart], edge[~apart]
@@ -176,7 +181,9 @@ class Timetable:
         return True
 
 
-def improve(timetable: Timetable, least: Float[np.ndarray, "robots"], deadline: float, seed: int = 0, log=None) -> None:
+def improve(
+    timetable: Timetable, least: Float[np.ndarray, "robots"], deadline: float, seed: int = 0, log=None
+) -> None:
     rng = np.random.default_rng(seed)
     num_robots = len(least)
     order = np.argsort(least - timetable.cost)
@@ -188,7 +195,8 @@ def improve(timetable: Timetable, least: Float[np.ndarray, "robots"], deadline: 
             timetable.add(i, -1)
             assert timetable.replan(i)
             timetable.add(i, 1)
-        if log: log("sweep", timetable.cost.sum() / least.sum())
+        if log:
+            log("sweep", timetable.cost.sum() / least.sum())
         order = np.argsort(least - timetable.cost)
         if before - timetable.cost.sum() < 1e-2 * before:
             break
@@ -197,7 +205,9 @@ def improve(timetable: Timetable, least: Float[np.ndarray, "robots"], deadline: 
         excess = np.maximum(timetable.cost - least, 1e-9)
         i = int(rng.choice(num_robots, p=excess / excess.sum()))
         # those near it on its way
-        q = [timetable.edges[timetable.place[j][0]].kind.table.q[timetable.state[:, j], :2] for j in range(num_robots)]
+        q = [
+            timetable.edges[timetable.place[j][0]].kind.table.q[timetable.state[:, j], :2] for j in range(num_robots)
+        ]
         gap = np.array([np.hypot(*(q[i] - q[j]).T).min() if j != i else 0 for j in range(num_robots)])
         near = np.argsort(gap + rng.uniform(0, 1.0, num_robots))[: 3 * size]
         group = np.unique(np.append(rng.choice(near, min(size, len(near)) - 1, replace=False), i))
