@@ -12,10 +12,11 @@ from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._heuristics import require_heuristic, straight_line
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.bl.heuristic_table import tabulate
-from plr_jax.planners.bl.lattice import Lattice, build_lattices, num_bytes, num_configurations
 from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.bl.search import BestFirstSearch, SearchBudget
-from plr_jax.planners.bl.successors import JointLattice
+from plr_jax.planners.lattice.build import build_lattices, num_bytes, num_configurations
+from plr_jax.planners.lattice.joint import JointLattice
+from plr_jax.planners.lattice.motions import Lattice
 from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 

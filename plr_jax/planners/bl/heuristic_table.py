@@ -7,7 +7,8 @@ from jaxtyping import Float, UInt8
 
 from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._heuristics import estimates, require_estimates, straight_line
-from plr_jax.planners.bl.successors import JointLattice, State, Successors
+from plr_jax.planners.bl.successors import Successors
+from plr_jax.planners.lattice.joint import JointLattice, State
 
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 

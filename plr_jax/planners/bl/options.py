@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plr_jax._arrays import as_number
-from plr_jax.planners.bl.lattice import PRIMITIVES, Primitive
+from plr_jax.planners.lattice.build import PRIMITIVES, Primitive
 
 _LARGEST_WEIGHT = 1e6
 

@@ -13,7 +13,8 @@ from plr_jax._arrays import runs
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import HeuristicTable
 from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.bl.successors import JointLattice, State, best_successors
+from plr_jax.planners.bl.successors import best_successors
+from plr_jax.planners.lattice.joint import JointLattice, State
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
 _KEPT = 16  # one of so many joint children that are found is kept

@@ -1,15 +1,14 @@
 """What the robots of a team may do next from a joint configuration, and which of their motions collide."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.collision.pairs import motions_apart
-from plr_jax.planners.bl.lattice import Lattice, MotionTable
-from plr_jax.planners.bl.successors import JointLattice
+from plr_jax.planners.lattice.joint import JointLattice
+from plr_jax.planners.lattice.motions import Lattice, MotionTable
 from plr_jax.robots.robot import Robot
 
 Bits: TypeAlias = int

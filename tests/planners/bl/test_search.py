@@ -10,8 +10,8 @@ from planner_helpers import FOUR_NEIGHBORS, apart, exact, graph_of, hallway, joi
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import BLOptions, Status, straight_line, zero
 from plr_jax.planners.bl.heuristic_table import tabulate
-from plr_jax.planners.bl.lattice import PRIMITIVES
 from plr_jax.planners.bl.search import BestFirstSearch, SearchTree
+from plr_jax.planners.lattice.build import PRIMITIVES
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
 LABYRINTH = Problem(BLOCKS, [DiscRobot(0.3)], [(0.5, 0.5)], [(7.5, 7.5)])

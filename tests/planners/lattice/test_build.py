@@ -7,7 +7,7 @@ import shapely
 from planner_helpers import FOUR_NEIGHBORS, ROOM, deepest_overlap, graph_of
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
-from plr_jax.planners.bl.lattice import PRIMITIVES, build_lattices
+from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
 
 BAR = RectangleRobot(1.3, 0.5)
 WALLS = Workspace(
