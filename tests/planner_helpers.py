@@ -22,7 +22,7 @@ from plr_jax import (
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import sum_of_distances
-from plr_jax.planners.bl.search import SearchBudget
+from plr_jax.planners._budget import SearchBudget
 from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
 from plr_jax.planners.lattice.joint import JointLattice
 

@@ -1,5 +1,6 @@
 """What a search knows of the cost-to-go: a heuristic's terms as tables over the lattices, or the plain function."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,15 +68,19 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, weight: float) -> Heur
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     q = joint.configurations(state)
     values = require_estimates((separable or straight_line(joint.problem)).per_robot(q), q.shape[:2])
-    tables = tuple(
-        _finite(column[: len(lattice.q)]) for column, lattice in zip(values.T, joint.lattices, strict=True)
-    )
+    columns = [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
+    return weighted(joint, columns, weight)._replace(plain=None if separable else heuristic)
+
+
+def weighted(joint: JointLattice, values: Sequence[Table], weight: float) -> HeuristicTable:
+    """The table of a heuristic that is given by its values at the nodes of each robot, not negative, never NaN."""
+    tables = tuple(_finite(column) for column in values)
     terms = tuple(
         (lattice.cost + weight * table[lattice.child]).astype(np.float32)
         for lattice, table in zip(joint.lattices, tables, strict=True)
     )
     farthest = float(2 * sum(table.max() for table in tables))
-    return HeuristicTable(weight, tables, terms, None if separable else heuristic, farthest)
+    return HeuristicTable(weight, tables, terms, None, farthest)
 
 
 def _finite(values: Table) -> Table:

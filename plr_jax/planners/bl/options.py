@@ -9,6 +9,8 @@ import numpy as np
 from plr_jax._arrays import as_number
 from plr_jax.planners.lattice.build import PRIMITIVES, Primitive
 
+SEARCHERS = ("lacam", "bl")
+
 _LARGEST_WEIGHT = 1e6
 
 
@@ -17,6 +19,9 @@ class BLOptions:
     """Options of :func:`plr_jax.bl_plan`.
 
     Args:
+        searchers: Which searches take turns until one finds a path. "lacam" moves the whole team one step at a time:
+            it is over at once where robots can push one another along, for large teams as well. "bl" is best-first
+            search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
         primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
             lattice. Round robots leave out those that turn.
         step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
@@ -39,6 +44,7 @@ class BLOptions:
         max_memory: Most bytes of the lattices and of the search's nodes.
     """
 
+    searchers: Sequence[str] = SEARCHERS
     primitives: Sequence[Primitive] = PRIMITIVES
     step: float | int | None = None
     cell_size: float | int | None = None
@@ -68,6 +74,8 @@ class BLOptions:
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
+        if isinstance(self.searchers, str) or not self.searchers or not set(self.searchers) <= set(SEARCHERS):
+            raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
         _require_primitives(self.primitives)
 
 

@@ -1,7 +1,6 @@
 """Best-first search over joint configurations that claims every cell of the joint space once."""
 
 import heapq
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ from jaxtyping import Float, Int, Shaped
 from tqdm import tqdm
 
 from plr_jax._arrays import runs
+from plr_jax.planners._budget import SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import HeuristicTable
 from plr_jax.planners.bl.options import BLOptions
@@ -20,28 +20,6 @@ _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among th
 _KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
-
-
-@dataclass
-class SearchBudget:
-    """What a planner may still do, until a time of ``time.perf_counter``, and what it has done."""
-
-    deadline: float
-    max_expansions: float | int
-    max_memory: float | int
-    num_nodes: int = 0
-    num_expansions: int = 0
-    num_children_scored: int = 0
-    num_children_valid: int = 0
-    memory: int = 0
-
-    def exceeded(self) -> Status | None:
-        """The limit that is reached, if one is."""
-        if time.perf_counter() >= self.deadline:
-            return Status.TIME_LIMIT
-        if self.num_expansions + 1 > self.max_expansions:
-            return Status.EXPANSION_LIMIT
-        return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 @dataclass

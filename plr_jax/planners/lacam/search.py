@@ -1,82 +1,141 @@
-"""Lazy search over constraints (LaCAM): joint configurations one step apart, until all robots are at their goals."""
+"""Search over joint configurations one step apart, under constraints that grow as they are needed (LaCAM)."""
 
-import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from tqdm import tqdm
 
+from plr_jax.planners._budget import SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.lacam.moves import TeamMoves
-from plr_jax.planners.lacam.pibt import StepSearch
+from plr_jax.planners.lacam.pibt import Step
+from plr_jax.planners.lattice.joint import JointLattice, State
 
-Constraints = tuple[tuple[int, int], ...]
+_NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # what a node takes, and for each of its robots
+_CONSTRAINT_BYTES = 100
 
 
 @dataclass(eq=False)
 class Node:
-    """A joint configuration of the search."""
+    """A joint configuration of the search.
+
+    Args:
+        state: Where the robots are.
+        parent: Where they came from.
+        waiting: Of each robot, steps since it was last at its goal, and for those at it less than 1: its priority.
+        order: The robots by priority, the highest first.
+        constraints: What to ask of the next steps from here.
+    """
 
     state: Int[np.ndarray, "robots"]
     parent: "Node | None"
-    priority: Float[np.ndarray, "robots"]
-    order: list[int]
-    constraints: deque[Constraints] = field(default_factory=lambda: deque([()]))
+    waiting: Float[np.ndarray, "robots"]
+    order: list[int] = field(init=False)
+    constraints: deque[tuple[tuple[int, int], ...]] = field(default_factory=lambda: deque([()]))
+
+    def __post_init__(self) -> None:
+        self.order = np.argsort(-self.waiting, kind="stable").tolist()
 
 
 class LazySearch:
-    """A depth-first search that asks each joint configuration for one more step whenever it comes by."""
+    """Okumura's search: the newest node is asked for one more step of the team, until all are at their goals.
 
-    def __init__(self, moves: TeamMoves, start, goal, cost_to_go):
-        self.moves = moves
-        self.goal = goal
-        self.cost_to_go = cost_to_go
-        far = np.array([table[s] for table, s in zip(cost_to_go, start, strict=True)])
-        priority = far / (1 + far.max())
-        self.root = Node(start, None, priority, np.argsort(-priority, kind="stable").tolist())
-        self.nodes = {start.tobytes(): self.root}
-        self.open = [self.root]
-        self.found = self.root if np.array_equal(start, goal) else None
-        self.num_steps = 0
-        self.base = priority
+    A node's first step is free. Each step after that begins with more constraints: the robot next in the order of
+    priorities must choose another primitive. So every step is tried in the end, but hardly ever has to be. A step to
+    a node that is known puts that on top again.
 
-    def run(self, deadline: float) -> Status | None:
-        while self.open and self.found is None:
-            if time.perf_counter() > deadline:
-                return Status.TIME_LIMIT
+    The ``costs_to_go`` are those of each robot, by node.
+
+    References:
+        Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+    """
+
+    def __init__(
+        self,
+        joint: JointLattice,
+        moves: TeamMoves,
+        costs_to_go: Sequence[Float[np.ndarray, "_"]],
+        budget: SearchBudget,
+    ):
+        self.joint, self.moves, self.budget = joint, moves, budget
+        self.goal = np.array([lattice.goal for lattice in joint.lattices])
+        start = np.array([lattice.start for lattice in joint.lattices])
+        far = np.array([cost[node] for cost, node in zip(costs_to_go, start.tolist(), strict=True)])
+        self.at_rest = far / (1 + far.max())  # among robots at their goals, those go first that came from far
+        self.nodes: dict[bytes, Node] = {}
+        self.open: list[Node] = []
+        self.found: Node | None = None
+        self.num_steps, self.memory = 0, 0
+        self._add(start, None)
+
+    def run(self, num_steps: int, progress: tqdm | None = None) -> Status | None:
+        """Search on until the goals are reached, nothing is left, or a limit is reached, and say which.
+
+        None for a pause: after so many steps of this search, those of earlier runs included.
+        """
+        while self.found is None and self.open and self.num_steps < num_steps:
+            limit = self.budget.exceeded()
+            if limit:
+                return limit
             node = self.open[-1]
-            if not node.constraints:
+            if node.constraints:
+                self._take_step(node)
+                if progress is not None:
+                    progress.update()
+            else:
                 self.open.pop()
-                continue
-            constraints = node.constraints.popleft()
-            moves = self.moves(node.state)
-            depth = len(constraints)
-            if depth < len(node.order):
-                robot = node.order[depth]
-                node.constraints.extend((*constraints, (robot, p)) for p in moves.ranked[robot])
-            self.num_steps += 1
-            step = StepSearch(moves).step(node.order, constraints)
-            if step is None:
-                continue
-            state = np.array([moves.child[i][p] for i, p in enumerate(step)])
-            known = self.nodes.get(state.tobytes())
-            if known is not None:
-                self.open.append(known)
-                continue
-            arrived = state == self.goal
-            priority = np.where(arrived, self.base, node.priority + 1)
-            child = Node(state, node, priority, np.argsort(-priority, kind="stable").tolist())
-            self.nodes[state.tobytes()] = child
-            self.open.append(child)
-            if arrived.all():
-                self.found = child
-        return Status.SOLVED if self.found else Status.EXHAUSTED
+        if self.found is not None:
+            return Status.SOLVED
+        return None if self.open else Status.EXHAUSTED
 
     @property
-    def branch(self):
-        node, states = self.found, []
+    def branch(self) -> State:
+        """States from the starts to the goals, once these are found."""
+        states, node = [], self.found
         while node is not None:
             states.append(node.state)
             node = node.parent
         return np.array(states[::-1])
+
+    @property
+    def state(self) -> State:
+        """All nodes, in the order of their making."""
+        return np.array([node.state for node in self.nodes.values()])
+
+    def _take_step(self, node: Node) -> None:
+        """One more step of the team, under the node's next constraints."""
+        constraints = node.constraints.popleft()
+        moves = self.moves(node.state)
+        self.num_steps += 1
+        self.budget.num_expansions += 1
+        self.budget.num_children_scored += sum(map(len, moves.child))
+        if len(constraints) < len(node.order):
+            robot = node.order[len(constraints)]
+            node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
+            self._hold(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+        primitives = Step(moves).find(node.order, constraints)
+        if primitives is not None:
+            self.budget.num_children_valid += 1
+            self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
+
+    def _add(self, state: Int[np.ndarray, "robots"], parent: Node | None) -> None:
+        """Put a state on top, as a new node if it is not known."""
+        key = state.astype(np.int32).tobytes()
+        node = self.nodes.get(key)
+        if node is None:
+            arrived: Bool[np.ndarray, robots] = state == self.goal
+            before = self.at_rest if parent is None else parent.waiting + 1
+            node = self.nodes[key] = Node(state, parent, np.where(arrived, self.at_rest, before))
+            self.budget.num_nodes += 1
+            self._hold(_NODE_BYTES + _ROBOT_BYTES * len(state))
+            if arrived.all():
+                self.found = node
+        self.open.append(node)
+
+    def _hold(self, num_bytes: int) -> None:
+        """Count memory that is taken."""
+        self.memory += num_bytes
+        self.budget.memory += num_bytes

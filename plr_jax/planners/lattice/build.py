@@ -38,7 +38,6 @@ _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _CHUNK = 1 << 12  # cells at a time, between two looks at the clock
-_BYTES = 80  # what a motion takes, in its lattice and while that is built
 
 
 class Grid(NamedTuple):
@@ -185,12 +184,6 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
     """About how many configurations the lattice of a robot has if all are free; ``inf`` past all bounds."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
-
-
-def num_bytes(problem: Problem, step: float, primitives: Sequence[Primitive]) -> float:
-    """About what the lattices of all robots take if all is free, so that those too large are not begun."""
-    num_nodes = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
-    return _BYTES * num_nodes * (1 + len(primitives))
 
 
 def build_lattices(

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csgraph as sparse_graphs
-from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +92,6 @@ class Lattice:
         """Largest distance that a primitive translates, in workspace units."""
         offset = self.q[self.child] - self.q[:, None]
         return float(np.hypot(offset[..., 0], offset[..., 1]).max())
-
-    def least_cost(self) -> float:
-        """Of the cheapest sequence of primitives from the start to the goal; ``inf`` if there is none."""
-        begin, primitive = np.nonzero(np.isfinite(self.cost) & (self.child != np.arange(len(self.q))[:, None]))
-        end, cost = self.child[begin, primitive], self.cost[begin, primitive]
-        order = np.lexsort((cost, end, begin))  # of several motions between two configurations, the cheapest
-        begin, end, cost = begin[order], end[order], cost[order]
-        first = np.append(True, (begin[1:] != begin[:-1]) | (end[1:] != end[:-1]))[: len(begin)]
-        graph = csr_array((cost[first], (begin[first], end[first])), shape=(len(self.q),) * 2)
-        return float(sparse_graphs.dijkstra(graph, indices=self.start)[self.goal])
 
     def reaches_goal(self) -> bool:
         """Whether some sequence of primitives leads from the start to the goal."""

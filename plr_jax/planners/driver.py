@@ -3,29 +3,31 @@
 import time
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from tqdm import tqdm
 
 from plr_jax._problem import Problem, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.planners._heuristics import require_heuristic, straight_line
+from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners._heuristics import require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.bl.search import BestFirstSearch, SearchBudget
-from plr_jax.planners.lattice.build import build_lattices, num_bytes, num_configurations
-from plr_jax.planners.lattice.joint import JointLattice
-from plr_jax.planners.lattice.motions import Lattice
+from plr_jax.planners.lacam.timetable import Timetable, replan_each, replan_neighbors
+from plr_jax.planners.lattice.build import num_configurations
+from plr_jax.planners.lattice.joint import State
+from plr_jax.planners.level import Level, build_level, num_bytes
 from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
+_COARSEST = 1 / 4  # tried where memory is short
 _LARGEST_FIRST = 1 << 16  # configurations of a robot on the first lattice
 _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
-_FIRST_TURN, _LONGER = 256, 1.5  # expansions of a new search, and their growth
+_WAITING = 4  # rows of a path for each one in which robots may wait besides
+_GAIN = 2e-3  # share of the cost below which replanning neighbors is not worth its time
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
@@ -69,8 +71,8 @@ def bl_plan(
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
         of the paper.
     """
-    heuristic = straight_line(problem) if heuristic is None else heuristic
-    require_heuristic(heuristic)
+    if heuristic is not None:
+        require_heuristic(heuristic)
     if not isinstance(options, BLOptions):
         raise ValueError(f"options must be BLOptions(...), got {options!r}.")
     began = time.perf_counter()
@@ -89,23 +91,25 @@ def bl_plan(
 class _Run:
     """One call of the planner: searches on finer and finer lattices, and the best path so far."""
 
-    def __init__(self, problem: Problem, heuristic: HeuristicFn, options: BLOptions, began: float, progress: tqdm):
+    def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
         self.problem, self.heuristic, self.options, self.began = problem, heuristic, options, began
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots)
-        straight = straight_line_bound(problem)
-        self.lower_bound = max(straight, options.lower_bound or 0.0, _proven_cost(heuristic, problem))
+        self.lower_bound = max(
+            straight_line_bound(problem), options.lower_bound or 0.0, _proven_cost(heuristic, problem)
+        )
         self.motions_factor = float("inf")
         self.path: Float[np.ndarray, "steps robots dof"] | None = None
         self.cost = float("inf")
         self.history: list[tuple[float, float]] = []
         self.seconds: dict[str, float] = {}
         self.samples = problem.starts[None].copy()
-        self.mark, self.progress = began, progress
+        self.found_by, self.num_bytes = "", 0.0
+        self.mark, self.progress = began, bar
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
-        step, weight = self.options.step or _first_step(self.problem), self.options.heuristic_weight
+        step, weight = self.options.step or self._first_step(), self.options.heuristic_weight
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
         while True:
@@ -126,87 +130,103 @@ class _Run:
         """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
 
         Which lattice has room for robots to pass one another is not known before; one that has none would keep a
-        single search busy for ever. Every round adds a search and lets each of the others grow by half.
+        single search busy for ever. Every round adds a lattice and lets the searches on each of the others go on.
 
         Returns:
             Why they ended, and the step of the one that did.
         """
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
-        searches: dict[float, BestFirstSearch] = {}
-        turn: dict[float, int] = {}
+        levels: list[Level] = []
         while True:
             limit = self.budget.exceeded()
             if limit:
                 return limit, step
-            needed = num_bytes(self.problem, step, self.options.primitives)
-            fits = self.budget.memory + needed < self.options.max_memory
-            if not searches and not (step >= finest and fits):
+            fits = step >= finest and self._fits(step)
+            if not levels and not fits:
                 return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
-            if step >= finest and fits and (search := self._search(step, weight)):
-                search.hold(int(needed))
-                searches[step], turn[step] = search, _FIRST_TURN
+            if fits and (level := self._level(step, weight)):
+                levels.append(level)
                 weight *= _GREEDIER
-            for size, search in reversed(list(searches.items())):
-                status = self._run(search, size, turn[size])
+            for level in reversed(levels):
+                status = self._run(level)
                 if status is Status.SOLVED:
                     self.budget.memory = 0
-                    self._offer_found(search, size)
+                    self._offer_found(level)
                 elif status is Status.EXHAUSTED:
-                    self.budget.memory -= searches.pop(size).memory
+                    levels.remove(level)
+                    self.budget.memory -= level.memory
                 if status not in (None, Status.EXHAUSTED):
-                    return status, size
-                turn[size] = int(_LONGER * turn[size])
+                    return status, level.step
             step /= _REFINEMENT
 
-    def _offer_found(self, search: BestFirstSearch, step: float) -> None:
-        """Offer a path that was found, and if it becomes the best, say how far from the best of its lattices it was.
-
-        The cheapest motions of each robot alone cost no more than those of any path.
-        """
-        path, before = search.joint.configurations(search.branch), self.cost
-        least = sum(lattice.least_cost() for lattice in search.joint.lattices)
-        factor = (1 + _ROUNDING) * path_cost(self.problem, path) / least if least > 0 else 1.0
+    def _level(self, step: float, weight: float) -> Level | None:
+        """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up."""
         try:
-            self._offer(path, step)
-        finally:
-            if self.cost < before:
-                self.motions_factor = factor
-
-    def _run(self, search: BestFirstSearch, step: float, num_expansions: int) -> Status | None:
-        """Let a search run until it has made so many expansions in all."""
-        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}")
-        try:
-            return search.run(num_expansions, self.progress)
-        finally:
-            self.samples = search.joint.configurations(search.state)
-            self._end_phase("search")
-
-    def _search(self, step: float, weight: float) -> BestFirstSearch | None:
-        """A search about to begin; None if a robot's own goal is out of its reach on this lattice, or time is up."""
-        options = self.options
-        try:
-            lattices = build_lattices(self.problem, step, options.primitives, self.budget.deadline)
+            level = build_level(self.problem, self.test, step, weight, self.options, self.budget)
         except TimeoutError:
             return None
         finally:
             self._end_phase("lattice")
-        if not all(lattice.reaches_goal() for lattice in lattices):
-            return None
-        joint = JointLattice(self.problem, tuple(lattices), self.test)
-        estimate = tabulate(joint, self.heuristic, weight)
-        self._end_phase("heuristic")
-        cells = [
-            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
-            for lattice, robot in zip(lattices, self.problem.robots, strict=True)
-        ]
-        return BestFirstSearch(joint, estimate, cells, options, self.budget)
+        return level if np.isfinite(level.least_cost) else None
 
-    def _offer(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
-        """Keep a path if it is the best yet, then its cheaper versions, until it is good enough."""
-        problem, test, deadline = self.problem, self.test, self.budget.deadline
-        if not np.array_equal(path[0], problem.starts):  # a goal that is the start but for a whole turn
-            path = np.concatenate([problem.starts[None], path])
+    def _run(self, level: Level) -> Status | None:
+        """Let the searches on some lattices go on for a turn."""
+        self.progress.set_postfix(step=f"{level.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}")
+        try:
+            return level.run(self.heuristic, self.options, self.budget, self.progress)
+        finally:
+            self.samples = level.joint.configurations(level.state)
+            self._end_phase("search")
+
+    def _offer_found(self, level: Level) -> None:
+        """Offer a path that was found on some lattices, then cheaper ones along them, then shortened ones."""
+        name, state = level.found
+        self._offer(level, state, name)
+        if len(self.problem.robots) > 1:
+            state = self._replanned(level, state, name)
+        self._shorten(level.joint.configurations(state), level.step)
+
+    def _replanned(self, level: Level, state: State, name: str) -> State:
+        """Plan robots anew among the others, alone, then together with neighbors while that gains."""
+        waiting = np.repeat(state[-1:], len(state) // _WAITING, axis=0)
+        timetable = Timetable(
+            level.kinds,
+            level.costs_to_go,
+            np.concatenate([state, waiting]),
+            self.problem.workspace.tolerance,
+            self.budget.deadline,
+        )
+        replan_each(timetable)
+        self._end_phase("replan")
+        self._offer(level, timetable.state, name)
+        rng = np.random.default_rng(0)
+        while not self._is_good_enough() and not self.budget.exceeded():
+            before = timetable.cost.sum()
+            replan_neighbors(timetable, len(self.problem.robots), rng)
+            self._end_phase("replan")
+            self._offer(level, timetable.state, name)
+            if before - timetable.cost.sum() <= _GAIN * before:
+                break
+        return timetable.state
+
+    def _offer(self, level: Level, state: State, name: str) -> None:
+        """Offer a path along lattices, and if it becomes the best, say how far from the best of its motions it is.
+
+        The cheapest motions of each robot alone cost no more than those of any path.
+        """
+        path, before, least = level.joint.configurations(state), self.cost, level.least_cost
+        if not np.array_equal(path[0], self.problem.starts):  # a goal that is the start but for a whole turn
+            path = np.concatenate([self.problem.starts[None], path])
         self._record(path)
+        if self.cost < before:
+            self.motions_factor = (1 + _ROUNDING) * self.cost / least if least > 0 else 1.0
+            self.found_by = name
+
+    def _shorten(self, path: Float[np.ndarray, "steps robots dof"], step: float) -> None:
+        """Shorten a path, and keep each version that is the best yet, until one is good enough."""
+        problem, test, deadline = self.problem, self.test, self.budget.deadline
+        if not np.array_equal(path[0], problem.starts):
+            path = np.concatenate([problem.starts[None], path])
         shortened = [lambda path: shorten(problem, path, test, deadline)]
         # Shortcuts leave a lone robot little to gain.
         if len(problem.robots) > 1 or self.options.cost_factor < float("inf"):
@@ -235,28 +255,26 @@ class _Run:
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self.mark
         self.mark = now
 
+    def _fits(self, step: float) -> bool:
+        """Whether the lattices of a step fit into memory beside what is there."""
+        needed = self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
+        self.num_bytes = max(self.num_bytes, needed)
+        return needed < self.options.max_memory
 
-def _proven_cost(heuristic: HeuristicFn, problem: Problem) -> float:
+    def _first_step(self) -> float:
+        """A step to begin with: the coarsest one tried if memory is short."""
+        step, coarsest = _first_step(self.problem), _COARSEST * float(self.problem.workspace.bounds.width.max())
+        while step < coarsest and not self._fits(step):
+            step *= _REFINEMENT
+        return step
+
+
+def _proven_cost(heuristic: HeuristicFn | None, problem: Problem) -> float:
     """What a heuristic proves of the cost of any path: its value at the starts, if it is a lower bound, else 0."""
     if not (isinstance(heuristic, BoundingFn) and heuristic.is_lower_bound):
         return 0.0
     cost = float(heuristic(problem.starts[None].copy())[0])
     return (1 - _ROUNDING) * cost if np.isfinite(cost) else 0.0
-
-
-def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
-    """The cell of a robot's configuration space that each configuration of its lattice claims: a number for each.
-
-    The robot's corners are ``radius`` from its center. Without a size of cells, every configuration is its own. The
-    goal has a cell of its own, so that nothing else claims it.
-    """
-    nodes = np.arange(len(lattice.q))
-    if cell_size is None:
-        return nodes
-    scale = np.array([1.0, 1.0, radius])[: lattice.q.shape[1]]
-    cells = np.unique(np.floor(lattice.q * scale / cell_size), axis=0, return_inverse=True)[1].reshape(-1)
-    cells[lattice.goal] = -1
-    return cells
 
 
 def _first_step(problem: Problem) -> float:

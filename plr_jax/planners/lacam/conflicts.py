@@ -1,0 +1,69 @@
+"""Which edges of one kind of robot collide with those of another, found when first asked for, and kept."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from jaxtyping import Int
+from scipy.spatial import cKDTree
+
+from plr_jax._arrays import runs
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.planners.lattice.edges import Kind
+
+_CHUNK = 256  # edges at a time
+
+
+class Conflicts:
+    """Collisions of simultaneous motions along the edges of a team's lattices."""
+
+    def __init__(self, kinds: Sequence[Kind], tolerance: float):
+        self.kinds, self.tolerance = kinds, tolerance
+        self._known: dict[tuple[int, int], dict[int, Int[np.ndarray, _]]] = {
+            pair: {} for pair in product(range(len(kinds)), repeat=2)
+        }
+
+    def of(self, a: int, edges: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
+        """For each of some edges of kind ``a``, the edges of kind ``b`` that collide with it."""
+        known, wanted = self._known[a, b], edges.tolist()
+        missing = np.array(sorted({edge for edge in wanted if edge not in known}), dtype=np.intp)
+        for begin in range(0, len(missing), _CHUNK):
+            part = missing[begin : begin + _CHUNK]
+            known.update(zip(part.tolist(), self._find(a, part, b), strict=True))
+        return [known[edge] for edge in wanted]
+
+    @property
+    def num_bytes(self) -> int:
+        """About what is kept."""
+        return sum(edges.nbytes for known in self._known.values() for edges in known.values())
+
+    def _find(self, a: int, motion: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
+        ours, others = self.kinds[a], self.kinds[b]
+        begin, end = (ours.table.q[node[motion]] for node in (ours.edges.begin, ours.edges.end))
+        reach = sum(kind.robot.circumscribed_radius + kind.edges.length for kind in (ours, others))
+        tree, order, first = self._near[b]
+        near = tree.query_ball_point(begin[:, :2], reach)
+        row, node = (
+            np.repeat(np.arange(len(motion)), [len(nodes) for nodes in near]),
+            np.concatenate(near).astype(int),
+        )
+        at, step = runs(first[node + 1] - first[node])
+        row, edge = row[at], order[first[node[at]] + step]
+        others_begin, others_end = (others.table.q[node[edge]] for node in (others.edges.begin, others.edges.end))
+        apart = motions_apart(
+            ours.robot, begin[row], end[row], others.robot, others_begin, others_end, self.tolerance
+        )
+        row, edge = row[~apart], edge[~apart].astype(np.int32)
+        return np.split(edge, np.searchsorted(row, np.arange(1, len(motion))))
+
+    @cached_property
+    def _near(self) -> list[tuple[cKDTree, Int[np.ndarray, "edges"], Int[np.ndarray, "nodes_and_1"]]]:
+        """Of each kind the places of its nodes, and its edges by the node where they begin."""
+        found = []
+        for kind in self.kinds:
+            begin = kind.edges.begin[: kind.edges.none]
+            order = np.argsort(begin, kind="stable")
+            first = np.searchsorted(begin[order], np.arange(len(kind.table.q) + 1))
+            found.append((cKDTree(kind.table.q[:, :2]), order, first))
+        return found

@@ -1,0 +1,174 @@
+"""The paths of a team on its lattices, planned anew robot by robot among the others, which keep their motions."""
+
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from plr_jax.planners.lacam.conflicts import Conflicts
+from plr_jax.planners.lattice.edges import Kind
+
+_ROUNDING = 1e-9
+_GAIN = 1e-2  # share of the cost below which another round is not worth its time
+_GROUP = 5
+
+
+class Timetable:
+    """Who is where at each step, and which edges that blocks for others.
+
+    Robots wait at no cost. So there are more steps than a path needs, which gives them time to wait.
+
+    Attributes:
+        state: The nodes of each robot, ``(steps + 1, robots)``.
+        cost: What the paths of the robots cost.
+        least: What they would cost if each were alone.
+    """
+
+    def __init__(
+        self,
+        kinds: Sequence[Kind],
+        costs_to_go: Sequence[Float[np.ndarray, "_ _"]],
+        state: Int[np.ndarray, "rows robots"],
+        tolerance: float,
+        deadline: float,
+    ):
+        self.kinds, self.costs_to_go, self.state, self.deadline = kinds, costs_to_go, state.copy(), deadline
+        self.costs_to_come = [kind.edges.costs_to_come(np.arange(len(kind.members))) for kind in kinds]
+        self.conflicts = Conflicts(kinds, tolerance)
+        self.place = {int(i): (k, row) for k, kind in enumerate(kinds) for row, i in enumerate(kind.members)}
+        size, dtype = len(state) - 1, np.min_scalar_type(state.shape[1])
+        self.blocked = [np.zeros((size, kind.edges.none + 1), dtype) for kind in kinds]
+        self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
+        for i, (k, row) in self.place.items():
+            self.least[i] = costs_to_go[k][row, kinds[k].node[row, 0]]
+            self.cost[i] = kinds[k].edges.cost[self._motions(i)].sum()
+            self.enter(i)
+
+    @property
+    def num_robots(self) -> int:
+        """Robots of the team."""
+        return self.state.shape[1]
+
+    def gaps(self, i: int) -> Float[np.ndarray, "robots"]:
+        """The least distance of each robot's position from that of one of them over time, 0 for itself."""
+        gaps = np.empty(self.num_robots)
+        position = self._positions(i)
+        for j in range(self.num_robots):
+            gaps[j] = np.hypot(*(self._positions(j) - position).T).min()
+        return gaps
+
+    def _positions(self, i: int) -> Float[np.ndarray, "rows 2"]:
+        return self.kinds[self.place[i][0]].table.q[self.state[:, i], :2]
+
+    def enter(self, i: int) -> None:
+        """Block what collides with the path of a robot."""
+        for blocked, where in self._collisions(i):
+            blocked[where] += 1
+
+    def leave(self, i: int) -> None:
+        """Free what collides with the path of a robot, before that is planned anew."""
+        for blocked, where in self._collisions(i):
+            blocked[where] -= 1
+
+    def replan(self, i: int, most: float) -> bool:
+        """Give a robot that has left its cheapest path among the others; whether one costs no more than ``most``.
+
+        If there is none, or the deadline passes, it keeps its path.
+        """
+        k, row = self.place[i]
+        edges, blocked = self.kinds[k].edges, self.blocked[k]
+        start, goal = self.kinds[k].node[row].tolist()
+        least = self.costs_to_come[k][row] + self.costs_to_go[k][row]
+        least[[start, goal]] = 0.0
+        nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
+        index = np.full(len(least), len(nodes))
+        index[nodes] = np.arange(len(nodes))
+        into = edges.into_nodes(row)[:, nodes]
+        begin, cost = index[edges.begin[into]], edges.cost[into]
+        # Cost-to-come by step and node; the last column stands for all nodes that lead nowhere cheap.
+        reached = np.full((len(self.state), len(nodes) + 1), np.inf)
+        reached[0, index[start]] = 0.0
+        for step in range(len(blocked)):
+            arriving = np.where(blocked[step][into], np.inf, reached[step][begin] + cost)
+            arriving.min(axis=0, out=reached[step + 1, :-1])
+            if time.perf_counter() > self.deadline:
+                return False
+        at = index[goal]
+        if not reached[-1, at] <= most * (1 + _ROUNDING):
+            return False
+        self.cost[i], self.state[-1, i] = reached[-1, at], goal
+        for step in range(len(blocked) - 1, -1, -1):
+            arriving = np.where(blocked[step][into[:, at]], np.inf, reached[step][begin[:, at]] + cost[:, at])
+            at = begin[arriving.argmin(), at]
+            self.state[step, i] = nodes[at]
+        return True
+
+    def _collisions(
+        self, i: int
+    ) -> Iterator[tuple[Shaped[np.ndarray, "steps edges"], tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]]:
+        """What is blocked for each kind, and where the path of a robot blocks it: nowhere twice."""
+        motions = self._motions(i)
+        for b, blocked in enumerate(self.blocked):
+            colliding = self.conflicts.of(self.place[i][0], motions, b)
+            step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
+            yield blocked, (step, np.concatenate(colliding))
+
+    def _motions(self, i: int) -> Int[np.ndarray, "steps"]:
+        """The edges of a robot's path."""
+        return self.kinds[self.place[i][0]].edges.along(self.state[:, i])
+
+
+def replan_each(timetable: Timetable) -> None:
+    """Replan each robot in turn, those first that lose most, until that gains little."""
+    while True:
+        before = timetable.cost.sum()
+        for i in np.argsort(timetable.least - timetable.cost).tolist():
+            if time.perf_counter() > timetable.deadline:
+                return
+            if timetable.cost[i] > timetable.least[i] * (1 + _ROUNDING):
+                timetable.leave(i)
+                timetable.replan(i, timetable.cost[i])
+                timetable.enter(i)
+        if before - timetable.cost.sum() <= _GAIN * before:
+            return
+
+
+def replan_together(timetable: Timetable, robots: Sequence[int]) -> bool:
+    """Replan robots one after the other, as if those to come were not there; whether that costs less.
+
+    If it costs more, all keep their paths.
+    """
+    robots = list(robots)
+    state, cost = timetable.state[:, robots].copy(), timetable.cost[robots].copy()
+    for i in robots:
+        timetable.leave(i)
+    for done, i in enumerate(robots):
+        spent, needed = timetable.cost[robots[:done]].sum(), timetable.least[robots[done + 1 :]].sum()
+        if not timetable.replan(i, cost.sum() - spent - needed):
+            break
+        timetable.enter(i)
+    else:
+        return bool(timetable.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+    for i in robots[:done]:
+        timetable.leave(i)
+    timetable.state[:, robots], timetable.cost[robots] = state, cost
+    for i in robots:
+        timetable.enter(i)
+    return False
+
+
+def replan_neighbors(timetable: Timetable, num_groups: int, rng: np.random.Generator) -> None:
+    """Replan groups of robots that come near to one another, about one that loses, chosen at random.
+
+    References:
+        Li et al., "Anytime multi-agent path finding via large neighborhood search", 2021.
+    """
+    for _ in range(num_groups):
+        loss = np.maximum(timetable.cost - timetable.least, 0.0)
+        if time.perf_counter() > timetable.deadline or loss.sum() <= _ROUNDING * timetable.least.sum():
+            return
+        i = int(rng.choice(timetable.num_robots, p=loss / loss.sum()))
+        gap = timetable.gaps(i) * rng.uniform(1, 2, timetable.num_robots)
+        group = np.argsort(gap, kind="stable")[:_GROUP]
+        replan_together(timetable, rng.permutation(group).tolist())

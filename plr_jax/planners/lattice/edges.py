@@ -1,0 +1,182 @@
+"""The motions of one kind of robot as edges of a graph, and costs along it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csgraph as sparse_graphs
+from scipy.sparse import csr_array
+
+from plr_jax.planners.lattice.joint import JointLattice
+from plr_jax.planners.lattice.motions import MotionTable
+from plr_jax.robots.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Robots of a team that share a table of motions, as arrays.
+
+    Args:
+        robot: What they are.
+        table: Their motions.
+        members: Which robots of the team they are.
+        node: The nodes of their starts and goals.
+        cell: The representatives that these replace.
+        entry: Costs of the motions to starts and goals, by what they begin at and by primitive, as in
+            :class:`plr_jax.planners.lattice.motions.End`.
+    """
+
+    robot: Robot
+    table: MotionTable
+    members: Int[np.ndarray, "robots"]
+    node: Int[np.ndarray, "robots 2"]
+    cell: Int[np.ndarray, "robots 2"]
+    entry: Float[np.ndarray, "robots 2 2 primitives"]
+
+    def motions(
+        self, node: Int[np.ndarray, "robots"]
+    ) -> tuple[Int[np.ndarray, "robots primitives"], Float[np.ndarray, "robots primitives"]]:
+        """Where the primitives of each robot lead from its node, and what they cost."""
+        child, cost = self.table.child[node], self.table.cost[node]
+        rows, from_end = np.arange(len(node)), (node >= self.table.num_cells).astype(np.intp)
+        for end in range(2):
+            enters = (child == self.cell[:, [end]]) & (child != node[:, None])
+            entry = self.entry[rows, end, from_end]
+            cost = np.where(enters, entry, cost)
+            child = np.where(enters, np.where(np.isfinite(entry), self.node[:, [end]], node[:, None]), child)
+        return child, cost
+
+    @cached_property
+    def edges(self) -> "Edges":
+        """Their motions as edges."""
+        return Edges(self)
+
+
+class Edges:
+    """The motions of a kind of robot, staying among them: those that all share, then those into the ends of each.
+
+    Attributes:
+        begin, end, cost: Nodes and costs of each edge. The last one, ``none``, leads nowhere at infinite cost.
+        own: For each robot the edges into its start and its goal.
+        length: Largest distance that one translates, in workspace units.
+    """
+
+    def __init__(self, kind: Kind):
+        self.kind, self.num_nodes = kind, len(kind.table.q)
+        begin, primitive = np.nonzero(np.isfinite(kind.table.cost))
+        shared = begin, kind.table.child[begin, primitive], kind.table.cost[begin, primitive]
+        self.num_shared = self.none = len(begin)
+        into = np.argsort(shared[1], kind="stable")
+        first = np.searchsorted(shared[1][into], np.arange(self.num_nodes + 1))
+        parts, self.own = [shared], []
+        for row in range(len(kind.members)):
+            entering = [self._entering(row, end, begin, primitive, into, first) for end in range(2)]
+            parts += entering
+            count = sum(len(part[0]) for part in entering)
+            self.own.append(np.arange(self.none, self.none + count))
+            self.none += count
+        nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
+        self.begin, self.end, self.cost = (np.concatenate(column) for column in zip(*parts, nowhere, strict=True))
+        away = kind.table.q[self.end[:-1], :2] - kind.table.q[self.begin[:-1], :2]
+        self.length = float(np.hypot(*away.T).max())
+
+    def _entering(
+        self,
+        row: int,
+        end: int,
+        begin: Int[np.ndarray, "m"],
+        primitive: Int[np.ndarray, "m"],
+        into: Int[np.ndarray, "m"],
+        first: Int[np.ndarray, "nodes_and_1"],
+    ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+        """The edges of one robot into an end: from the representatives about it, and from the robot's other end."""
+        kind, cell = self.kind, self.kind.cell[row, end]
+        edge = into[first[cell] : first[cell + 1]]
+        edge = edge[begin[edge] != cell]
+        from_end = begin[edge] >= kind.table.num_cells
+        cost = kind.entry[row, end, from_end.astype(np.intp), primitive[edge]]
+        ours = np.isfinite(cost) & (~from_end | (begin[edge] == kind.node[row, 1 - end]))
+        return begin[edge[ours]], np.full(int(ours.sum()), kind.node[row, end]), cost[ours]
+
+    @cached_property
+    def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        """The shared edges that end in each node, filled up with ``none``."""
+        order = np.argsort(self.end[: self.num_shared], kind="stable")
+        end = self.end[order]
+        rank = np.arange(len(end)) - np.searchsorted(end, end)
+        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
+        into = np.full((size, self.num_nodes), self.none)
+        into[rank, end] = order
+        return into
+
+    def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
+        """The edges of one robot that end in each node, filled up with ``none``."""
+        into, own = self._into_nodes.copy(), self.own[row]
+        into[:, self.kind.cell[row]] = self.none
+        for node in self.kind.node[row]:
+            edges = own[self.end[own] == node]
+            into[1 : 1 + len(edges), node] = edges  # after the one that stays
+        return into
+
+    @cached_property
+    def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
+        key = self.begin[:-1] * self.num_nodes + self.end[:-1]
+        order = np.lexsort((self.cost[:-1], key))
+        return order, key[order]
+
+    def along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
+        """The edges along a path."""
+        order, key = self._by_nodes
+        return order[np.searchsorted(key, nodes[:-1] * self.num_nodes + nodes[1:])]
+
+    @cached_property
+    def _cheapest(self) -> Bool[np.ndarray, "edges"]:
+        """Whether an edge is one that is shared, leads elsewhere, and has no cheaper one beside it."""
+        order, key = self._by_nodes
+        cheapest = np.zeros(len(self.begin), dtype=bool)
+        cheapest[order[np.append(True, key[1:] != key[:-1])]] = True
+        cheapest[self.num_shared :] = False
+        return cheapest & (self.begin != self.end)
+
+    def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
+        """Cost of the cheapest motions from each node to the goals of some robots; ``inf`` where there are none.
+
+        That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
+        """
+        edge, num_nodes = np.flatnonzero(self._cheapest), self.num_nodes
+        begin, end, cost = [self.end[edge]], [self.begin[edge]], [self.cost[edge]]
+        # Backward, each search begins at a node of its own, from which the edges into the goal lead.
+        for i, row in enumerate(rows.tolist()):
+            own = self.own[row][self.end[self.own[row]] == self.kind.node[row, 1]]
+            begin.append(np.full(len(own), num_nodes + i))
+            end.append(self.begin[own])
+            cost.append(self.cost[own])
+        edges = np.concatenate(cost), (np.concatenate(begin), np.concatenate(end))
+        graph = csr_array(edges, shape=(num_nodes + len(rows),) * 2)
+        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + np.arange(len(rows)))[:, :num_nodes]
+        costs[np.arange(len(rows)), self.kind.node[rows, 1]] = 0.0
+        return costs
+
+    def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
+        """Cost of the cheapest motions from the starts of some robots to each node but their goals, likewise."""
+        edge = np.flatnonzero(self._cheapest)
+        shape = (self.num_nodes,) * 2
+        graph = csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=shape)
+        return sparse_graphs.dijkstra(graph, indices=self.kind.node[rows, 0])
+
+
+def kinds_of(joint: JointLattice) -> list[Kind]:
+    """The robots of a team by the tables that they share, in the order of their first ones."""
+    members: dict[int, list[int]] = {}
+    for i, lattice in enumerate(joint.lattices):
+        members.setdefault(id(lattice.table), []).append(i)
+    kinds = []
+    for alike in members.values():
+        ends = [joint.lattices[i].ends for i in alike]
+        node, cell = (np.array([[getattr(end, name) for end in pair] for pair in ends]) for name in ("node", "cell"))
+        entry = np.array([[end.entry for end in pair] for pair in ends])
+        robot, table = joint.problem.robots[alike[0]], joint.lattices[alike[0]].table
+        kinds.append(Kind(robot, table, np.array(alike), node, cell, entry))
+    return kinds

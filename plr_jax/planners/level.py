@@ -1,0 +1,181 @@
+"""The lattices of one step, and the searches that take turns on them."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from tqdm import tqdm
+
+from plr_jax._problem import Problem
+from plr_jax._types import HeuristicFn
+from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners._solution import Status
+from plr_jax.planners.bl.heuristic_table import tabulate, weighted
+from plr_jax.planners.bl.options import BLOptions
+from plr_jax.planners.bl.search import BestFirstSearch
+from plr_jax.planners.lacam.moves import TeamMoves
+from plr_jax.planners.lacam.search import LazySearch
+from plr_jax.planners.lattice.build import build_lattices, num_configurations
+from plr_jax.planners.lattice.edges import Kind, kinds_of
+from plr_jax.planners.lattice.joint import JointLattice, State
+from plr_jax.planners.lattice.motions import Lattice
+
+_LAZY_TURN, _BEST_FIRST_TURN = 32, 1024  # steps times, and expansions over, the number of robots
+_MOTION_BYTES = 80  # what a motion takes while its table is built
+_COLUMN_BYTES = 16  # what a robot's costs to and from a node take
+_SEARCH_BYTES = 16  # what a motion takes in the tables of each robot for best-first search
+_LONGER = 1.5
+_GOALS = 8  # costs-to-go at a time, between two looks at the clock
+
+
+@dataclass(eq=False)
+class Level:
+    """The lattices of one step, and the searches on them.
+
+    Args:
+        step: Side of their cells.
+        joint: The team on them.
+        kinds: Its robots by the tables that they share.
+        costs_to_go: Those of the robots of each kind, alone, along the lattices.
+        weight: Of the heuristic in best-first search.
+        lazy: The lazy search, if it takes part.
+        best_first: Best-first search, once it has begun.
+    """
+
+    step: float
+    joint: JointLattice
+    kinds: Sequence[Kind]
+    costs_to_go: Sequence[Float[np.ndarray, "_ _"]]
+    weight: float
+    lazy: LazySearch | None
+    best_first: BestFirstSearch | None = None
+    turn: float = 1.0
+
+    @property
+    def least_cost(self) -> float:
+        """Sum of what the cheapest motions of each robot cost if it is alone; ``inf`` if one cannot reach its goal."""
+        starts = [kind.node[:, 0] for kind in self.kinds]
+        pairs = zip(self.costs_to_go, starts, strict=True)
+        return float(sum(costs[np.arange(len(costs)), start].sum() for costs, start in pairs))
+
+    @property
+    def memory(self) -> int:
+        """What the searches hold."""
+        return sum(search.memory for search in (self.lazy, self.best_first) if search is not None)
+
+    def run(
+        self, heuristic: HeuristicFn | None, options: BLOptions, budget: SearchBudget, bar: tqdm
+    ) -> Status | None:
+        """Let each search go on for a turn, which is half as long again as the one before.
+
+        Returns:
+            SOLVED, or the limit that is reached; EXHAUSTED if no path along the lattices is left; None for a pause.
+        """
+        num_robots, status = len(self.joint.lattices), None
+        if self.lazy is not None:
+            status = self.lazy.run(int(self.turn * _LAZY_TURN * num_robots), bar)
+        if status is None and "bl" in options.searchers and self._has_room(options, budget):
+            if self.best_first is None:
+                self.best_first = self._best_first(heuristic, options, budget)
+            status = self.best_first.run(max(1, int(self.turn * _BEST_FIRST_TURN / num_robots)), bar)
+            # Cells that are larger than a configuration may hide a path.
+            if status is Status.EXHAUSTED and options.cell_size is not None and self.lazy is not None:
+                status = None
+        self.turn *= _LONGER
+        return status
+
+    @property
+    def found(self) -> tuple[str, State]:
+        """The search that has reached the goals, and its states from the starts to them."""
+        for name, search in (("lacam", self.lazy), ("bl", self.best_first)):
+            if search is not None and search.found is not None:
+                return name, search.branch
+        raise AssertionError("No search has reached the goals.")
+
+    @property
+    def state(self) -> State:
+        """The nodes of the search that has more of them."""
+        states = [search.state for search in (self.lazy, self.best_first) if search is not None]
+        return max(states, key=len)
+
+    def _has_room(self, options: BLOptions, budget: SearchBudget) -> bool:
+        """Whether the tables of best-first search fit into memory, or are there already."""
+        needed = _SEARCH_BYTES * sum(lattice.table.child.size for lattice in self.joint.lattices)
+        return self.best_first is not None or budget.memory + needed < options.max_memory
+
+    def _best_first(self, heuristic: HeuristicFn | None, options: BLOptions, budget: SearchBudget) -> BestFirstSearch:
+        if heuristic is None:
+            estimate = weighted(self.joint, costs_of_robots(self.kinds, self.costs_to_go), self.weight)
+        else:
+            estimate = tabulate(self.joint, heuristic, self.weight)
+        cells = [
+            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
+            for lattice, robot in zip(self.joint.lattices, self.joint.problem.robots, strict=True)
+        ]
+        search = BestFirstSearch(self.joint, estimate, cells, options, budget)
+        search.hold(_SEARCH_BYTES * sum(lattice.table.child.size for lattice in self.joint.lattices))
+        return search
+
+
+def build_level(
+    problem: Problem, test: JointMotionTest, step: float, weight: float, options: BLOptions, budget: SearchBudget
+) -> Level:
+    """The lattices of a step, costs along them, and the lazy search, about to begin.
+
+    Raises:
+        TimeoutError: If the deadline passes first.
+    """
+    lattices = build_lattices(problem, step, options.primitives, budget.deadline)
+    joint = JointLattice(problem, tuple(lattices), test)
+    kinds = kinds_of(joint)
+    costs_to_go = [_costs_to_go(kind, budget.deadline) for kind in kinds]
+    level = Level(step, joint, kinds, costs_to_go, weight, None)
+    if "lacam" in options.searchers and np.isfinite(level.least_cost):
+        moves = TeamMoves(kinds, costs_to_go, problem.workspace.tolerance)
+        level.lazy = LazySearch(joint, moves, costs_of_robots(kinds, costs_to_go), budget)
+    return level
+
+
+def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
+    """About what the lattices of a step take if all is free, so that those too large are not begun."""
+    kinds = set(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
+    tables = sum(num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
+    columns = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
+    return _MOTION_BYTES * (1 + num_primitives) * tables + _COLUMN_BYTES * columns
+
+
+def costs_of_robots(kinds: Sequence[Kind], costs: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+    """Costs by kind as those of each robot, in the order of the team."""
+    of_robot = {
+        robot: row
+        for kind, rows in zip(kinds, costs, strict=True)
+        for robot, row in zip(kind.members.tolist(), rows, strict=True)
+    }
+    return [of_robot[i] for i in range(len(of_robot))]
+
+
+def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
+    """The cell of a robot's configuration space that each configuration of its lattice claims: a number for each.
+
+    The robot's corners are ``radius`` from its center. Without a size of cells, every configuration is its own. The
+    goal has a cell of its own, so that nothing else claims it.
+    """
+    nodes = np.arange(len(lattice.q))
+    if cell_size is None:
+        return nodes
+    scale = np.array([1.0, 1.0, radius])[: lattice.q.shape[1]]
+    cells = np.unique(np.floor(lattice.q * scale / cell_size), axis=0, return_inverse=True)[1].reshape(-1)
+    cells[lattice.goal] = -1
+    return cells
+
+
+def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes"]:
+    rows, costs = np.arange(len(kind.members)), []
+    for begin in range(0, len(rows), _GOALS):
+        if time.perf_counter() > deadline:
+            raise TimeoutError("The deadline passed before the costs-to-go were known.")
+        costs.append(kind.edges.costs_to_go(rows[begin : begin + _GOALS]))
+    return np.concatenate(costs)
