@@ -1,7 +1,7 @@
 """What the tests of the planner share: small problems, lattices as graphs, and heuristics."""
 
 import time
-from itertools import combinations
+from itertools import combinations, product
 
 import networkx as nx
 import numpy as np
@@ -19,10 +19,12 @@ from plr_jax import (
     robot_distance_fns,
     validate,
 )
+from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import sum_of_distances
 from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners.bl.heuristic_table import tabulate, weighted
 from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
 from plr_jax.planners.lattice.joint import JointLattice
 
@@ -66,6 +68,11 @@ def joint_lattice_of(problem, step, primitives=PRIMITIVES):
     return JointLattice(problem, tuple(build_lattices(problem, step, primitives)), test)
 
 
+def heuristic_table(joint, heuristic, weight):
+    plain = None if isinstance(heuristic, SeparableHeuristic) else heuristic
+    return weighted(joint, tabulate(joint, heuristic), weight, plain)
+
+
 def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):
     return SearchBudget(time.perf_counter() + seconds, max_expansions, max_memory)
 
@@ -93,6 +100,24 @@ def apart(joint, state, primitive):
             motions += [robots[k], lattice.q[state[:, k]], lattice.q[lattice.child[state[:, k], primitive[:, k]]]]
         clear &= motions_apart(*motions, tolerance)
     return clear
+
+
+def reachable(joint):
+    """All joint configurations that joint motions reach, one after the other."""
+    start = tuple(lattice.start for lattice in joint.lattices)
+    primitive = np.array(
+        list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8
+    )
+    reached, newest = {start}, [start]
+    while newest:
+        state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)
+        free = np.isfinite(joint.move_costs(state, primitive))
+        free &= apart(joint, state, primitive)
+        for child in map(tuple, joint.move(state[free], primitive[free]).tolist()):
+            if child not in reached:
+                reached.add(child)
+                newest.append(child)
+    return reached
 
 
 def blocked_region(workspace):

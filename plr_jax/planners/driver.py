@@ -3,7 +3,7 @@
 import time
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._problem import Problem, path_cost
@@ -16,7 +16,7 @@ from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.lacam.timetable import Timetable, replan_each, replan_neighbors
 from plr_jax.planners.lattice.build import num_configurations
 from plr_jax.planners.lattice.joint import State
-from plr_jax.planners.level import Level, build_level, num_bytes
+from plr_jax.planners.level import SearchLevel, build_level, num_bytes
 from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
@@ -136,7 +136,7 @@ class _Run:
             Why they ended, and the step of the one that did.
         """
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
-        levels: list[Level] = []
+        levels: list[SearchLevel] = []
         while True:
             limit = self.budget.exceeded()
             if limit:
@@ -159,34 +159,37 @@ class _Run:
                     return status, level.step
             step /= _REFINEMENT
 
-    def _level(self, step: float, weight: float) -> Level | None:
+    def _level(self, step: float, weight: float) -> SearchLevel | None:
         """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up."""
         try:
-            level = build_level(self.problem, self.test, step, weight, self.options, self.budget)
+            level = build_level(self.problem, self.test, step, self.options, self.budget.deadline)
+            self._end_phase("lattice")
+            if level is not None:
+                level.begin(self.heuristic, weight, self.options, self.budget)
         except TimeoutError:
             return None
         finally:
-            self._end_phase("lattice")
-        return level if np.isfinite(level.least_cost) else None
+            self._end_phase("heuristic")
+        return level
 
-    def _run(self, level: Level) -> Status | None:
+    def _run(self, level: SearchLevel) -> Status | None:
         """Let the searches on some lattices go on for a turn."""
         self.progress.set_postfix(step=f"{level.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}")
         try:
-            return level.run(self.heuristic, self.options, self.budget, self.progress)
+            return level.run(self.options, self.budget, self.progress)
         finally:
             self.samples = level.joint.configurations(level.state)
             self._end_phase("search")
 
-    def _offer_found(self, level: Level) -> None:
+    def _offer_found(self, level: SearchLevel) -> None:
         """Offer a path that was found on some lattices, then cheaper ones along them, then shortened ones."""
         name, state = level.found
         self._offer(level, state, name)
-        if len(self.problem.robots) > 1:
+        if len(self.problem.robots) > 1 and len(state) > 1:
             state = self._replanned(level, state, name)
         self._shorten(level.joint.configurations(state), level.step)
 
-    def _replanned(self, level: Level, state: State, name: str) -> State:
+    def _replanned(self, level: SearchLevel, state: State, name: str) -> Int[np.ndarray, "rows robots"]:
         """Plan robots anew among the others, alone, then together with neighbors while that gains."""
         waiting = np.repeat(state[-1:], len(state) // _WAITING, axis=0)
         timetable = Timetable(
@@ -209,7 +212,7 @@ class _Run:
                 break
         return timetable.state
 
-    def _offer(self, level: Level, state: State, name: str) -> None:
+    def _offer(self, level: SearchLevel, state: State, name: str) -> None:
         """Offer a path along lattices, and if it becomes the best, say how far from the best of its motions it is.
 
         The cheapest motions of each robot alone cost no more than those of any path.

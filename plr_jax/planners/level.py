@@ -9,9 +9,10 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._problem import Problem
-from plr_jax._types import HeuristicFn
+from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners._heuristics import estimates
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import tabulate, weighted
 from plr_jax.planners.bl.options import BLOptions
@@ -32,7 +33,7 @@ _GOALS = 8  # costs-to-go at a time, between two looks at the clock
 
 
 @dataclass(eq=False)
-class Level:
+class SearchLevel:
     """The lattices of one step, and the searches on them.
 
     Args:
@@ -40,6 +41,8 @@ class Level:
         joint: The team on them.
         kinds: Its robots by the tables that they share.
         costs_to_go: Those of the robots of each kind, alone, along the lattices.
+        heuristic: Of each robot by node, without a weight; of a ``plain`` one, that of straight lines.
+        plain: A heuristic that is no sum over robots.
         weight: Of the heuristic in best-first search.
         lazy: The lazy search, if it takes part.
         best_first: Best-first search, once it has begun.
@@ -49,14 +52,16 @@ class Level:
     joint: JointLattice
     kinds: Sequence[Kind]
     costs_to_go: Sequence[Float[np.ndarray, "_ _"]]
-    weight: float
-    lazy: LazySearch | None
+    heuristic: Sequence[Float[np.ndarray, "_"]] = ()
+    plain: HeuristicFn | None = None
+    weight: float = 1.0
+    lazy: LazySearch | None = None
     best_first: BestFirstSearch | None = None
     turn: float = 1.0
 
     @property
     def least_cost(self) -> float:
-        """Sum of what the cheapest motions of each robot cost if it is alone; ``inf`` if one cannot reach its goal."""
+        """What the cheapest motions of all robots cost if each is alone; ``inf`` if one cannot reach its goal."""
         starts = [kind.node[:, 0] for kind in self.kinds]
         pairs = zip(self.costs_to_go, starts, strict=True)
         return float(sum(costs[np.arange(len(costs)), start].sum() for costs, start in pairs))
@@ -66,9 +71,25 @@ class Level:
         """What the searches hold."""
         return sum(search.memory for search in (self.lazy, self.best_first) if search is not None)
 
-    def run(
-        self, heuristic: HeuristicFn | None, options: BLOptions, budget: SearchBudget, bar: tqdm
-    ) -> Status | None:
+    def begin(self, heuristic: HeuristicFn | None, weight: float, options: BLOptions, budget: SearchBudget) -> None:
+        """Evaluate the heuristic, and get the searches ready. Without one, the costs-to-go along the lattices are it.
+
+        Raises:
+            TimeoutError: If the deadline passes first.
+        """
+        costs = of_robots(self.kinds, self.costs_to_go)
+        self.weight, self.heuristic, scores = weight, costs, costs
+        if isinstance(heuristic, SeparableHeuristic):
+            self.heuristic = scores = tabulate(self.joint, heuristic, budget.deadline)
+        elif heuristic is not None:
+            self.plain, self.heuristic = heuristic, tabulate(self.joint, heuristic, budget.deadline)
+            estimates(heuristic, self.joint.problem.starts[None].copy())  # whether it is one
+        if "lacam" in options.searchers:
+            by_kind = [np.stack([scores[i] for i in kind.members.tolist()]) for kind in self.kinds]
+            moves = TeamMoves(self.kinds, by_kind, self.joint.problem.workspace.tolerance)
+            self.lazy = LazySearch(self.joint, moves, scores, budget)
+
+    def run(self, options: BLOptions, budget: SearchBudget, bar: tqdm) -> Status | None:
         """Let each search go on for a turn, which is half as long again as the one before.
 
         Returns:
@@ -79,7 +100,7 @@ class Level:
             status = self.lazy.run(int(self.turn * _LAZY_TURN * num_robots), bar)
         if status is None and "bl" in options.searchers and self._has_room(options, budget):
             if self.best_first is None:
-                self.best_first = self._best_first(heuristic, options, budget)
+                self.best_first = self._best_first(options, budget)
             status = self.best_first.run(max(1, int(self.turn * _BEST_FIRST_TURN / num_robots)), bar)
             # Cells that are larger than a configuration may hide a path.
             if status is Status.EXHAUSTED and options.cell_size is not None and self.lazy is not None:
@@ -106,11 +127,8 @@ class Level:
         needed = _SEARCH_BYTES * sum(lattice.table.child.size for lattice in self.joint.lattices)
         return self.best_first is not None or budget.memory + needed < options.max_memory
 
-    def _best_first(self, heuristic: HeuristicFn | None, options: BLOptions, budget: SearchBudget) -> BestFirstSearch:
-        if heuristic is None:
-            estimate = weighted(self.joint, costs_of_robots(self.kinds, self.costs_to_go), self.weight)
-        else:
-            estimate = tabulate(self.joint, heuristic, self.weight)
+    def _best_first(self, options: BLOptions, budget: SearchBudget) -> BestFirstSearch:
+        estimate = weighted(self.joint, self.heuristic, self.weight, self.plain)
         cells = [
             claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
             for lattice, robot in zip(self.joint.lattices, self.joint.problem.robots, strict=True)
@@ -121,22 +139,17 @@ class Level:
 
 
 def build_level(
-    problem: Problem, test: JointMotionTest, step: float, weight: float, options: BLOptions, budget: SearchBudget
-) -> Level:
-    """The lattices of a step, costs along them, and the lazy search, about to begin.
+    problem: Problem, test: JointMotionTest, step: float, options: BLOptions, deadline: float
+) -> SearchLevel | None:
+    """The lattices of a step, and costs along them; None if a robot cannot reach its goal.
 
     Raises:
         TimeoutError: If the deadline passes first.
     """
-    lattices = build_lattices(problem, step, options.primitives, budget.deadline)
-    joint = JointLattice(problem, tuple(lattices), test)
+    joint = JointLattice(problem, tuple(build_lattices(problem, step, options.primitives, deadline)), test)
     kinds = kinds_of(joint)
-    costs_to_go = [_costs_to_go(kind, budget.deadline) for kind in kinds]
-    level = Level(step, joint, kinds, costs_to_go, weight, None)
-    if "lacam" in options.searchers and np.isfinite(level.least_cost):
-        moves = TeamMoves(kinds, costs_to_go, problem.workspace.tolerance)
-        level.lazy = LazySearch(joint, moves, costs_of_robots(kinds, costs_to_go), budget)
-    return level
+    level = SearchLevel(step, joint, kinds, [_costs_to_go(kind, deadline) for kind in kinds])
+    return level if np.isfinite(level.least_cost) else None
 
 
 def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
@@ -147,7 +160,7 @@ def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
     return _MOTION_BYTES * (1 + num_primitives) * tables + _COLUMN_BYTES * columns
 
 
-def costs_of_robots(kinds: Sequence[Kind], costs: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+def of_robots(kinds: Sequence[Kind], costs: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
     """Costs by kind as those of each robot, in the order of the team."""
     of_robot = {
         robot: row

@@ -22,8 +22,8 @@ _MOST_TRIALS = 1_000_000
 def door(num_robots: int) -> Problem:
     """Discs in two halls, 10 x 20 each, that change halls by way of one door, 1.5 diameters wide.
 
-    Half of them start in each hall, on points (1 + 1.7 i, 2 + 3.9 j) and their mirror images, row by row. Each goes to
-    the mirror image of its start: two change places.
+    Half of them start in each hall, on points (1 + 1.7 i, 2 + 3.9 j) and their mirror images, row by row. Each goes
+    to the mirror image of its start: two change places.
 
     Args:
         num_robots: An even number from 2 to 50; the first half starts to the left of the door.

@@ -1,5 +1,7 @@
 """What a search knows of the cost-to-go: a heuristic's terms as tables over the lattices, or the plain function."""
 
+import math
+import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,9 +13,10 @@ from plr_jax.planners._heuristics import estimates, require_estimates, straight_
 from plr_jax.planners.bl.successors import Successors
 from plr_jax.planners.lattice.joint import JointLattice, State
 
+_CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 
-Table = Float[np.ndarray, "nodes"]  # an estimate of each configuration of a robot's lattice
+Table = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
 
 
 class HeuristicTable(NamedTuple):
@@ -56,31 +59,40 @@ class HeuristicTable(NamedTuple):
         return score[rows, order], children.primitive[rows, order]
 
 
-def tabulate(joint: JointLattice, heuristic: HeuristicFn, weight: float) -> HeuristicTable:
-    """Evaluate a heuristic over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
+def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
+    """A heuristic's terms over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
 
-    Its ``per_robot`` is used where it has one. An infinite estimate never prunes: it counts as farther than all
-    finite ones. A negative one counts as 0.
+    Those of straight lines for a heuristic that has none. A negative estimate counts as 0.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    separable = heuristic if isinstance(heuristic, SeparableHeuristic) else None
+    terms = heuristic if isinstance(heuristic, SeparableHeuristic) else straight_line(joint.problem)
     size = max(len(lattice.q) for lattice in joint.lattices)
     # One column a robot, so that a team's PLRs answer in one call; shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
-    q = joint.configurations(state)
-    values = require_estimates((separable or straight_line(joint.problem)).per_robot(q), q.shape[:2])
-    columns = [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
-    return weighted(joint, columns, weight)._replace(plain=None if separable else heuristic)
+    values = np.empty(state.shape)
+    for begin in range(0, size, _CHUNK):
+        if time.perf_counter() > deadline:
+            raise TimeoutError("The deadline passed before the heuristic was known.")
+        q = joint.configurations(state[begin : begin + _CHUNK])
+        values[begin : begin + _CHUNK] = require_estimates(terms.per_robot(q), q.shape[:2])
+    return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 
-def weighted(joint: JointLattice, values: Sequence[Table], weight: float) -> HeuristicTable:
-    """The table of a heuristic that is given by its values at the nodes of each robot, not negative, never NaN."""
+def weighted(
+    joint: JointLattice, values: Sequence[Float[np.ndarray, "_"]], weight: float, plain: HeuristicFn | None = None
+) -> HeuristicTable:
+    """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
+
+    An infinite estimate never prunes: it counts as farther than all finite ones.
+    """
     tables = tuple(_finite(column) for column in values)
     terms = tuple(
         (lattice.cost + weight * table[lattice.child]).astype(np.float32)
         for lattice, table in zip(joint.lattices, tables, strict=True)
     )
-    farthest = float(2 * sum(table.max() for table in tables))
-    return HeuristicTable(weight, tables, terms, None, farthest)
+    return HeuristicTable(weight, tables, terms, plain, float(2 * sum(table.max() for table in tables)))
 
 
 def _finite(values: Table) -> Table:

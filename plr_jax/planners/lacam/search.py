@@ -63,7 +63,7 @@ class LazySearch:
         self.joint, self.moves, self.budget = joint, moves, budget
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
-        far = np.array([cost[node] for cost, node in zip(costs_to_go, start.tolist(), strict=True)])
+        far = np.nan_to_num([cost[node] for cost, node in zip(costs_to_go, start.tolist(), strict=True)], posinf=0.0)
         self.at_rest = far / (1 + far.max())  # among robots at their goals, those go first that came from far
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []

@@ -132,7 +132,7 @@ class Motions(NamedTuple):
         return cells, cost
 
     def _motions_to(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n primitives"]:
-        """Costs of the motions to configurations by each primitive that leads from a representative to their cells."""
+        """Costs of the motions to configurations by the primitives that lead from representatives to their cells."""
         cells, exists = self.grid.neighbors(self.grid.cells_of(q), -self.offsets)
         row, primitive = np.nonzero(exists & self.free[cells])
         cost = np.full(cells.shape, np.inf)

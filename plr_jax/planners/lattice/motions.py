@@ -92,13 +92,3 @@ class Lattice:
         """Largest distance that a primitive translates, in workspace units."""
         offset = self.q[self.child] - self.q[:, None]
         return float(np.hypot(offset[..., 0], offset[..., 1]).max())
-
-    def reaches_goal(self) -> bool:
-        """Whether some sequence of primitives leads from the start to the goal."""
-        reached, newest = np.zeros(len(self.q), dtype=bool), np.array([self.start])
-        while len(newest) and not reached[self.goal]:
-            reached[newest] = True
-            child, cost = self.motions(newest)
-            children = child[np.isfinite(cost)]
-            newest = np.unique(children[~reached[children]])
-        return bool(reached[self.goal])

@@ -2,11 +2,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from planner_helpers import ROOM, exact, joint_lattice_of
+from planner_helpers import ROOM, exact, heuristic_table, joint_lattice_of
 
 from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, bl_plan, scenes, validate
 from plr_jax.planners import straight_line, zero
-from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.successors import best_successors
 
 DOOR = scenes.single_door()
@@ -39,7 +38,7 @@ def random_states(joint, num, seed=0):
 @pytest.mark.parametrize("weight", [0.0, 1.0, 3.5])
 def test_tables_hold_what_the_heuristic_says(problem, weight):
     joint, heuristic = joint_lattice_of(problem, 1.0), straight_line(problem)
-    estimate = tabulate(joint, heuristic, weight)
+    estimate = heuristic_table(joint, heuristic, weight)
     assert estimate.plain is None
     state = random_states(joint, 50)
     q = joint.configurations(state)
@@ -51,7 +50,7 @@ def test_tables_hold_what_the_heuristic_says(problem, weight):
 
 def test_terms_are_cost_and_weighted_estimate_of_the_child():
     joint = joint_lattice_of(MIXED, 1.0)
-    estimate = tabulate(joint, straight_line(MIXED), 3.0)
+    estimate = heuristic_table(joint, straight_line(MIXED), 3.0)
     for lattice, table, term in zip(joint.lattices, estimate.tables, estimate.terms, strict=True):
         assert term.dtype == np.float32 and term.shape == lattice.child.shape
         np.testing.assert_array_equal(np.isinf(term), np.isinf(lattice.cost))
@@ -70,13 +69,13 @@ def test_terms_are_evaluated_once_for_lattices_of_any_size():
         return np.zeros(q.shape[:2])
 
     joint = joint_lattice_of(MIXED, 1.0)
-    tabulate(joint, Separable(per_robot), 1.0)
+    heuristic_table(joint, Separable(per_robot), 1.0)
     assert asked == [(max(len(lattice.q) for lattice in joint.lattices), 3, 3)]
 
 
 def test_separable_children_are_not_rescored():
     joint = joint_lattice_of(MIXED, 2.0)
-    estimate = tabulate(joint, straight_line(MIXED), 2.0)
+    estimate = heuristic_table(joint, straight_line(MIXED), 2.0)
     state = np.array([[lattice.start for lattice in joint.lattices]], np.int32)
     children = best_successors(joint, estimate.terms, state, 50)
     score, primitive = estimate.rescored(joint, state, children)
@@ -93,7 +92,7 @@ def bent(q):
 
 def test_a_plain_function_is_called_for_joint_configurations():
     joint = joint_lattice_of(MIXED, 1.0)
-    estimate = tabulate(joint, bent, 2.0)
+    estimate = heuristic_table(joint, bent, 2.0)
     state = random_states(joint, 40)
     assert estimate.plain is bent
     np.testing.assert_allclose(estimate(joint, state), 2 * bent(joint.configurations(state)), rtol=1e-12)
@@ -107,7 +106,7 @@ def test_a_plain_function_sees_few_batch_sizes():
         return bent(q)
 
     joint = joint_lattice_of(MIXED, 1.0)
-    estimate = tabulate(joint, counting, 1.0)
+    estimate = heuristic_table(joint, counting, 1.0)
     for n in range(40):
         assert estimate(joint, random_states(joint, n)).shape == (n,)
     assert sizes == {1, 2, 4, 8, 16, 32, 64}
@@ -125,7 +124,7 @@ def test_estimates_too_large_for_float32_prune_nothing(separable):
 
 def test_children_are_rescored_by_a_plain_function():
     joint = joint_lattice_of(MIXED, 1.0)
-    estimate = tabulate(joint, bent, 2.0)
+    estimate = heuristic_table(joint, bent, 2.0)
     state = np.array(
         [[lattice.start for lattice in joint.lattices], [lattice.goal for lattice in joint.lattices]], np.int32
     )
@@ -148,7 +147,7 @@ def test_children_are_rescored_by_a_plain_function():
 def test_finite_estimates_of_a_plain_function_are_taken_as_they_are(factor):
     joint = joint_lattice_of(DOOR, 0.4)
     line = straight_line(DOOR)
-    estimate = tabulate(joint, lambda q: factor * line(q), 1.0)
+    estimate = heuristic_table(joint, lambda q: factor * line(q), 1.0)
     state = random_states(joint, 60)
     np.testing.assert_allclose(estimate(joint, state), factor * line(joint.configurations(state)), rtol=1e-12)
 
@@ -171,7 +170,7 @@ def test_infinite_terms_exceed_all_others_but_are_finite():
         return values
 
     joint = joint_lattice_of(DOOR, 0.5)
-    estimate = tabulate(joint, Separable(per_robot), 1.0)
+    estimate = heuristic_table(joint, Separable(per_robot), 1.0)
     (table,) = estimate.tables
     unknown = joint.lattices[0].q[:, 1] > 5
     assert np.isfinite(table).all() and table[unknown].min() > table[~unknown].max()
@@ -183,7 +182,7 @@ def test_infinite_joint_estimates_exceed_all_others_but_are_finite(factor):
         return np.where(q[:, 0, 1] > 5, np.inf, factor * q[:, 0, 0])
 
     joint = joint_lattice_of(DOOR, 0.5)
-    estimate = tabulate(joint, heuristic, 1.0)
+    estimate = heuristic_table(joint, heuristic, 1.0)
     nodes = np.arange(len(joint.lattices[0].q))[:, None]
     values, unknown = estimate(joint, nodes), joint.lattices[0].q[:, 1] > 5
     assert np.isfinite(values).all() and values[unknown].min() > values[~unknown].max()
@@ -237,7 +236,7 @@ def test_one_nan_among_many_is_refused():
         return np.where(np.hypot(q[:, 0, 0] - 2, q[:, 0, 1] - 5) < 1, np.nan, 1.0)
 
     with pytest.raises(ValueError, match="NaN"):
-        bl_plan(DOOR, heuristic, BLOptions(step=0.4))
+        bl_plan(DOOR, heuristic, BLOptions(searchers=("bl",), step=0.4))
 
 
 @pytest.mark.parametrize("separable", [True, False])
@@ -248,7 +247,7 @@ def test_a_negative_estimate_counts_as_0(separable):
     below, at = (Separable(lambda q, least=least: dipped(q, least)) for least in (-np.inf, 0.0))
     if not separable:
         below, at = (lambda q, terms=terms: terms.per_robot(q).sum(axis=1) for terms in (below, at))
-    options = BLOptions(step=0.5)
+    options = BLOptions(searchers=("bl",), step=0.5)
     one, other = bl_plan(DOOR, below, options), bl_plan(DOOR, at, options)
     np.testing.assert_array_equal(one.path, other.path)
     assert one.stats.num_nodes == other.stats.num_nodes

@@ -1,15 +1,23 @@
 import heapq
-from itertools import pairwise, product
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, apart, exact, graph_of, hallway, joint_lattice_of, search_budget
+from planner_helpers import (
+    FOUR_NEIGHBORS,
+    exact,
+    graph_of,
+    hallway,
+    heuristic_table,
+    joint_lattice_of,
+    reachable,
+    search_budget,
+)
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import BLOptions, Status, straight_line, zero
-from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.search import BestFirstSearch, SearchTree
 from plr_jax.planners.lattice.build import PRIMITIVES
 
@@ -26,7 +34,7 @@ MIXED = Problem(
 
 def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, limits=None, **options):
     joint = joint_lattice_of(problem, step, primitives)
-    estimate = tabulate(joint, heuristic or straight_line(problem), weight)
+    estimate = heuristic_table(joint, heuristic or straight_line(problem), weight)
     cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
     return BestFirstSearch(joint, estimate, cells, BLOptions(**{"batch": 1, **options}), limits or search_budget())
 
@@ -38,24 +46,6 @@ def run_on(search):
         status = search.run(turn)
         turn *= 2
     return status
-
-
-def reachable(joint):
-    """All joint configurations that joint motions reach, one after the other."""
-    start = tuple(lattice.start for lattice in joint.lattices)
-    primitive = np.array(
-        list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8
-    )
-    reached, newest = {start}, [start]
-    while newest:
-        state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)
-        free = np.isfinite(joint.move_costs(state, primitive))
-        free &= apart(joint, state, primitive)
-        for child in map(tuple, joint.move(state[free], primitive[free]).tolist()):
-            if child not in reached:
-                reached.add(child)
-                newest.append(child)
-    return reached
 
 
 def nodes_by_the_book(lattice, table, weight):
@@ -213,7 +203,7 @@ def test_larger_cells_are_claimed_once():
         np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in joint.lattices
     ]
     limits = search_budget(max_expansions=300)
-    search = BestFirstSearch(joint, tabulate(joint, zero(), 0.0), cells, BLOptions(), limits)
+    search = BestFirstSearch(joint, heuristic_table(joint, zero(), 0.0), cells, BLOptions(), limits)
     search.run(10_000)
     claimed = [tuple(cell[s] for cell, s in zip(cells, state, strict=True)) for state in search.state]
     assert len(set(claimed)) == len(claimed) > 40

@@ -3,12 +3,11 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import apart, hallway, joint_lattice_of
+from planner_helpers import apart, hallway, heuristic_table, joint_lattice_of
 from robot_helpers import sampled_distance
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners import straight_line
-from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.successors import best_successors
 
 TIGHT = Workspace(((0, 0), (3, 3)), [shapely.box(1.4, 1.4, 1.6, 1.6)])
@@ -22,7 +21,7 @@ DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)
 
 
 def terms_of(joint):
-    return tabulate(joint, straight_line(joint.problem), 2.0).terms
+    return heuristic_table(joint, straight_line(joint.problem), 2.0).terms
 
 
 def free_states(joint, num, seed):

@@ -6,7 +6,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_helpers import ROOM, exact, joint_lattice_of, search_budget
+from planner_helpers import ROOM, exact, heuristic_table, joint_lattice_of, search_budget
 
 from plr_jax import (
     BLOptions,
@@ -23,7 +23,6 @@ from plr_jax import (
 from plr_jax._problem import motion_costs
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners import straight_line
-from plr_jax.planners.bl.heuristic_table import tabulate
 from plr_jax.planners.bl.search import BestFirstSearch
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
@@ -61,7 +60,7 @@ def found_on_lattice(problem, step):
     """A path of the planner before anything is shortened, by its search alone."""
     joint = joint_lattice_of(problem, step)
     cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
-    search = BestFirstSearch(joint, tabulate(joint, exact(problem), 2.0), cells, BLOptions(), search_budget())
+    search = BestFirstSearch(joint, heuristic_table(joint, exact(problem), 2.0), cells, BLOptions(), search_budget())
     while search.run(100_000) is None:
         pass
     return joint.configurations(search.branch)

@@ -2,13 +2,14 @@
 
 from functools import cache
 
+import networkx as nx
 import numpy as np
 import pytest
-from planner_helpers import FOUR_NEIGHBORS, ROOM, TRANSLATIONS, exact, joint_lattice_of, planned
+from planner_helpers import FOUR_NEIGHBORS, ROOM, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
 
-from plr_jax import Problem, RectangleRobot, bl_plan, robot_distance_fns, scenes
+from plr_jax import BLOptions, Problem, RectangleRobot, bl_plan, robot_distance_fns, scenes
 from plr_jax.planners import straight_line, sum_of_distances, zero
-from plr_jax.planners.bl.driver import claimed_cells
+from plr_jax.planners.level import claimed_cells
 
 
 def same(first, second):
@@ -25,9 +26,12 @@ def same(first, second):
     )
 
 
-def test_without_a_heuristic_straight_lines_guide():
+def test_without_a_heuristic_costs_along_the_lattice_guide():
     problem = scenes.single_door()
-    assert same(bl_plan(problem), planned(problem, straight_line(problem)))
+    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, heuristic_weight=1))
+    (lattice,) = joint_lattice_of(problem, 0.4).lattices
+    least = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    assert solution.stats.history[0][1] == pytest.approx(least, rel=1e-6) and solution.stats.num_nodes < 60
 
 
 @cache
@@ -80,7 +84,9 @@ def test_tiny_cells_change_nothing():
 
 def test_larger_cells_of_a_team():
     problem = scenes.four_rooms(2)
-    fine, coarse = (planned(problem, step=0.25, cell_size=size).stats.num_nodes for size in (None, 0.5))
+    fine, coarse = (
+        planned(problem, step=0.25, cell_size=size, searchers=("bl",)).stats.num_nodes for size in (None, 0.5)
+    )
     assert coarse < fine
 
 

@@ -105,8 +105,8 @@ class Interruption:
 def test_an_interrupted_planner_returns_what_it_has():
     problem = scenes.single_door()
     whole = Interruption(problem, None)
-    first = planned(problem, whole, step=0.5)
-    solution = planned(problem, Interruption(problem, whole.calls + 5), step=0.5, cost_factor=1.0)
+    first = planned(problem, whole, step=0.5, searchers=("bl",))
+    solution = planned(problem, Interruption(problem, whole.calls + 5), step=0.5, cost_factor=1.0, searchers=("bl",))
     assert solution.status is Status.INTERRUPTED
     assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
     assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
@@ -115,6 +115,6 @@ def test_an_interrupted_planner_returns_what_it_has():
 @pytest.mark.parametrize("at", [1, 4])
 def test_an_interruption_before_the_first_path(at):
     problem = scenes.single_door()
-    solution = bl_plan(problem, Interruption(problem, at), BLOptions(step=0.5))
+    solution = bl_plan(problem, Interruption(problem, at), BLOptions(searchers=("bl",), step=0.5))
     assert solution.status is Status.INTERRUPTED and not solution.solved
     assert len(solution.samples) == max(solution.stats.num_nodes, 1)

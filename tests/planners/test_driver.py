@@ -129,7 +129,7 @@ def test_walls_far_from_the_origin_are_touched_alike():
 
 def test_tangle_by_translation_alone_exhausts_its_frontier():
     problem = scenes.tangle()
-    solution = bl_plan(problem, straight_line(problem), BLOptions(primitives=TRANSLATIONS, step=0.3))
+    solution = bl_plan(problem, straight_line(problem), BLOptions(("bl",), TRANSLATIONS, step=0.3))
     assert solution.status is Status.EXHAUSTED
     assert solution.path is None and solution.cost == np.inf and solution.stats.history == ()
     assert solution.stats.num_nodes > 500 and len(solution.samples) == solution.stats.num_nodes
@@ -137,7 +137,7 @@ def test_tangle_by_translation_alone_exhausts_its_frontier():
 
 
 def test_robots_that_cannot_pass():
-    solution = bl_plan(hallway(5), zero(), BLOptions(step=1.0))
+    solution = bl_plan(hallway(5), zero(), BLOptions(searchers=("bl",), step=1.0))
     assert solution.status is Status.EXHAUSTED and not solution.solved and solution.stats.num_nodes == 10
 
 

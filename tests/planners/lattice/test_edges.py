@@ -1,0 +1,141 @@
+"""Costs along lattices and their edges, against NetworkX on each robot's own lattice."""
+
+from itertools import product
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from planner_helpers import FOUR_NEIGHBORS, graph_of, joint_lattice_of
+
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
+from plr_jax.planners.lattice.build import PRIMITIVES
+from plr_jax.planners.lattice.edges import kinds_of
+
+WALLS = Workspace(((0, 0), (6, 5)), [shapely.box(2, 0, 2.3, 3), [(4, 2.1), (5, 3), (4.2, 4)]])
+MIXED = Problem(
+    WALLS,
+    [DiscRobot(0.3), RectangleRobot(0.9, 0.4), DiscRobot(0.3), PointRobot()],
+    [(0.5, 0.6, 0), (1.0, 3.7, 0.4), (5.5, 0.6, 0), (3.1, 1.0, 0)],
+    [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0)],
+)
+
+
+def random_boxes(seed):
+    rng = np.random.default_rng(seed)
+    corners, sizes = rng.uniform(0.8, 4.5, (6, 2)), rng.uniform(0.05, 1.6, (6, 2))
+    return Workspace(
+        ((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)]
+    )
+
+
+def test_kinds_are_the_robots_that_share_a_table():
+    joint = joint_lattice_of(MIXED, 0.6)
+    assert [kind.members.tolist() for kind in kinds_of(joint)] == [[0, 2], [1], [3]]
+    for kind in kinds_of(joint):
+        for row, i in enumerate(kind.members.tolist()):
+            lattice = joint.lattices[i]
+            assert kind.table is lattice.table and kind.node[row].tolist() == [lattice.start, lattice.goal]
+
+
+@pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(4), scenes.door(6)], ids=["mixed", "rooms", "door"])
+def test_motions_of_all_robots_at_once_are_those_of_each(problem):
+    joint = joint_lattice_of(problem, 0.5)
+    rng = np.random.default_rng(0)
+    for kind in kinds_of(joint):
+        for _ in range(40):
+            # Near the ends, where motions differ from robot to robot.
+            around = np.unique(kind.table.child[kind.node.ravel()])
+            node = np.array([rng.choice([*around, *kind.node[row]]) for row in range(len(kind.members))])
+            node = np.where(node >= kind.table.num_cells, kind.node[:, 0], node)
+            child, cost = kind.motions(node)
+            for row, i in enumerate(kind.members.tolist()):
+                np.testing.assert_array_equal(child[row], joint.lattices[i].child[node[row]])
+                np.testing.assert_array_equal(cost[row], joint.lattices[i].cost[node[row]])
+
+
+@pytest.mark.parametrize("step", [0.4, 0.7, 1.5])
+def test_costs_to_go_are_those_that_networkx_finds(step):
+    joint = joint_lattice_of(MIXED, step)
+    for kind in kinds_of(joint):
+        rows = np.arange(len(kind.members))
+        costs = kind.edges.costs_to_go(rows)
+        for row, i in enumerate(kind.members.tolist()):
+            lattice = joint.lattices[i]
+            graph = graph_of(lattice).reverse()
+            expected = nx.single_source_dijkstra_path_length(graph, lattice.goal, weight="cost")
+            assert costs[row, lattice.start] == pytest.approx(expected.get(lattice.start, np.inf), rel=1e-12)
+            # Ways by the start are left out, as it stands for its cell: costs by that cell's representative differ.
+            through = [
+                node for node in expected if lattice.start not in nx.dijkstra_path(graph, lattice.goal, node, "cost")
+            ]
+            assert len(through) > 5
+            least = np.array([expected[node] for node in through])
+            assert (costs[row, through] <= least * (1 + 1e-12)).all()
+            assert (np.isclose(costs[row, through], least, rtol=1e-12)).mean() > 0.9
+
+
+def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
+    answers = set()
+    for seed, step, primitives in product(
+        range(3), (0.5, 1.5), (PRIMITIVES, FOUR_NEIGHBORS[::2], ((2, 1, 0), (-1, 2, 0)))
+    ):
+        try:
+            problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
+        except ValueError:  # no way for the disc
+            continue
+        joint = joint_lattice_of(problem, step, primitives)
+        (kind,), (lattice,) = kinds_of(joint), joint.lattices
+        cost = kind.edges.costs_to_go(np.zeros(1, np.intp))[0, lattice.start]
+        answers.add(bool(np.isfinite(cost)))
+        assert np.isfinite(cost) == nx.has_path(graph_of(lattice), lattice.start, lattice.goal)
+    assert answers == {True, False}
+
+
+def test_costs_to_come_mirror_costs_to_go():
+    # Motions here cost as much one way as the other; a table of swapped ends has the same costs, backward.
+    there = MIXED
+    back = Problem(WALLS, MIXED.robots, MIXED.goals, MIXED.starts)
+    for kind, mirrored in zip(
+        kinds_of(joint_lattice_of(there, 0.5)), kinds_of(joint_lattice_of(back, 0.5)), strict=True
+    ):
+        rows, cells = np.arange(len(kind.members)), slice(kind.table.num_cells)
+        come, go = kind.edges.costs_to_come(rows)[:, cells], mirrored.edges.costs_to_go(rows)[:, cells]
+        np.testing.assert_allclose(come, go, rtol=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.5, 1.1])
+def test_edges_into_a_node_are_the_motions_of_each_robot(step):
+    joint = joint_lattice_of(MIXED, step)
+    for kind in kinds_of(joint):
+        edges = kind.edges
+        for row, i in enumerate(kind.members.tolist()):
+            lattice, into = joint.lattices[i], edges.into_nodes(row)
+            cells = {end.cell for end in lattice.ends}
+            others = set(kind.node.ravel().tolist()) - {lattice.start, lattice.goal}
+            found = {
+                (int(edges.begin[edge]), node, float(edges.cost[edge]))
+                for node in range(len(lattice.q))
+                for edge in into[:, node]
+                if edge != edges.none
+            }
+            begin, primitive = np.nonzero(np.isfinite(lattice.cost))
+            expected = {
+                (int(b), int(lattice.child[b, p]), float(lattice.cost[b, p]))
+                for b, p in zip(begin, primitive, strict=True)
+            }
+            visited = {edge for edge in expected if not {edge[0], edge[1]} & (cells | others)}
+            assert {edge for edge in found if not {edge[0], edge[1]} & (cells | others)} == visited
+
+
+def test_edges_along_a_path():
+    joint = joint_lattice_of(scenes.four_rooms(4), 0.4)
+    (kind,) = kinds_of(joint)
+    for lattice in joint.lattices:
+        path = np.array(nx.dijkstra_path(graph_of(lattice), lattice.start, lattice.goal, "cost"))
+        path = np.repeat(path, 2)  # waiting at each node
+        edges = kind.edges.along(path)
+        np.testing.assert_array_equal(kind.edges.begin[edges], path[:-1])
+        np.testing.assert_array_equal(kind.edges.end[edges], path[1:])
+        expected = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+        assert kind.edges.cost[edges].sum() == pytest.approx(expected)
