@@ -40,8 +40,8 @@ def door(num_robots: int) -> Problem:
     left = np.stack([1 + 1.7 * column, 2 + 3.9 * row], axis=1)
     right = left * (-1, 1) + (21, 0)
     workspace = Workspace(((0, 0), (21, 20)), _WALLS)
-    ends = np.concatenate([left, right]), np.concatenate([right, left])
-    return Problem(workspace, [DiscRobot(_RADIUS)] * num_robots, *ends)
+    starts, goals = np.concatenate([left, right]), np.concatenate([right, left])
+    return Problem(workspace, [DiscRobot(_RADIUS)] * num_robots, starts, goals)
 
 
 def crowd(num_robots: int, seed: int = 0) -> Problem:
@@ -55,14 +55,14 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
         The problem: discs of radius 0.4.
 
     Raises:
-        ValueError: If there is no robot, or no room for so few: a square covered by one disc has none to spare.
+        ValueError: If there is no robot.
     """
     if not _is_integer(num_robots) or num_robots < 1:
         raise ValueError(f"The scene crowd has at least one robot; got {num_robots!r}.")
     side = math.sqrt(num_robots * math.pi * _RADIUS**2 / _CROWDED)
     rng = np.random.default_rng(seed)
-    ends = (_scattered(num_robots, side, rng) for _ in range(2))
-    return Problem(Workspace(((0, 0), (side, side)), []), [DiscRobot(_RADIUS)] * num_robots, *ends)
+    starts, goals = (_scattered(num_robots, side, rng) for _ in range(2))
+    return Problem(Workspace(((0, 0), (side, side)), []), [DiscRobot(_RADIUS)] * num_robots, starts, goals)
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:

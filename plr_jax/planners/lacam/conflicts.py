@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from jaxtyping import Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from plr_jax._arrays import runs
 from plr_jax.collision.pairs import motions_apart
@@ -20,9 +19,8 @@ class Conflicts:
 
     def __init__(self, kinds: Sequence[Kind], tolerance: float):
         self.kinds, self.tolerance = kinds, tolerance
-        self._known: dict[tuple[int, int], dict[int, Int[np.ndarray, _]]] = {
-            pair: {} for pair in product(range(len(kinds)), repeat=2)
-        }
+        pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
+        self._known: dict[tuple[int, int], dict[int, Int[np.ndarray, _]]] = {pair: {} for pair in pairs}
 
     def of(self, a: int, edges: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
         """For each of some edges of kind ``a``, the edges of kind ``b`` that collide with it."""
@@ -58,12 +56,12 @@ class Conflicts:
         return np.split(edge, np.searchsorted(row, np.arange(1, len(motion))))
 
     @cached_property
-    def _near(self) -> list[tuple[cKDTree, Int[np.ndarray, "edges"], Int[np.ndarray, "nodes_and_1"]]]:
+    def _near(self) -> list[tuple[KDTree, Int[np.ndarray, "edges"], Int[np.ndarray, "nodes_and_1"]]]:
         """Of each kind the places of its nodes, and its edges by the node where they begin."""
         found = []
         for kind in self.kinds:
             begin = kind.edges.begin[: kind.edges.none]
             order = np.argsort(begin, kind="stable")
             first = np.searchsorted(begin[order], np.arange(len(kind.table.q) + 1))
-            found.append((cKDTree(kind.table.q[:, :2]), order, first))
+            found.append((KDTree(kind.table.q[:, :2]), order, first))
         return found

@@ -90,7 +90,8 @@ class TeamMoves:
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
-        return np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
+        first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
+        return first, second
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:

@@ -128,7 +128,7 @@ def replan_each(timetable: Timetable) -> None:
                 return
             if timetable.cost[i] > timetable.least[i] * (1 + _ROUNDING):
                 timetable.leave(i)
-                timetable.replan(i, timetable.cost[i])
+                timetable.replan(i, float(timetable.cost[i]))
                 timetable.enter(i)
         if before - timetable.cost.sum() <= _GAIN * before:
             return
