@@ -1,7 +1,8 @@
 """Text, JSON and YAML from outside: bounded before it is parsed, and wrong in one way only, by a ``ValueError``.
 
-A document holds at most 16 MiB, lists and mappings at most 32 deep, and integers that a float64 can stand for; a
-YAML document has no aliases, by which few bytes could mean any number of values, and no tags.
+A document holds at most 16 MiB, if nothing else is said, lists and mappings at most 32 deep, and integers that a
+float64 can stand for. A YAML document has no aliases, by which few bytes could mean any number of values, and no
+tags.
 """
 
 import json
@@ -31,21 +32,21 @@ def errors_named(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def text_of(path: Path) -> str:
+def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
     """The text of a file in UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
     with path.open("rb") as file:
-        data = file.read(_MOST_BYTES + 1)
-    if len(data) > _MOST_BYTES:
-        raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, got a larger file.")
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise ValueError(f"expected at most {most_bytes:,} bytes, got a larger file.")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"expected text in UTF-8, got a binary file ({error}).") from None
 
 
-def json_of(path: Path) -> Any:
+def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
     """The value that a JSON file stands for; ``ValueError`` if it is no JSON, or beyond the bounds above."""
-    text = text_of(path)
+    text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
