@@ -85,6 +85,18 @@ def _scene_files() -> list[bytes]:
     return files
 
 
+def _solution_files() -> list[bytes]:
+    problem = scenes.single_door()
+    solved = plr_jax.bl_plan(problem)
+    unsolved = plr_jax.bl_plan(problem, options=plr_jax.BLOptions(max_expansions=1))
+    with tempfile.TemporaryDirectory() as folder:
+        path, files = Path(folder, "solution.json"), []
+        for solution in (solved, unsolved):
+            solution.save(path)
+            files += [path.read_bytes()]
+    return files
+
+
 def _plr_files() -> list[bytes]:
     def distance(x: Any) -> Any:
         return np.where((x[:, 0] > 0.4) & (x[:, -1] < 0.3), np.inf, np.linalg.norm(x - 0.7, axis=1))
@@ -108,6 +120,7 @@ def _with_checksum(data: bytes) -> bytes:
 
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
+    "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
     "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
     "db-CBS": Reader(scenes.read_dbcbs, ".yaml", lambda: [_DBCBS.encode()]),
     "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),

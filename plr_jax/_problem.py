@@ -140,8 +140,13 @@ def makespan(problem: Problem, path: ArrayLike) -> float:
     Raises:
         ValueError: If the path has another shape.
     """
+    return float(row_times(problem, path)[-1])
+
+
+def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
+    """When a path reaches each of its rows, from 0 to its :func:`makespan`, never falling."""
     path = as_path(problem, path)
-    return float(motion_costs(problem, path[:-1], path[1:]).max(axis=1).sum())
+    return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:

@@ -1,6 +1,5 @@
 """The command ``plr-jax plan``: from a scene to a checked path for all its robots."""
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +12,6 @@ from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, TEAM_SCENES, Heuristic,
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
-    from plr_jax._validate import ValidationReport
     from plr_jax.planners import Solution
 
 
@@ -98,7 +96,11 @@ def plan(
     max_memory: Annotated[float, _of_planner("max_memory", "Most bytes of lattices and nodes.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help='Write the path as JSON: "path" is (steps, robots, dof).'),
+        typer.Option(
+            "--output",
+            "-o",
+            help='Write the solution as JSON: "path" is (steps, robots, dof). Solution.load reads it.',
+        ),
     ] = None,
     animation: Annotated[Path | None, typer.Option(help="Write the path in motion: .gif or .html.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the path: .png, .pdf or .svg.")] = None,
@@ -113,6 +115,7 @@ def plan(
     require_writable(picture, PICTURES)
     from plr_jax.cli import _planning
     from plr_jax.planners import BLOptions, Status
+    from plr_jax.planners._solution import save_solution
 
     options = BLOptions(
         step=step,
@@ -133,7 +136,7 @@ def plan(
     solution, report = _planning.solve(problem, heuristic, options, plr_bytes, seed, phases)
     if report is not None and report.valid:
         if output is not None:
-            _write_json(solution, report, output)
+            save_solution(solution, output, clearance=report.clearance)
         _draw(problem, solution, animation, picture)
         for file in (output, animation, picture):
             if file is not None:
@@ -147,22 +150,6 @@ def plan(
         raise typer.Exit(INTERRUPTED_EXIT)
     if not solution.solved:
         fail(f"No path: {solution.status}.", code=1)
-
-
-def _write_json(solution: "Solution", report: "ValidationReport", output: Path) -> None:
-    """One object; numbers have as many digits as it takes to read the same float64 back."""
-    from plr_jax._atomic import write_atomically
-
-    assert solution.path is not None
-    entry = {
-        "status": solution.status.name,
-        "cost": solution.cost,
-        "lower_bound": solution.lower_bound,
-        "makespan": solution.makespan,
-        "clearance": report.clearance,
-        "path": solution.path.tolist(),
-    }
-    write_atomically(output, (json.dumps(entry) + "\n").encode())
 
 
 def _draw(problem: "Problem", solution: "Solution", animation: Path | None, picture: Path | None) -> None:

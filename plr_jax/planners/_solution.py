@@ -1,12 +1,27 @@
-"""What every planner returns: a path, what it costs, and why the planner ended."""
+"""What every planner returns: a path, what it costs, and why the planner ended; and the file that holds it."""
 
 import enum
+import json
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._problem import Problem, makespan, motion_costs, path_cost
+from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
+from plr_jax._atomic import write_atomically
+from plr_jax._documents import errors_named, format_name, json_of, require_format
+from plr_jax._problem import Problem, motion_costs, path_cost, row_times
+from plr_jax._types import ArrayLike
+from plr_jax.robots.motion import between, motions_under_way
+
+_KIND = "solution"
+_VERSION = 1
+_KEYS = ("status", "cost", "makespan", "lower_bound", "motions_factor", "path", "times", "stats")
+_COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid")
+_MOST_BYTES = 2**26  # of a file: a path of about three million numbers
 
 
 class Status(enum.StrEnum):
@@ -64,6 +79,8 @@ class Solution:
         motions_factor: Proven bound of the cost of the path that ``path`` was shortened from, over that of the
             cheapest one made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions of the
             lattices on which it was found.
+        times: When the path reaches each of its rows, ``(steps,)``: from 0 to the makespan, never falling. None if no
+            path was found.
     """
 
     path: Float[np.ndarray, "steps robots dof"] | None
@@ -74,6 +91,7 @@ class Solution:
     stats: Stats
     samples: Float[np.ndarray, "nodes robots dof"]
     motions_factor: float = float("inf")
+    times: Float[np.ndarray, "steps"] | None = None
 
     @property
     def factor(self) -> float:
@@ -90,9 +108,92 @@ class Solution:
         """Whether there is a path."""
         return self.path is not None
 
+    def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
+        """Where the robots are at some times, if they follow the path by a common clock.
+
+        Each motion, from one row of the path to the next, takes as long as its costliest robot needs at unit speed.
+        The others move at a constant rate and arrive with it. Headings turn the shorter way from those of the row
+        before, so where the path's own headings jump by a whole turn, so do these.
+
+        Args:
+            times: Times ``(n,)`` from 0 to the makespan, or of any other shape. Before 0 the robots are at their
+                starts, after the makespan at their goals, so ``inf`` is allowed.
+
+        Returns:
+            Joint configurations ``(n, robots, dof)``, for one time ``(robots, dof)``. At 0 those are the starts and
+            at the makespan the goals, to the bit; at the time of a row in between, that row.
+
+        Raises:
+            ValueError: If there is no path, or a time is NaN or no number.
+        """
+        if self.path is None or self.times is None:
+            raise ValueError(f"There is no path to follow, the planner ended because: {self.status}.")
+        times = as_numbers("times", times, "numbers, such as an array (n,)")
+        if np.isnan(times).any():
+            raise ValueError("times must not be NaN.")
+        when = times.ravel()
+        row, after, share = motions_under_way(self.times, when)
+        share = share[:, None, None]
+        at = np.where(share == 1, self.path[after], between(self.path[row], self.path[after], share))
+        at[when <= 0] = self.path[0]  # of rows at time 0, the last one else
+        at[when >= self.makespan] = self.path[-1]
+        return at.reshape(*times.shape, *self.path.shape[1:])
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the solution as a JSON file, in the form that :meth:`load` describes, but for its samples.
+
+        The file appears whole or not at all: an interrupted save leaves an older file as it was.
+
+        Args:
+            path: Where; usually ends in ``.json``.
+
+        Raises:
+            ValueError: If the solution contradicts itself, as a path without a cost does, or takes more than 64 MiB.
+            OSError: If the file cannot be written.
+        """
+        save_solution(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Solution":
+        """Read a solution from a file.
+
+        Version 1 is one object with these keys; other keys are ignored. ``null`` stands for infinity, which JSON has
+        no word for; lengths are in workspace units, angles in radians::
+
+            "format":         "plr_jax solution"
+            "version":        1
+            "status":         name of a Status, such as "SOLVED"
+            "cost":           number, or null if there is no path, likewise "makespan"
+            "lower_bound":    number or null
+            "motions_factor": number or null
+            "path":           [[[x, y], ...], ...], one configuration a robot in each row ([x, y, heading] if any
+                              robot has a heading), or null if there is no path
+            "times":          [time, ...], one a row, from 0 to the makespan, or null if there is no path
+            "stats":          {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
+                               "num_children_valid": count, "seconds": {phase: seconds, ...},
+                               "history": [[seconds, cost], ...]}
+
+        Numbers are written with as many digits as it takes to read the same float64 back.
+
+        Args:
+            path: A file that :meth:`save` or ``plr-jax plan --output`` wrote.
+
+        Returns:
+            The solution, equal to the saved one bit for bit, but that its ``samples`` are an empty array: they are
+            not in the file. Whether the path is valid for a problem, :func:`plr_jax.validate` says.
+
+        Raises:
+            ValueError: If the file is no solution, is damaged, or was written by a newer version.
+            OSError: If the file cannot be read.
+        """
+        path = Path(path)
+        with errors_named(path):
+            return _solution_in(json_of(path, _MOST_BYTES))
+
     def __repr__(self) -> str:
         return (
-            f"Solution({self.status.name}: cost {self.cost:.4g}, lower bound {self.lower_bound:.4g}, "
+            f"Solution({self.status.name}: cost {self.cost:.4g}, makespan {self.makespan:.4g}, "
+            f"lower bound {self.lower_bound:.4g}, "
             f"{self.stats.num_nodes:,} nodes, {sum(self.stats.seconds.values()):.3g} s)"
         )
 
@@ -109,10 +210,94 @@ def solution_of(
     """A solution, its costs computed from the path."""
     if path is None:
         return Solution(None, float("inf"), float("inf"), lower_bound, status, stats, samples)
-    costs = path_cost(problem, path), makespan(problem, path)
-    return Solution(path, *costs, lower_bound, status, stats, samples, motions_factor)
+    cost, times = path_cost(problem, path), row_times(problem, path)
+    return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, motions_factor, times)
 
 
 def straight_line_bound(problem: Problem) -> float:
     """The sum of the costs of the robots' straight motions to their goals: no path is cheaper."""
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
+
+
+def save_solution(solution: Solution, path: str | os.PathLike[str], **more: Any) -> None:
+    """Write a solution as :meth:`Solution.save` does, with more keys that a reader may ignore."""
+    stats = solution.stats
+    entry = {
+        "format": format_name(_KIND),
+        "version": _VERSION,
+        "status": solution.status.name,
+        **{name: _or_null(getattr(solution, name)) for name in ("cost", "makespan", "lower_bound", "motions_factor")},
+        **more,
+        "stats": {
+            **{name: int(getattr(stats, name)) for name in _COUNTS},
+            "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
+            "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
+        },
+        "times": None if solution.times is None else solution.times.tolist(),
+        "path": None if solution.path is None else solution.path.tolist(),
+    }
+    _solution_in(entry)  # or it could not be read back
+    data = (json.dumps(entry, allow_nan=False) + "\n").encode()
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, this one would have {len(data):,}.")
+    write_atomically(Path(path), data)
+
+
+def _or_null(value: float) -> float | None:
+    return None if value == float("inf") else float(value)
+
+
+def _solution_in(entry: Any) -> Solution:
+    """The solution that a document stands for; ``ValueError`` if it stands for none."""
+    require_format(entry, _KIND, _VERSION, _KEYS)
+    status = entry["status"]
+    if not isinstance(status, str) or status not in Status.__members__:
+        raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
+    cost, span, bound, factor = (
+        _finite_or_inf(name, entry[name]) for name in ("cost", "makespan", "lower_bound", "motions_factor")
+    )
+    path, times = _motion_in(entry)
+    if times is not None and (times[0] != 0 or times[-1] != span):
+        raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
+    samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
+    stats = _stats_in(entry["stats"])
+    return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
+
+
+def _finite_or_inf(name: str, value: Any) -> float:
+    return float("inf") if value is None else as_finite(f'"{name}"', value)
+
+
+def _motion_in(entry: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The path and its times, or None twice."""
+    parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}
+    if all(part is None for part in parts.values()):
+        return None, None
+    missing = [name for name, part in parts.items() if part is None]
+    if missing:
+        raise ValueError(f"expected {', '.join(parts)} to be null all or none; null are {', '.join(missing)}.")
+    path = as_numbers('"path"', parts["path"], "numbers of shape (steps, robots, dof)")
+    if path.ndim != 3 or 0 in path.shape or path.shape[2] not in (2, 3) or not np.isfinite(path).all():
+        raise ValueError(f'expected "path" to be finite, of shape (steps, robots, 2 or 3), got shape {path.shape}.')
+    times = as_numbers('"times"', parts["times"], "numbers of shape (steps,)")
+    if times.shape != path.shape[:1] or not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise ValueError(f'expected "times" to be {len(path)} finite numbers that never fall, one a row of the path.')
+    return path, times
+
+
+def _stats_in(entry: Any) -> Stats:
+    keys = (*_COUNTS, "seconds", "history")
+    if not isinstance(entry, dict) or any(key not in entry for key in keys):
+        raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
+    for name in _COUNTS:
+        require_integer(f'"{name}"', entry[name], 0)
+    seconds, history = entry["seconds"], entry["history"]
+    if not isinstance(seconds, dict):
+        raise ValueError(f'expected "seconds" to be an object, got {shortened(seconds)}.')
+    if not isinstance(history, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in history):
+        raise ValueError(f'expected "history" to be a list of pairs [seconds, cost], got {shortened(history)}.')
+    return Stats(
+        **{name: entry[name] for name in _COUNTS},
+        seconds={phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()},
+        history=tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history),
+    )

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._problem import Problem, as_path, motion_costs
+from plr_jax._problem import Problem, as_path, row_times
 from plr_jax._types import ArrayLike
-from plr_jax.robots.motion import shorter_turn
+from plr_jax.robots.motion import motions_under_way, shorter_turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +30,9 @@ class Timeline:
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
         """Joint configurations at some times, clipped to those of the path."""
-        if len(self.times) == 1:
-            return np.repeat(self.configurations, len(times), axis=0)
-        times = np.clip(times, 0.0, self.duration)
-        # The last motion that began by then: of steps at one time (a turn that costs nothing) the last counts.
-        k = np.minimum(np.searchsorted(self.times, times, side="right") - 1, len(self.times) - 2)
-        spent, length = times - self.times[k], self.times[k + 1] - self.times[k]
-        share = np.divide(spent, length, out=np.ones_like(spent), where=length > 0)[:, None, None]
-        return (1 - share) * self.configurations[k] + share * self.configurations[k + 1]
+        row, after, share = motions_under_way(self.times, times)
+        share = share[:, None, None]
+        return (1 - share) * self.configurations[row] + share * self.configurations[after]
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
         """The path from one time to another: every step in between, and both ends."""
@@ -65,5 +60,5 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
     kept = moves.any(axis=(1, 2))
     continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])
     continued[..., :2] = path[..., :2]  # without the rounding of sums
-    lengths = motion_costs(problem, path[:-1], path[1:]).max(axis=1, initial=0.0)[kept]
-    return Timeline(np.append(0.0, np.cumsum(lengths)), continued[np.append(True, kept)])
+    rows = np.append(True, kept)
+    return Timeline(row_times(problem, path)[rows], continued[rows])

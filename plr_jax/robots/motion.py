@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from plr_jax.robots.robot import Robot
 
@@ -35,6 +35,27 @@ def between(
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
+
+
+def motions_under_way(
+    times: Float[np.ndarray, "steps"], when: Float[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Which motion of a path is under way at some moments: its rows, and the share of it that is done.
+
+    Args:
+        times: When the path reaches its rows, at least one; never falling.
+        when: The moments, which are clipped to these times.
+
+    Returns:
+        The row before and the row after, and a share from 0 to 1: exactly 0 at a row's own time, of rows at one time
+        at that of the last, and exactly 1 at the end of the path.
+    """
+    last = len(times) - 1
+    when = np.clip(when, times[0], times[-1])
+    row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))
+    after = np.minimum(row + 1, last)
+    spent, length = when - times[row], times[after] - times[row]
+    return row, after, np.divide(spent, length, out=np.ones_like(spent), where=length > 0)
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:

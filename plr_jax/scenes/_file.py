@@ -10,6 +10,7 @@ import shapely
 
 from plr_jax._arrays import as_finite, as_points, shortened
 from plr_jax._atomic import write_atomically
+from plr_jax._documents import errors_named, format_name, json_of, require_format
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.disc import DiscRobot
@@ -17,9 +18,9 @@ from plr_jax.robots.point import PointRobot
 from plr_jax.robots.polygon import PolygonRobot
 from plr_jax.robots.rectangle import RectangleRobot
 from plr_jax.robots.robot import Robot
-from plr_jax.scenes._documents import errors_named, json_of, rings_of
+from plr_jax.scenes._polygons import rings_of
 
-_FORMAT = "plr_jax scene"
+_KIND = "scene"
 _VERSION = 3
 _SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, sizes, and the version that introduced it
     "point": (PointRobot, (), 1),
@@ -47,7 +48,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
     versions = [_SHAPES[entry["shape"]][2] for entry in entries]
     scene = {
-        "format": _FORMAT,
+        "format": format_name(_KIND),
         "version": max(*versions, 1 if weight is None else 2),
         "workspace": _workspace_entry(problem.workspace),
         "robots": entries,
@@ -94,7 +95,9 @@ def load(path: str | os.PathLike[str]) -> Problem:
     path = Path(path)
     with errors_named(path):
         scene = json_of(path)
-        _check_header(scene)
+        require_format(scene, _KIND, _VERSION, _KEYS)
+        if not isinstance(scene["robots"], list):
+            raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
         weight = None if weight is None else as_finite("rotation_weight", weight)
@@ -117,23 +120,7 @@ def is_scene(path: str | os.PathLike[str]) -> bool:
         scene = json_of(Path(path))
     except ValueError:
         return False
-    return isinstance(scene, dict) and scene.get("format") == _FORMAT
-
-
-def _check_header(scene: Any) -> None:
-    if not isinstance(scene, dict) or scene.get("format") != _FORMAT:
-        raise ValueError(f'expected a scene file, with "format": "{_FORMAT}".')
-    version = scene.get("version")
-    if not isinstance(version, int) or version < 1:
-        raise ValueError(f"expected a version number of at least 1, got {shortened(version)}.")
-    if version > _VERSION:
-        raise ValueError(f"the file has version {version}, this release reads up to {_VERSION}: update plr-jax.")
-    missing = [key for key in _KEYS if key not in scene]
-    if missing:
-        raise ValueError(f"expected the keys {', '.join(_KEYS)}; missing {', '.join(missing)}.")
-    robots = scene["robots"]
-    if not isinstance(robots, list):
-        raise ValueError(f'expected "robots" to be a list, got {shortened(robots)}.')
+    return isinstance(scene, dict) and scene.get("format") == format_name(_KIND)
 
 
 def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:

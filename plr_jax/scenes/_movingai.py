@@ -9,8 +9,9 @@ import shapely
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import shortened
+from plr_jax._documents import errors_named, text_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._documents import errors_named, rings_of, text_of
+from plr_jax.scenes._polygons import rings_of
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4

@@ -4,8 +4,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+import shapely
+
+from plr_jax._documents import errors_named, json_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._documents import errors_named, json_of
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
@@ -33,6 +35,12 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
     path = Path(path)
     with errors_named(path):
         return Workspace.from_polygons(_components(json_of(path)), squeeze=squeeze)
+
+
+def rings_of(polygon: shapely.Polygon) -> dict[str, Any]:
+    """A polygon as a document holds it: ``{"outer": ring, "holes": [ring, ...]}``."""
+    outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors))
+    return {"outer": outer, "holes": holes}
 
 
 def _components(data: Any) -> list[Any]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from plr_jax import Problem, Workspace, scenes, validate
+from plr_jax import Problem, Solution, Workspace, makespan, scenes, validate
 from plr_jax.cli import _planning, load_app
 from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
 from plr_jax.oracles import robot_distance_fns
@@ -84,6 +84,10 @@ def test_four_rooms_from_start_to_end(tmp_path):
     assert report.valid, report.message
     assert (report.cost, report.clearance, "SOLVED") == (data["cost"], data["clearance"], data["status"])
     assert np.shape(data["path"])[1:] == (2, 2)
+    solution = Solution.load(files[0])
+    np.testing.assert_array_equal(solution.path, data["path"])
+    assert (solution.cost, solution.makespan) == (report.cost, makespan(problem, solution.path))
+    np.testing.assert_array_equal(solution.path_at([0, solution.makespan]), [problem.starts, problem.goals])
     assert files[1].read_text().startswith("<!doctype html>")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     lines = result.stdout.splitlines()
@@ -275,7 +279,9 @@ def test_no_path_is_exit_code_1_and_nothing_is_written(tmp_path):
 
 def test_an_invalid_path_is_exit_code_1_and_is_not_written(tmp_path, monkeypatch, door):
     problem = scenes.single_door()
-    through_the_wall = replace(door, path=np.stack([problem.starts, problem.goals]))
+    through_the_wall = replace(
+        door, path=np.stack([problem.starts, problem.goals]), times=np.array([0, door.makespan])
+    )
     monkeypatch.setattr(_planning, "bl_plan", lambda *arguments: through_the_wall)
     result = run("single_door", "--heuristic", "none", "-o", tmp_path / "a.json")
     assert result.exit_code == 1

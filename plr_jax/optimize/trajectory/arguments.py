@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from plr_jax._arrays import as_finite, as_numbers, require_integer
+from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer
 from plr_jax._problem import Problem
 from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike, DimensionedFn
@@ -76,7 +76,12 @@ def as_paths(problem: Problem, paths: ArrayLike) -> Float[np.ndarray, "guesses s
 
 
 def check_options(
-    num_retimings: int, num_iterations: int, margin: float | int | None, smoothness: float | int, seed: int
+    num_retimings: int,
+    num_iterations: int,
+    margin: float | int | None,
+    smoothness: float | int,
+    makespan_factor: float | int,
+    seed: int,
 ) -> None:
     """Raise ``ValueError`` for an option out of its range."""
     for name, value, least in (
@@ -88,3 +93,4 @@ def check_options(
     if margin is not None:
         as_finite("margin", margin, positive=True)
     as_finite("smoothness", smoothness)
+    as_number("makespan_factor", makespan_factor, "a number of at least 1, or inf", lambda factor: factor >= 1)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from plr_jax._arrays import padded, padded_size
-from plr_jax._problem import Problem, path_cost
+from plr_jax._problem import Problem, makespan, path_cost
 from plr_jax._types import ArrayLike
 from plr_jax._validate import validate
 from plr_jax.optimize.trajectory.arguments import as_paths, check_options, differentiable
@@ -41,8 +41,10 @@ class OptimizedPaths:
     Attributes:
         path: The cheapest valid path, in workspace units and radians; None if no path is valid.
         cost: Its cost, ``inf`` if there is none.
+        makespan: Its makespan (see :func:`plr_jax.makespan`), ``inf`` if there is none.
         paths: What became of each given path, all of as many rows.
         costs: Their costs, whether they are valid or not.
+        makespans: Their makespans, likewise.
         valid: Which of them :func:`plr_jax.validate` finds valid.
         history: Loss of each of them in every iteration, in units of the workspace's extent; the margin narrows and
             the guide fades as it goes, so that it need not fall. That of the gentler descent at the end is not in it.
@@ -51,13 +53,18 @@ class OptimizedPaths:
 
     path: Path | None
     cost: float
+    makespan: float
     paths: Paths
     costs: Float[np.ndarray, "guesses"]
+    makespans: Float[np.ndarray, "guesses"]
     valid: Bool[np.ndarray, "guesses"]
     history: Float[np.ndarray, "guesses iterations"]
 
     def __repr__(self) -> str:
-        return f"OptimizedPaths({int(self.valid.sum()):,} of {len(self.valid):,} valid, cost {self.cost:.4g})"
+        return (
+            f"OptimizedPaths({int(self.valid.sum()):,} of {len(self.valid):,} valid, cost {self.cost:.4g}, "
+            f"makespan {self.makespan:.4g})"
+        )
 
 
 def optimize_paths(
@@ -69,13 +76,14 @@ def optimize_paths(
     num_iterations: int = 1000,
     margin: float | int | None = None,
     smoothness: float | int = 0.0,
+    makespan_factor: float | int = 1.0,
     seed: int = 0,
 ) -> OptimizedPaths:
     """Shorten paths by gradient descent on all their way points at once.
 
-    A valid path stays valid and never becomes costlier: what descent makes of it is put through
-    :func:`plr_jax.validate`; failing that, the largest step found towards it that is; failing that, the path as it
-    was; and at last, what a gentler descent from there makes of it.
+    A valid path stays valid, never becomes costlier, and takes no more time than before unless you allow it: what
+    descent makes of it is put through :func:`plr_jax.validate`; failing that, the largest step found towards it that
+    is; failing that, the path as it was; and at last, what a gentler descent from there makes of it.
 
     Paths that are not valid, such as straight lines through obstacles, are initial guesses, and ``valid`` says which
     became valid. That is for a robot that passes by a few obstacles. A guess stays in its homotopy class, and a
@@ -86,7 +94,8 @@ def optimize_paths(
 
     Waiting costs nothing, so a team's path is cheapest if the robots meet where there is room. Descent finds such
     times only near those of the path. Retimings start it from the same motions at other times, at random, and the
-    cheapest valid outcome is kept.
+    cheapest valid outcome is kept. Left to itself, that spreads a team's motions in time: a path of four robots may
+    take nearly twice as long. So a makespan above that of the given path is penalized, and never returned.
 
     Args:
         problem: The problem.
@@ -101,13 +110,16 @@ def optimize_paths(
             It is met where there is room, and costs about its multiple by the turns of a path.
         smoothness: Weight, at least 0, of the squared second differences of the way points. A path that costs more
             than a valid one that was given is not returned, however smooth.
+        makespan_factor: By how much the makespan of a valid path may grow (see :func:`plr_jax.makespan`), as a factor
+            of at least 1. ``inf``: time costs nothing at all, which is best for the cost. What becomes of paths that
+            are not valid may take any time.
         seed: Seed of the retimings, at least 0.
 
     Returns:
         The optimized paths, of ``2**k + 1`` rows, at least 65 and at least as many as given; begin and end exact.
         The same whether optimized in a batch or one by one, up to rounding in 32 bits. If interrupted (Ctrl-C), the
-        best found so far, with an ``OptimizationInterrupted`` warning: valid paths are valid and no costlier then,
-        too.
+        best found so far, with an ``OptimizationInterrupted`` warning: valid paths are valid, no costlier and no
+        longer under way then, too.
 
     Raises:
         ValueError: If the paths have another shape, are not finite, or do not begin at the starts and end at the
@@ -119,12 +131,12 @@ def optimize_paths(
         whole paths in a smooth basis; the paper asks for optimal trajectories in its conclusion.
     """
     given = as_paths(problem, paths)
-    check_options(num_retimings, num_iterations, margin, smoothness, seed)
+    check_options(num_retimings, num_iterations, margin, smoothness, makespan_factor, seed)
     scaled, fns = _scaled_problem(problem), differentiable(problem, distance_fns)
     width = float(scaled.scale) * _MARGIN if margin is None else float(margin)
     given = np.stack([subdivided(problem, path, _rows(given)) for path in given])
     guesses = _retimings(given, num_retimings if len(problem.robots) > 1 else 0, seed)
-    best = [_Incumbent(path, _cost_if_valid(problem, path), np.full(num_iterations, np.nan)) for path in given]
+    best = [_given(problem, path, float(makespan_factor), num_iterations) for path in given]
     progress = np.linspace(0.0, 1.0, num_iterations, dtype=np.float32)
     try:
         for factor in _MARGINS:
@@ -139,11 +151,15 @@ def optimize_paths(
 
 
 class _Incumbent(NamedTuple):
-    """A path, its cost, ``inf`` if it is not valid, and the losses of the descent that led to it."""
+    """A path, its cost, ``inf`` if it is not valid, and the losses of the descent that led to it.
+
+    What replaces it must have a makespan of at most ``longest``.
+    """
 
     path: Path
     cost: float
     losses: Float[np.ndarray, "iterations"]
+    longest: float
 
 
 def _better(
@@ -154,34 +170,40 @@ def _better(
 ) -> tuple[_Incumbent, bool]:
     """What is to be kept of several descents from one path, and whether none of the cheaper ones was valid.
 
-    The cheapest valid one; the largest step towards the first of them; or the path as it was.
+    Of those that do not take too long, the cheapest valid one; the largest step towards the first descent's; or the
+    path as it was.
     """
     costs = np.array([path_cost(problem, path) for path in moved])
+    in_time = np.array([makespan(problem, path) for path in moved]) <= before.longest
     order = np.argsort(costs, kind="stable")
-    order = order[costs[order] < before.cost]
+    order = order[(costs[order] < before.cost) & in_time[order]]
     for k in order:
         if validate(problem, moved[k]).valid:
-            return _Incumbent(moved[k], float(costs[k]), losses[k]), False
+            return before._replace(path=moved[k], cost=float(costs[k]), losses=losses[k]), False
     if not np.isfinite(before.cost):
-        return _Incumbent(moved[0], np.inf, losses[0]), False
+        return before._replace(path=moved[0], losses=losses[0]), False
     change = moved[0] - before.path
     for share in 0.5 ** np.arange(1, 1 + _HALVINGS):
         path = before.path + share * change
         cost = path_cost(problem, path)
-        if cost < before.cost and validate(problem, path).valid:
-            return _Incumbent(path, cost, losses[0]), True
+        if cost < before.cost and makespan(problem, path) <= before.longest and validate(problem, path).valid:
+            return before._replace(path=path, cost=cost, losses=losses[0]), True
     return before._replace(losses=losses[0]), len(order) > 0
 
 
 def _result(problem: Problem, outcomes: Sequence[_Incumbent]) -> OptimizedPaths:
     paths, history = (np.stack([getattr(outcome, name) for outcome in outcomes]) for name in ("path", "losses"))
     cost = np.array([outcome.cost for outcome in outcomes])
+    makespans = np.array([makespan(problem, path) for path in paths])
     best = int(np.argmin(cost))
+    found = bool(np.isfinite(cost[best]))
     return OptimizedPaths(
-        path=paths[best] if np.isfinite(cost[best]) else None,
+        path=paths[best] if found else None,
         cost=float(cost[best]),
+        makespan=float(makespans[best]) if found else np.inf,
         paths=paths,
         costs=np.array([path_cost(problem, path) for path in paths]),
+        makespans=makespans,
         valid=np.isfinite(cost),
         history=history,
     )
@@ -199,7 +221,7 @@ def _improve(
 
     An interrupted descent counts as far as it came, before the interrupt goes on.
     """
-    moved, losses, interrupt = _descended(scaled, guesses, aims, progress)
+    moved, losses, interrupt = _descended(scaled, guesses, np.array([each.longest for each in best]), aims, progress)
     spoiled = []
     for k in range(len(best)):
         best[k], bad = _better(problem, best[k], moved[k], losses[k])
@@ -229,17 +251,23 @@ def _polish(
 
 
 def _descended(
-    scaled: ScaledProblem, guesses: Retimings, aims: Aims, progress: Float[np.ndarray, "iterations"]
+    scaled: ScaledProblem,
+    guesses: Retimings,
+    longest: Float[np.ndarray, "guesses"],
+    aims: Aims,
+    progress: Float[np.ndarray, "iterations"],
 ) -> tuple[Retimings, Float[np.ndarray, "guesses retimings iterations"], KeyboardInterrupt | None]:
     """Where descent takes paths, its losses, and what interrupted it."""
     flat = guesses.reshape(-1, *guesses.shape[2:])
     start = _scaled(scaled, flat)
+    longest = padded(np.repeat(longest, guesses.shape[1]), len(start), np.inf) / float(scaled.scale)
+    allowed = jnp.asarray(longest, jnp.float32)
     losses, done = np.full((len(start), len(progress)), np.nan), 0
     descent, interrupt = begin(start), None
     with tqdm(total=len(progress), desc="optimize", unit=" steps", delay=2, leave=False, disable=None) as bar:
         try:
             for part in _parts(progress):
-                descent, loss = advance(scaled, start, aims, descent, jnp.asarray(part))
+                descent, loss = advance(scaled, start, allowed, aims, descent, jnp.asarray(part))
                 count = int((part <= 1).sum())
                 losses[:, done : done + count] = loss[:, :count]
                 done += count
@@ -292,6 +320,8 @@ def _scaled_problem(problem: Problem) -> ScaledProblem:
     )
 
 
-def _cost_if_valid(problem: Problem, path: Path) -> float:
-    report = validate(problem, path)
-    return report.cost if report.valid else np.inf
+def _given(problem: Problem, path: Path, makespan_factor: float, num_iterations: int) -> _Incumbent:
+    report, losses = validate(problem, path), np.full(num_iterations, np.nan)
+    if not report.valid:
+        return _Incumbent(path, np.inf, losses, np.inf)
+    return _Incumbent(path, report.cost, losses, makespan_factor * makespan(problem, path))

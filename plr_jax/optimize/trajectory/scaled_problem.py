@@ -1,7 +1,8 @@
 """Gradient descent on the way points of many paths at once, compiled once for each family of shapes.
 
 What is minimized over a path's inner rows: its length; a penalty on clearance below a margin, all along the motions;
-and, if asked for, how unevenly the rows follow one another. Time costs nothing: robots may wait.
+another on a makespan above the longest allowed; and, if asked for, how unevenly the rows follow one another. Up to
+that makespan time costs nothing: robots may wait.
 
 Way points move by hat functions of all widths, from half the path to a single row: so whole stretches move as
 quickly as details do. Lengths are shares of the workspace's extent, which suits 32-bit floats.
@@ -18,12 +19,14 @@ from plr_jax._types import DimensionedFn
 from plr_jax.optimize.trajectory.clearance import Outlines, PaddedBoundary, convex_clearances, round_clearances
 from plr_jax.optimize.trajectory.compilation import jit_iterations
 
-_STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2
+_STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2, and in a hurry 6
 _RATES = (3e-3, 3e-6)  # learning rate at first and at last
 _WIDENING = 10.0  # by how much the margin is wider at first, so that bodies slide past one another
 _PACE = 0.1  # weight of the unevenness of the pace
 _GUIDE = 5.0  # weight, at first, of the cost-to-go's deviation from even progress
 _FADE = 1e-3  # its share that is left at last
+_HURRY = 2.0  # weight of the makespan beyond the longest allowed
+_EARLY = 3e-4  # share of it by which paths aim to end before, so that they do not end after
 _PIECES = 2  # of a motion in which something turns, each taken for a chord
 _SMOOTHING = 1e-6  # length below which a motion costs less than its length, so that it has a gradient at rest
 
@@ -73,16 +76,20 @@ def begin(paths: Float[Array, "batch rows robots dof"]) -> DescentState:
 def advance(
     problem: ScaledProblem,
     paths: Float[Array, "batch rows robots dof"],
+    longest: Float[Array, "batch"],
     aims: Aims,
     descent: DescentState,
     progress: Float[Array, "iterations"],
 ) -> tuple[DescentState, Float[Array, "batch iterations"]]:
     """Some more iterations of every descent: Adam on the weights, its steps and the margin smaller and smaller.
 
-    The paths are those of the beginning, headings unwrapped; their first and last rows stay. Progress is 0 in the
-    first iteration of all and 1 in the last; beyond 1, nothing is done. Returns the loss in every step as well.
+    The paths are those of the beginning, headings unwrapped; their first and last rows stay. ``longest`` is the
+    longest makespan that each may have, in units of the extent, or ``inf``. Progress is 0 in the first iteration of
+    all and 1 in the last; beyond 1, nothing is done. Returns the loss in every step as well.
     """
-    return jax.vmap(lambda path, descent: _advanced(problem, path, aims, descent, progress))(paths, descent)
+    return jax.vmap(lambda path, longest, descent: _advanced(problem, path, longest, aims, descent, progress))(
+        paths, longest, descent
+    )
 
 
 @jax.jit
@@ -94,14 +101,19 @@ def moves_of(
 
 
 def _advanced(
-    problem: ScaledProblem, path: Path, aims: Aims, descent: DescentState, progress: Float[Array, "iterations"]
+    problem: ScaledProblem,
+    path: Path,
+    longest: Float[Array, ""],
+    aims: Aims,
+    descent: DescentState,
+    progress: Float[Array, "iterations"],
 ) -> tuple[DescentState, Float[Array, "iterations"]]:
     adam, (first, last) = _adam(), _RATES
 
     def step(descent: DescentState, progress: Float[Array, ""]) -> tuple[DescentState, Float[Array, ""]]:
         weights, moments = descent
         loss, gradient = jax.value_and_grad(
-            lambda weights: _loss(problem, path + _moves(problem, path, weights), aims, progress)
+            lambda weights: _loss(problem, path + _moves(problem, path, weights), longest, aims, progress)
         )(weights)
         update, moments = adam.update(gradient, moments)
         rate = first * (last / first) ** progress
@@ -122,11 +134,15 @@ def _adam() -> Any:
     return optax.scale_by_adam()
 
 
-def _loss(problem: ScaledProblem, path: Path, aims: Aims, progress: Float[Array, ""]) -> Float[Array, ""]:
+def _loss(
+    problem: ScaledProblem, path: Path, longest: Float[Array, ""], aims: Aims, progress: Float[Array, ""]
+) -> Float[Array, ""]:
     margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
     penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(problem, path))
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
-    loss = _length(problem, path) + aims.smoothness * len(path) * (bends * bends).sum()
+    costs = _costs(problem, path)
+    loss = _length(costs) + _HURRY * _overtime(costs, longest)
+    loss = loss + aims.smoothness * len(path) * (bends * bends).sum()
     if not aims.distance_fns:
         return loss + _STEEPNESS * penalty
     # Walls fade in as the guide fades out: what begins on their wrong side could not cross them later.
@@ -134,15 +150,26 @@ def _loss(problem: ScaledProblem, path: Path, aims: Aims, progress: Float[Array,
     return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(problem, path, aims.distance_fns)
 
 
-def _length(problem: ScaledProblem, path: Path) -> Float[Array, ""]:
-    """Cost of the path, and a little for an uneven pace: that keeps motions short, and can be had for nothing."""
+def _costs(problem: ScaledProblem, path: Path) -> Float[Array, "motions robots"]:
+    """Cost of each robot's motions."""
     change = jnp.diff(path, axis=0)
     cost = jnp.sqrt((change[..., :2] ** 2).sum(axis=-1) + _SMOOTHING**2)
     if path.shape[-1] > 2:
         cost = cost + problem.rotation_weight * jnp.sqrt(change[..., 2] ** 2 + _SMOOTHING**2)
-    pace = cost.sum(axis=1)
+    return cost
+
+
+def _length(costs: Float[Array, "motions robots"]) -> Float[Array, ""]:
+    """Cost of a path, and a little for an uneven pace: that keeps motions short, and can be had for nothing."""
+    pace = costs.sum(axis=1)
     total = pace.sum()
     return total + _PACE * (len(pace) * (pace * pace).sum() / total - total)
+
+
+def _overtime(costs: Float[Array, "motions robots"], longest: Float[Array, ""]) -> Float[Array, ""]:
+    """By how much the makespan is beyond a little less than the longest allowed, which may be ``inf``."""
+    early = _SMOOTHING + _EARLY * jnp.where(jnp.isfinite(longest), longest, 0.0)
+    return _hinge(costs.max(axis=1).sum() - (longest - early), early)
 
 
 def _clearances(problem: ScaledProblem, path: Path) -> tuple[Float[Array, "..."], ...]:

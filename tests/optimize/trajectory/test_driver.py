@@ -1,4 +1,4 @@
-"""Optimized paths: short where the shortest is known, never invalid, never costlier."""
+"""Optimized paths: short where the shortest is known, never invalid, never costlier, never under way for longer."""
 
 import itertools
 from dataclasses import replace
@@ -16,10 +16,14 @@ from plr_jax import (
     RectangleRobot,
     VisibilityGraph,
     Workspace,
+    bl_plan,
     construct,
     descend,
+    makespan,
     path_cost,
+    robot_distance_fns,
     scenes,
+    sum_of_distances,
     validate,
 )
 from plr_jax.optimize import OptimizationInterrupted, optimize_paths
@@ -46,12 +50,15 @@ def detour():
 def checked(problem, result):
     """The result, its claims verified."""
     assert result.paths.shape[2:] == problem.starts.shape
-    for path, cost, valid in zip(result.paths, result.costs, result.valid, strict=True):
+    for path, cost, span, valid in zip(result.paths, result.costs, result.makespans, result.valid, strict=True):
         np.testing.assert_array_equal(path[[0, -1]], [problem.starts, problem.goals])
         assert cost == pytest.approx(path_cost(problem, path), rel=1e-12)
+        assert span == makespan(problem, path)
         assert valid == validate(problem, path).valid
     assert (result.path is None) == (not result.valid.any()) == (not np.isfinite(result.cost))
+    assert (result.path is None) == (not np.isfinite(result.makespan))
     if result.path is not None:
+        assert result.makespan == makespan(problem, result.path)
         assert result.cost == pytest.approx(path_cost(problem, result.path), rel=1e-12)
         assert result.cost == pytest.approx(result.costs[result.valid].min(), rel=1e-12)
     assert np.isfinite(result.history).all()
@@ -63,7 +70,7 @@ def test_in_an_empty_room_a_jagged_path_becomes_a_straight_line():
     rows = np.random.default_rng(0).uniform(0, 10, (12, 1, 2))
     result = checked(problem, optimize_paths(problem, through(problem, *rows)))
     assert result.cost == pytest.approx(np.hypot(8, 7), rel=1e-4)
-    assert repr(result) == "OptimizedPaths(1 of 1 valid, cost 10.63)"
+    assert repr(result) == "OptimizedPaths(1 of 1 valid, cost 10.63, makespan 10.63)"
 
 
 @pytest.mark.parametrize("robot, corner", [(PointRobot(), 0.0), (DiscRobot(0.5), 0.5)])
@@ -116,6 +123,56 @@ def test_a_valid_path_stays_valid_and_becomes_no_costlier(seed, steps):
         result = checked(SWAP, optimize_paths(SWAP, path, num_retimings=1, num_iterations=50, seed=seed))
         if before.valid:
             assert result.valid[0] and result.cost <= before.cost * (1 + 1e-12)
+            assert result.makespan <= makespan(SWAP, path) * (1 + 1e-12)
+
+
+def test_a_team_takes_more_time_only_if_it_may():
+    """Three discs change rooms; if time costs nothing, they wait for one another at the doors."""
+    problem = scenes.four_rooms(3)
+    path = bl_plan(problem, sum_of_distances(robot_distance_fns(problem))).path
+    before, options = makespan(problem, path), {"num_retimings": 7, "num_iterations": 300}
+    kept, some, free = (
+        checked(problem, optimize_paths(problem, path, **options, makespan_factor=factor))
+        for factor in (1, 1.05, np.inf)
+    )
+    assert kept.makespan <= before * (1 + 1e-12) and some.makespan <= 1.05 * before * (1 + 1e-12)
+    assert free.makespan > 1.1 * before
+    # Time that robots may not take costs them next to nothing.
+    assert kept.cost < 1.002 * free.cost and kept.cost < path_cost(problem, path)
+
+
+def test_each_path_of_a_batch_has_its_own_time():
+    """In the second, the robots make the same detours one after the other, which takes twice as long."""
+    problem = Problem(ROOM, SWAP.robots, [[2, 2], [2, 8]], [[8, 2], [8, 8]])
+    b, (c, d), at_once = problem.starts[1], problem.goals, [[5, 4], [5, 6]]
+    together = through(problem, at_once, [c, d], [c, d])
+    in_turn = through(problem, [[5, 4], b], [c, b], [c, [5, 6]])
+    given = np.stack([together, in_turn])
+    before = np.array([makespan(problem, path) for path in given])
+    assert before[1] == pytest.approx(2 * before[0])
+    result = checked(problem, optimize_paths(problem, given, **ONE_GUESS))
+    assert result.valid.all() and (result.makespans <= before * (1 + 1e-12)).all()
+    np.testing.assert_allclose(result.costs, 12, rtol=1e-3)
+    assert result.makespans[1] > 1.2 * before[0]
+
+
+def test_turns_take_time_too():
+    robots = [RectangleRobot(1.5, 0.4), DiscRobot(0.4)]
+    problem = Problem(ROOM, robots, [[2, 2, 0], [8, 5, 0]], [[8, 2.5, 3], [2, 5, 0]], rotation_weight=2.0)
+    path = through(problem, [[2, 2, 2.5], [8, 5, 0]], [[5, 4, -3.0], [5, 8, 0]])
+    assert validate(problem, path).valid
+    result = checked(problem, optimize_paths(problem, path, **QUICK))
+    assert result.makespan <= makespan(problem, path) and result.cost < 0.9 * path_cost(problem, path)
+
+
+def test_a_guess_that_is_not_valid_may_take_any_time():
+    """It is shorter than every path around the box."""
+    problem = Problem(BOX, [PointRobot()], [[1, 4.5]], [[9, 4.5]])
+    guess = through(problem, [[4.5, 2.9]], [[5.5, 2.9]])
+    straight = through(problem, [[4.2, 3.1]], [[5.8, 3.1]])
+    assert not validate(problem, straight).valid
+    result = checked(problem, optimize_paths(problem, np.stack([straight, guess])))
+    assert result.valid[0] and result.makespans[0] > makespan(problem, straight)
 
 
 def test_what_is_shortest_already_is_left_as_it_is():
@@ -308,6 +365,10 @@ def test_paths_that_are_none_of_the_problem(path, message):
         ({"seed": -1}, "seed must be an integer >= 0, got -1"),
         ({"margin": 0.0}, "margin must be a positive finite number"),
         ({"margin": np.nan}, "margin must be a positive finite number"),
+        *(
+            ({"makespan_factor": x}, "makespan_factor must be a number of at least 1")
+            for x in (0.99, np.nan, -np.inf)
+        ),
         ({"smoothness": -1.0}, "smoothness must be a finite number of at least 0"),
         ({"distance_fns": [jnp.sum]}, "one a robot, 2, got 1"),
         ({"distance_fns": [VisibilityGraph(ROOM, [8, 5])] * 2}, r"distance_fns\[0\] must be a function that JAX"),

@@ -1,30 +1,26 @@
 """Text, JSON and YAML from outside: bounded before it is parsed, and wrong in one way only, by a ``ValueError``.
 
-A document holds at most 16 MiB, lists and mappings at most 32 deep, and integers that a float64 can stand for; a
-YAML document has no aliases, by which few bytes could mean any number of values, and no tags.
+A document holds at most 16 MiB, if nothing else is said, lists and mappings at most 32 deep, and integers that a
+float64 can stand for. A YAML document has no aliases, by which few bytes could mean any number of values, and no
+tags.
 """
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
+
+from plr_jax._arrays import shortened
 
 _MOST_BYTES = 2**24
 _MOST_NESTED = 32
 _LONGEST_WORD = 1000  # unquoted characters of YAML: what they mean may take the square of their number to find out
 _LARGEST_INTEGER = int(np.finfo(np.float64).max)
-
-
-def rings_of(polygon: shapely.Polygon) -> dict[str, Any]:
-    """A polygon as a document holds it: ``{"outer": ring, "holes": [ring, ...]}``."""
-    outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors))
-    return {"outer": outer, "holes": holes}
 
 
 @contextmanager
@@ -36,21 +32,21 @@ def errors_named(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def text_of(path: Path) -> str:
+def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
     """The text of a file in UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
     with path.open("rb") as file:
-        data = file.read(_MOST_BYTES + 1)
-    if len(data) > _MOST_BYTES:
-        raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, got a larger file.")
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise ValueError(f"expected at most {most_bytes:,} bytes, got a larger file.")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"expected text in UTF-8, got a binary file ({error}).") from None
 
 
-def json_of(path: Path) -> Any:
+def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
     """The value that a JSON file stands for; ``ValueError`` if it is no JSON, or beyond the bounds above."""
-    text = text_of(path)
+    text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -86,6 +82,25 @@ def _loader() -> Any:
     number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$", re.ASCII)
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
     return Loader
+
+
+def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
+    """Refuse what is not a file of a kind, such as "scene", of at most this version and with some keys."""
+    if not isinstance(document, dict) or document.get("format") != format_name(kind):
+        raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
+    found = document.get("version")
+    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
+        raise ValueError(f"expected a version number of at least 1, got {shortened(found)}.")
+    if found > version:
+        raise ValueError(f"the file has version {found}, this release reads up to {version}: update plr-jax.")
+    missing = [key for key in keys if key not in document]
+    if missing:
+        raise ValueError(f"expected the keys {', '.join(keys)}; missing {', '.join(missing)}.")
+
+
+def format_name(kind: str) -> str:
+    """What a JSON file of a kind, such as "scene", holds under "format"."""
+    return f"plr_jax {kind}"
 
 
 def _require_plain(events: Iterator[Any]) -> None:
