@@ -1,6 +1,7 @@
 """A hand-written Numba loop over the very tables that a PLR's query reads: what compiled code can do with them."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ def numba_loop(plr: PLR, parallel: bool) -> Loop:
     import numba
 
     tables = plr.tables
-    kernel = _flat_kernel(tables) if tables.blocks is None else _two_level_kernel(tables)
+    kernel = _kernel(plr)
     words = (
         np.empty((0, 0), np.uint32)
         if tables.blocks is None
@@ -52,6 +53,12 @@ def numba_loop(plr: PLR, parallel: bool) -> Loop:
 
     loop = shared_out if parallel else serial
     return lambda x: loop(x, words, leaf_of_slot, planes)
+
+
+@lru_cache(maxsize=1)
+def _kernel(plr: PLR) -> Kernel:
+    """The loop over a PLR's table, compiled once for one core and for all."""
+    return _flat_kernel(plr.tables) if plr.tables.blocks is None else _two_level_kernel(plr.tables)
 
 
 def _flat_kernel(tables: Tables) -> Kernel:
