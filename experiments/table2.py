@@ -124,7 +124,7 @@ def within(name: str, factor: float, seeds: Sequence[int], plr_bytes: int) -> di
         problem = scenes.perturbed(SCENES[name](), seed)
         bound = lower_bound(problem)
         heuristic = build(problem, PLR, plr_bytes).heuristic
-        options = BLOptions(cost_factor=factor, lower_bound=bound, time_limit=TIME_LIMIT_WITHIN)
+        options = BLOptions(searchers=("bl",), cost_factor=factor, lower_bound=bound, time_limit=TIME_LIMIT_WITHIN)
         plan(problem, heuristic, options)
         solution, took = plan(problem, heuristic, options)
         seconds.append(round(took, 5) if solution.status is Status.SOLVED else None)
@@ -134,7 +134,7 @@ def within(name: str, factor: float, seeds: Sequence[int], plr_bytes: int) -> di
 
 def measure(problem: Problem, built: Built, bound: float, time_limit: float) -> dict[str, Any]:
     """A run and its repetition."""
-    options = BLOptions(time_limit=time_limit)
+    options = BLOptions(searchers=("bl",), time_limit=time_limit)
     solution, first = plan(problem, built.heuristic, options)
     warm = first
     if solution.solved:
@@ -185,9 +185,9 @@ def children_rates(num_expansions: int, num_runs: int, plr_bytes: int) -> list[d
     problem = SCENES["four rooms 4"]()
     heuristic = build(problem, PLR, plr_bytes).heuristic
     # Weight 1 searches longer; it ends at a path or at the limit.
-    longer = BLOptions(heuristic_weight=1.0, max_expansions=num_expansions)
+    longer = BLOptions(searchers=("bl",), heuristic_weight=1.0, max_expansions=num_expansions)
     searches = {
-        "to the first path": BLOptions(),
+        "to the first path": BLOptions(searchers=("bl",)),
         "weight 1": longer,
     }
     rows = []

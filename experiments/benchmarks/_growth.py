@@ -151,8 +151,8 @@ def _plan_by_robots(seed: int, smoke: bool) -> Curve:
 def _plan_seconds(problem: Problem, num_runs: int, plr_bytes: int) -> float:
     """Seconds of BL with PLRs, which are there already."""
     heuristic = _planning.build(problem, _planning.PLR, plr_bytes).heuristic
-    _planning.plan(problem, heuristic, BLOptions())
-    runs = [_planning.plan(problem, heuristic, BLOptions()) for _ in range(num_runs)]
+    _planning.plan(problem, heuristic, BLOptions(searchers=("bl",)))
+    runs = [_planning.plan(problem, heuristic, BLOptions(searchers=("bl",))) for _ in range(num_runs)]
     if not runs[0][0].solved:
         raise RuntimeError(f"A scene was not solved: {runs[0][0].status}.")
     return float(np.median([seconds for _, seconds in runs]))

@@ -28,6 +28,7 @@ _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 class Heuristic(StrEnum):
     """The heuristics that ``plr-jax plan`` knows."""
 
+    lattice = "lattice"
     none = "none"
     straight_line = "straight-line"
     point_plr = "point-plr"

@@ -59,10 +59,10 @@ def plan(
     heuristic: Annotated[
         Heuristic,
         typer.Option(
-            help="Cost-to-go: nothing, straight lines, PLRs of point robots as in the paper, PLRs of obstacles "
-            "grown by each robot's radius, or the exact distance that these compress."
+            help="Cost-to-go: that along each robot's lattice, nothing, straight lines, PLRs of point robots as in "
+            "the paper, PLRs of obstacles grown by each robot's radius, or the exact distance that these compress."
         ),
-    ] = Heuristic.plr,
+    ] = Heuristic.lattice,
     plr_bytes: Annotated[int, typer.Option(help="Largest size of each PLR.")] = DEFAULT_BYTES,
     seed: Annotated[int, typer.Option(help="Seed of the PLRs' sample pattern.")] = 0,
     step: Annotated[

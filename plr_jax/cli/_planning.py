@@ -14,7 +14,7 @@ from plr_jax._types import DistanceFn, HeuristicFn
 from plr_jax._validate import ValidationReport, validate
 from plr_jax.cli._inputs import Heuristic
 from plr_jax.oracles import VisibilityGraph, robot_distance_fns
-from plr_jax.planners import BLOptions, Solution, bl_plan, straight_line, sum_of_distances, zero
+from plr_jax.planners import BLOptions, Solution, Status, bl_plan, straight_line, sum_of_distances, zero
 from plr_jax.plr import PLR, ConstructionInterrupted, construct
 from plr_jax.robots.robot import Robot
 
@@ -51,6 +51,8 @@ def solve(
     phases.end("planning")
     stats = solution.stats
     typer.echo(f"  status     {solution.status}")
+    if solution.status is Status.MEMORY_LIMIT:
+        typer.echo(f"  memory     {stats.num_bytes:,} bytes would be needed")
     typer.echo(f"  search     {stats.num_nodes:,} nodes, {stats.num_expansions:,} expansions")
     typer.echo(
         f"             {stats.num_children_scored:,} joint children scored, {stats.num_children_valid:,} valid"
@@ -69,9 +71,11 @@ def solve(
 
 def heuristic_of(
     heuristic: Heuristic, problem: Problem, exact: Sequence[VisibilityGraph], max_bytes: int, seed: int
-) -> tuple[HeuristicFn, list[PLR]]:
+) -> tuple[HeuristicFn | None, list[PLR]]:
     """A heuristic by its name, and the PLRs it reads, each once: robots of one size and one goal share theirs."""
     match heuristic:
+        case Heuristic.lattice:
+            return None, []
         case Heuristic.none:
             return zero(), []
         case Heuristic.straight_line:

@@ -20,7 +20,7 @@ from plr_jax.robots.motion import between, motions_under_way
 _KIND = "solution"
 _VERSION = 1
 _KEYS = ("status", "cost", "makespan", "lower_bound", "motions_factor", "path", "times", "stats")
-_COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid")
+_COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
 _MOST_BYTES = 2**26  # of a file: a path of about three million numbers
 
 
@@ -46,6 +46,9 @@ class Stats:
         num_children_valid: Those found free of collision.
         seconds: Wall-clock seconds by phase.
         history: Each new best path: seconds since the start and its cost.
+        found_by: Of :func:`plr_jax.bl_plan`, the search whose path became the best one, "lacam" or "bl".
+        num_bytes: Of the same, the most memory that lattices and searches were to take together; at a memory limit,
+            what would have been needed to go on.
     """
 
     num_nodes: int
@@ -54,6 +57,8 @@ class Stats:
     num_children_valid: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     history: tuple[tuple[float, float], ...] = ()
+    found_by: str = ""
+    num_bytes: int = 0
 
     @property
     def first_solution(self) -> float:
@@ -170,8 +175,9 @@ class Solution:
                               robot has a heading), or null if there is no path
             "times":          [time, ...], one a row, from 0 to the makespan, or null if there is no path
             "stats":          {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
-                               "num_children_valid": count, "seconds": {phase: seconds, ...},
-                               "history": [[seconds, cost], ...]}
+                               "num_children_valid": count, "num_bytes": count,
+                               "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...],
+                               "found_by": name of a search, or ""}
 
         Numbers are written with as many digits as it takes to read the same float64 back.
 
@@ -232,6 +238,7 @@ def save_solution(solution: Solution, path: str | os.PathLike[str], **more: Any)
             **{name: int(getattr(stats, name)) for name in _COUNTS},
             "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
             "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
+            "found_by": stats.found_by,
         },
         "times": None if solution.times is None else solution.times.tolist(),
         "path": None if solution.path is None else solution.path.tolist(),
@@ -286,7 +293,7 @@ def _motion_in(entry: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | N
 
 
 def _stats_in(entry: Any) -> Stats:
-    keys = (*_COUNTS, "seconds", "history")
+    keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
     for name in _COUNTS:
@@ -294,10 +301,13 @@ def _stats_in(entry: Any) -> Stats:
     seconds, history = entry["seconds"], entry["history"]
     if not isinstance(seconds, dict):
         raise ValueError(f'expected "seconds" to be an object, got {shortened(seconds)}.')
+    if not isinstance(entry["found_by"], str):
+        raise ValueError(f'expected "found_by" to be a text, got {shortened(entry["found_by"])}.')
     if not isinstance(history, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in history):
         raise ValueError(f'expected "history" to be a list of pairs [seconds, cost], got {shortened(history)}.')
     return Stats(
         **{name: entry[name] for name in _COUNTS},
         seconds={phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()},
         history=tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history),
+        found_by=entry["found_by"],
     )

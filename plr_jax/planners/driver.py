@@ -1,4 +1,4 @@
-"""The Barraquand-Latombe planner for several robots at once (Section V of the paper)."""
+"""The planner for several robots at once (Section V of the paper, and searches beside it)."""
 
 import time
 
@@ -31,20 +31,29 @@ _GAIN = 2e-3  # share of the cost below which replanning neighbors is not worth 
 _GREEDIER = 1.5  # growth of the weight from one search to the next
 _ROUNDING = 1e-9
 _LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
+_MOST_BYTES = 1 << 60  # that are told apart
 _DEFAULT_OPTIONS = BLOptions()
 
 
 def bl_plan(
     problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
 ) -> Solution:
-    """Plan for all robots at once by best-first search over cells of the joint space, then shorten the path.
+    """Plan for all robots at once: search lattices until the team can reach its goals, then make its path cheap.
 
-    Every robot moves on a lattice of its own, whose start and goal are exact. A node of the search is a joint
-    configuration; its children are the products of the robots' primitives that keep clear of obstacles and of one
-    another along the whole motion. Each cell of the joint space is claimed once, by the first node in it. The best
-    node by cost-to-come and weighted heuristic is expanded next, as in A*. Searches on finer lattices, each greedier
-    than the last, take turns with those that have not found a path. The first path found is shortened by straight
-    shortcuts of one robot, and within narrow corridors about the motions of one robot, or of two that touch.
+    Every robot moves on a lattice, on which its start and goal are exact; robots of one kind share one. Two searches
+    take turns on it, and on finer ones while none succeeds:
+
+    - Lazy search over constraints moves the whole team one step at a time: each robot takes its best free motion and
+      pushes others out of its way. In the open, and at doors, it is over at once, for a hundred robots too.
+    - Best-first search, Barraquand and Latombe's, over cells of the joint space: a node's children are the products
+      of the robots' primitives that keep clear of obstacles and of one another along the whole motion, and each cell
+      is claimed once, by the first node in it. The best node by cost-to-come and weighted heuristic is expanded next,
+      as in A*. It finds what takes a plan, such as a swap in a tight place.
+
+    Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
+    is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
+    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer lattices and
+    with smaller weights go on, until a limit.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -53,14 +62,16 @@ def bl_plan(
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
             :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
             estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
-            them, which is much faster than a plain function. One that says it is a lower bound (``is_lower_bound``)
-            bounds the cost of all paths by what it says of the starts. None: :func:`straight_line`.
+            them, by both searches, which is much faster than a plain function, by which best-first search goes alone.
+            One that says it is a lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the
+            starts. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the best
+            choice where a plan is all that is asked for.
         options: How to search, and when to stop.
 
     Returns:
         The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
-        is within ``cost_factor`` of the lower bound; EXHAUSTED if the frontier ran empty on the finest lattice (the
-        given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with
+        is within ``cost_factor`` of the lower bound; EXHAUSTED if nothing was left to search on the finest lattice
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with
         or without a path.
 
     Raises:
@@ -69,7 +80,8 @@ def bl_plan(
 
     References:
         Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
-        of the paper.
+        of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
+        "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
     if heuristic is not None:
         require_heuristic(heuristic)
@@ -84,7 +96,7 @@ def bl_plan(
             status = Status.INTERRUPTED
     budget = run.budget
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
-    stats = Stats(*counts, run.seconds, tuple(run.history))
+    stats = Stats(*counts, run.seconds, tuple(run.history), run.found_by, int(min(run.num_bytes, _MOST_BYTES)))
     return solution_of(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
 
 
