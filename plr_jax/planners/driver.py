@@ -52,8 +52,8 @@ def bl_plan(
 
     Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
     is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
-    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer lattices and
-    with smaller weights go on, until a limit.
+    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer
+    lattices and with smaller weights go on, until a limit.
 
     Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
 
@@ -71,8 +71,8 @@ def bl_plan(
     Returns:
         The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
         is within ``cost_factor`` of the lower bound; EXHAUSTED if nothing was left to search on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or INTERRUPTED, with
-        or without a path.
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or
+        INTERRUPTED, with or without a path.
 
     Raises:
         ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
