@@ -197,15 +197,18 @@ def _require_free(
 def _require_apart(
     name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
 ) -> None:
-    cores = [footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)]
-    for j in range(len(robots)):
-        for i in range(j):
-            clearance = separation(cores[i], cores[j]) - robots[i].rounding - robots[j].rounding
-            if clearance < -tolerance:
-                raise ValueError(
-                    f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
-                    f"{configurations[j].tolist()} (clearance {clearance:.3g})."
-                )
+    cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])
+    rounding = np.array([robot.rounding for robot in robots])
+    i, j = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
+    i, j = i[i < j], j[i < j]
+    close = shapely.distance(cores[i], cores[j]) <= rounding[i] + rounding[j]
+    for j, i in sorted(zip(j[close].tolist(), i[close].tolist(), strict=True)):
+        clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
+        if clearance < -tolerance:
+            raise ValueError(
+                f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
+                f"{configurations[j].tolist()} (clearance {clearance:.3g})."
+            )
 
 
 def _require_connected(problem: Problem) -> None:

@@ -8,6 +8,7 @@ middle of a piece bounds it throughout. Bisection goes on until the smallest cle
 piece is shown to be free or not to be.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -209,20 +210,44 @@ _ENDS = (slice(None, -1), slice(1, None))
 
 
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Every robot with what is blocked, and with every other robot; points never meet points."""
-    workspace = problem.workspace
+    """Every robot with what is blocked, and with all robots but those too far to collide or to be the closest.
+
+    Points never meet points.
+    """
+    workspace, robots = problem.workspace, problem.robots
     # Far from the origin, what the workspace calls touching is the coarser of the two.
     tolerance = max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
     blocked = _blocked(workspace, path)
-    encounters = []
-    for j, robot in enumerate(problem.robots):
-        encounters.append(_Encounter((j,), robot, path[:, j], blocked, None, tolerance))
-        for i, other in enumerate(problem.robots[:j]):
-            if robot.circumscribed_radius > 0 or other.circumscribed_radius > 0:
-                encounters.append(_Encounter((i, j), other, path[:, i], robot, path[:, j], tolerance))
-    return encounters
+    encounters = {(j,): _Encounter((j,), r, path[:, j], blocked, None, tolerance) for j, r in enumerate(robots)}
+    smallest = min(encounter.findings.clearance for encounter in encounters.values())
+    for least, i, j in _least_clearances(robots, path):
+        if least > max(smallest, 0.0) + tolerance:
+            break
+        encounters[j, i] = _Encounter((i, j), robots[i], path[:, i], robots[j], path[:, j], tolerance)
+        smallest = min(smallest, encounters[j, i].findings.clearance)
+    return [encounters[who] for who in sorted(encounters)]
+
+
+def _least_clearances(
+    robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
+) -> list[tuple[float, int, int]]:
+    """Of each two robots that can collide a lower bound of their clearance, and who they are, the smallest first.
+
+    It is that of the circles around them, whose centers come closest where their relative motion does to the origin.
+    """
+    radius = np.array([robot.circumscribed_radius for robot in robots])
+    found = []
+    for j in range(1, len(robots)):
+        offset = path[:, :j, :2] - path[:, j, None, :2]
+        begin, change = offset[:-1], np.diff(offset, axis=0)
+        squared = (change**2).sum(axis=2)
+        share = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+        nearest = begin + share[..., None] * change
+        least = np.sqrt((nearest**2).sum(axis=2).min(axis=0)) - radius[:j] - radius[j]
+        found += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
+    return sorted(found)
 
 
 def _blocked(workspace: Workspace, path: Float[np.ndarray, "steps robots dof"]) -> Any:

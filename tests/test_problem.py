@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from plr_jax._problem import Problem, makespan, motion_costs, path_cost
+from plr_jax._problem import Problem, makespan, motion_costs, path_cost, separation
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.motion import footprint
 from plr_jax.robots.point import PointRobot
 from plr_jax.robots.rectangle import RectangleRobot
 
@@ -172,3 +173,23 @@ def test_costs_sum_lengths_and_weighted_turns_and_the_makespan_waits_for_the_las
     for bad in (path[0], path[:, :1], path[:0], "path"):
         with pytest.raises(ValueError, match="A path must"):
             path_cost(made, bad)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_first_two_robots_that_overlap_are_named(seed):
+    rng = np.random.default_rng(seed)
+    shapes = [DiscRobot(0.02), PointRobot(), BAR, DiscRobot(0.05), RectangleRobot(0.1, 0.05)]
+    robots = [shapes[k] for k in rng.integers(0, 5, 30)]
+    q = np.append(rng.uniform(0.3, 4.7, (30, 2)), rng.uniform(-4, 4, (30, 1)), axis=1)
+    cores = [footprint(robot, x) for robot, x in zip(robots, q, strict=True)]
+    gaps = [(separation(cores[i], cores[j]) - robots[i].rounding - robots[j].rounding, i, j)
+            for j in range(30) for i in range(j)]  # fmt: skip
+    overlaps = [
+        f"Robots {i} and {j} overlap at their starts: .* .clearance {gap:.3g}" for gap, i, j in gaps if gap < 0
+    ]
+    room = Workspace(((0, 0), (5, 5)))
+    if not overlaps:
+        Problem(room, robots, q, q)
+        return
+    with pytest.raises(ValueError, match=overlaps[0]):
+        Problem(room, robots, q, q)

@@ -218,6 +218,25 @@ def test_random_motions_by_dense_samples_and_by_the_planners_tests(one, other):
     assert solved > 12
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_far_robots_change_nothing_of_the_report_of_any_two(seed):
+    """The clearance of a team is the least of each two of its robots, taken alone."""
+    rng = np.random.default_rng(seed)
+    team = [BAR, DISC, WING, PEBBLE, DISC, PointRobot()]
+    q0, q1 = (q.reshape(6, 3) for q in random_motions(rng, 6, 9.0, 0.3, 0.6))
+    alone = []
+    for i, j in combinations(range(6), 2):
+        try:
+            pair = [i, j]
+            alone.append(validate(Problem(ROOM, [team[i], team[j]], q0[pair], q1[pair]), [q0[pair], q1[pair]]))
+        except ValueError:
+            return
+    result = validate(Problem(ROOM, team, q0, q1), [q0, q1])
+    assert result.valid == all(report.valid for report in alone)
+    if result.valid:
+        assert result.clearance == min(report.clearance for report in alone)
+
+
 SOLUTIONS = [
     ("dbcbs/classic", "dbcbs/solutions/classic_solution"),
     ("dbcbs/swap2_unicycle", "dbcbs/solutions/swap3_unicycle_solution"),  # two of its three robots

@@ -1,4 +1,7 @@
-"""Collision of a whole team along simultaneous straight motions: with the workspace, and of each two robots."""
+"""Collision of a whole team along simultaneous straight motions: with the workspace, and of each two robots.
+
+Along a path, only robots near one another are tested exactly, those of one kind in one batch.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +11,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax.collision.near import Traffic
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
@@ -25,6 +29,12 @@ class JointMotionTest:
     def of_walls(self) -> tuple[MotionTest, ...]:
         """Each robot's own motion test."""
         return tuple(motion_test(self.workspace, robot) for robot in self.robots)
+
+    @cached_property
+    def kind(self) -> Int[np.ndarray, "robots"]:
+        """For each robot the first that is equal to it."""
+        first: dict[Robot, int] = {}
+        return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
     def __call__(
         self, q0: Float[np.ndarray, "n robots dof"], q1: Float[np.ndarray, "n robots dof"]
@@ -51,20 +61,31 @@ class JointMotionTest:
         """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance)
 
-    def apart_from_others(
+    def collisions_with_others(
         self,
         i: int,
-        q0: Float[np.ndarray, "*#batch dof"],
-        q1: Float[np.ndarray, "*#batch dof"],
-        path: Float[np.ndarray, "steps robots dof"],
-        motion: Int[np.ndarray, "*#batch"],
+        begin: Float[np.ndarray, "n k dof"],
+        end: Float[np.ndarray, "n l dof"],
+        traffic: Traffic,
+        motion: Int[np.ndarray, "n"],
         but: Sequence[int] = (),
-    ) -> Bool[np.ndarray, "*batch"]:
-        """Whether motions of robot ``i`` keep clear of the others but some, each of which makes a motion of its path.
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Which motions of robot ``i`` collide with whom of the others but some, as these go along a path.
 
-        Meanwhile they go from row ``motion`` of the path, of joint configurations, to the next.
+        In each of ``n`` rows, the robot goes from every one of ``k`` configurations to every one of ``l``. Meanwhile
+        the others go from row ``motion`` of the path to the next.
+
+        Returns:
+            Of each collision: the row, the configurations that the motion leads from and to, and the other robot.
         """
-        apart = np.ones(np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1], motion.shape), dtype=bool)
-        for j in set(range(len(self.robots))) - {i, *but}:
-            apart &= self.apart(i, q0, q1, j, path[motion, j], path[motion + 1, j])
-        return apart
+        near_row, near = traffic.near(i, begin, end, motion, but)
+        found = [np.empty((4, 0), dtype=np.intp)]
+        for kind in set(self.kind[near].tolist()):
+            of_kind = self.kind[near] == kind
+            row, other = near_row[of_kind], near[of_kind]
+            theirs = (traffic.path[motion[row] + ahead, other][:, None, None] for ahead in (0, 1))
+            apart = self.apart(i, begin[row][:, :, None], end[row][:, None], kind, *theirs)
+            pair, first, last = np.nonzero(~apart)
+            found.append(np.array([row[pair], first, last, other[pair]]))
+        row, first, last, other = np.concatenate(found, axis=1)
+        return row, first, last, other

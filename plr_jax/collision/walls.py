@@ -66,6 +66,13 @@ class MotionTest:
             free[rows] = self._test(q0[rows], q1[rows])
         return free
 
+    def has_room(
+        self, x: Float[np.ndarray, "n"], y: Float[np.ndarray, "n"], radius: Float[np.ndarray, "n"]
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether the robot is certainly free wherever its reference point is within circles."""
+        cell, away = self._locate(x, y)
+        return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
+
     def _test(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
         pieces, owner = _pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy

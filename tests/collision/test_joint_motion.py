@@ -3,10 +3,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import random_motions
+from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
 from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.near import Traffic
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
 
@@ -44,17 +45,40 @@ def test_discs_that_swap_places_collide_and_those_that_follow_do_not():
     assert test(q0, q1).tolist() == [False, True]
 
 
-@pytest.mark.parametrize(("i", "but"), [(0, ()), (1, (0,)), (2, (0, 1))])
-def test_motions_of_one_robot_against_the_path_of_the_others(i, but):
-    rng = np.random.default_rng(1)
-    path = np.concatenate([rng.uniform(0, 6, (9, 3, 2)), rng.uniform(-1, 1, (9, 3, 1))], axis=2)
-    q0, q1 = (rng.uniform(0, 6, (40, 3)) for _ in range(2))
-    motion = np.arange(8)[:, None]
-    table = TEST.apart_from_others(i, q0, q1, path, motion, but)
-    assert table.shape == (8, 40) and (table.all() if len(but) == 2 else 0 < table.sum() < table.size)
-    for row in range(8):
-        expected = np.ones(40, dtype=bool)
-        for j in {0, 1, 2} - {i, *but}:
-            theirs = (np.repeat(path[[end], j], 40, axis=0) for end in (row, row + 1))
-            expected &= apart(i, q0, q1, j, *theirs)
-        np.testing.assert_array_equal(table[row], expected)
+TEAM = [POINT, DISC, BAR, WING, PEBBLE, DiscRobot(0.1), DISC, POINT, RectangleRobot(0.9, 0.3), WING]
+TEAM_TEST = JointMotionTest(WORKSPACE, TEAM)
+
+
+def random_path(rng, steps, side):
+    """Short motions of the team in a square, some at rest, most of them turning."""
+    q = np.cumsum(rng.normal(0, [0.3, 0.3, 0.4], (steps, len(TEAM), 3)), axis=0)
+    q[:, ::3] = q[:1, ::3]
+    return q + np.pad(rng.uniform(0, side, (len(TEAM), 2)), ((0, 0), (0, 1)))
+
+
+@pytest.mark.parametrize("but", [(), (0, 4)])
+@pytest.mark.parametrize("i", range(len(TEAM)))
+def test_collisions_with_others_are_those_of_all_pairs(i, but):
+    rng = np.random.default_rng(i)
+    collisions, motions = 0, 0
+    for side, places in ((2.0, 1), (6.0, 3), (30.0, 3)):
+        path = random_path(rng, 9, side)
+        motion = rng.integers(0, 8, 12)
+        begin = path[motion, i][:, None] + rng.normal(0, 0.3, (12, places, 3))
+        end = path[motion + 1, i][:, None] + rng.normal(0, 0.3, (12, places + 1, 3))
+        found = TEAM_TEST.collisions_with_others(i, begin, end, Traffic(TEAM, path), motion, but)
+        expected = np.zeros((12, places, places + 1, len(TEAM)), dtype=bool)
+        for j in set(range(len(TEAM))) - {i, *but}:
+            theirs = (path[motion + ahead, j][:, None, None] for ahead in (0, 1))
+            expected[..., j] = ~TEAM_TEST.apart(i, begin[:, :, None], end[:, None], j, *theirs)
+        assert set(zip(*(x.tolist() for x in found), strict=True)) == set(map(tuple, np.argwhere(expected).tolist()))
+        collisions, motions = collisions + expected.sum(), motions + expected.size
+    assert 10 < collisions < motions / 2
+
+
+def test_no_motions_collide_with_nobody():
+    path = random_path(np.random.default_rng(0), 3, 6.0)
+    none, traffic = np.zeros((0, 2, 3)), Traffic(TEAM, path)
+    assert [len(x) for x in TEAM_TEST.collisions_with_others(1, none, none, traffic, np.zeros(0, dtype=int))] == [
+        0
+    ] * 4

@@ -10,14 +10,16 @@ import time
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.near import Traffic, circles, within_reach
 
 Path = Float[np.ndarray, "steps robots dof"]
 Corridor = Float[np.ndarray, "steps size dof"]
 
+_STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
 _GAIN = 3e-3  # share of the cost below which the corridors are narrowed
 _NARROWINGS = 3
 _REACH = 4  # widths of a corridor within which two robots count as touching
@@ -31,52 +33,79 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
     and is never costlier. It ends early at the deadline, on the clock of ``time.perf_counter``.
     """
-    path, cost = path.copy(), path_cost(problem, path)
+    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     while width > narrowest:
-        for robots, rows in _groups(problem, path, width):
+        for robots, rows in _groups(problem, traffic.path, width):
             if time.perf_counter() > deadline:
-                return path
-            path[rows] = _shortened(problem, path[rows], robots, test, width, diagonal)
+                return traffic.path
+            if _is_straight(problem, traffic.path[rows], robots):
+                continue
+            found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+            for i, q in zip(robots, found, strict=True):
+                if (q != traffic.path[rows, i]).any():
+                    traffic.move(i, q, rows)
         diagonal = not diagonal
-        before, cost = cost, path_cost(problem, path)
+        before, cost = cost, path_cost(problem, traffic.path)
         if before - cost <= _GAIN * before:
             width /= 2
-    return path
+    return traffic.path
 
 
 def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
     """What is shortened together: every robot alone, and each two in the rows in which they touch."""
-    for i, robot in enumerate(problem.robots):
+    for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
-        for j in range(i):
-            reach = robot.circumscribed_radius + problem.robots[j].circumscribed_radius + _REACH * width
-            offset = path[:, i, :2] - path[:, j, :2]
-            rows = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < reach)
-            if len(rows):
-                yield (i, j), slice(max(rows[0] - _MARGIN, 0), rows[-1] + _MARGIN + 1)
+        touch, j = _touching(problem, path, i, width), -1
+        while touch[:, j + 1 :].any():
+            j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
+            rows, before = np.flatnonzero(touch[:, j]), path[:, i].copy()
+            yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
+            if (path[:, i] != before).any():
+                touch = _touching(problem, path, i, width)
+
+
+def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
+    """In which rows robot ``i`` touches each of those before it."""
+    size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
+    offset = path[:, :i, :2] - path[:, i, None, :2]
+    return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
+
+
+def _is_straight(problem: Problem, path: Path, robots: tuple[int, ...]) -> bool:
+    """Whether robots go about straight from the first row to the last: there is nothing to gain."""
+    weights = problem.rotation_weights[list(robots)]
+    own = path[:, list(robots)]
+    least = straight_costs(own[0], own[-1], weights).sum()
+    return bool(straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least)
 
 
 def _shortened(
-    problem: Problem, path: Path, robots: tuple[int, ...], test: JointMotionTest, width: float, diagonal: bool
-) -> Path:
-    """The robots' cheapest motions within their corridors, both ends as they are."""
+    problem: Problem,
+    traffic: Traffic,
+    rows: slice,
+    robots: tuple[int, ...],
+    test: JointMotionTest,
+    width: float,
+    diagonal: bool,
+) -> list[Float[np.ndarray, "rows dof"]]:
+    """The robots' cheapest motions within their corridors in some rows, both ends as they are."""
+    path = traffic.path[rows]
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
-    costs = [_costs(problem, path, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
+    motion = np.arange(rows.start, rows.start + len(path) - 1)
+    costs = [_costs(problem, traffic, motion, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
     cost = costs[0]
     if len(robots) == 2:
         # From each two of their places to each two.
         (i, j), (a, b) = robots, corridors
-        mine = a[:-1, :, None, None, None], a[1:, None, None, :, None]
-        theirs = b[:-1, None, :, None, None], b[1:, None, None, None, :]
         cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        cost[~test.apart(i, *mine, j, *theirs)] = np.inf
+        near = within_reach(test.robots[i], a[:-1], a[1:], test.robots[j], b[:-1], b[1:])
+        mine = a[:-1][near][:, :, None, None, None], a[1:][near][:, None, None, :, None]
+        theirs = b[:-1][near][:, None, :, None, None], b[1:][near][:, None, None, None, :]
+        cost[near] = np.where(test.apart(i, *mine, j, *theirs), cost[near], np.inf)
         cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
-    shortened, rows = path.copy(), np.arange(len(path))
-    for i, corridor, place in zip(robots, corridors, places, strict=True):
-        shortened[:, i] = corridor[rows, place]
-    return shortened
+    return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
@@ -94,16 +123,22 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _costs(
-    problem: Problem, path: Path, robots: tuple[int, ...], i: int, corridor: Corridor, test: JointMotionTest
+    problem: Problem,
+    traffic: Traffic,
+    motion: Int[np.ndarray, "motions"],
+    robots: tuple[int, ...],
+    i: int,
+    corridor: Corridor,
+    test: JointMotionTest,
 ) -> Float[np.ndarray, "motions size size"]:
     """Cost of every motion within a robot's corridor; ``inf`` if it hits a wall or a robot that keeps its motions."""
-    begin, end = corridor[:-1, :, None], corridor[1:, None, :]
-    cost = straight_costs(begin, end, problem.rotation_weights[i])
-    motion = np.arange(len(begin))[:, None, None]
-    free = test.apart_from_others(i, begin, end, path, motion, but=robots)
-    row, first, last = np.nonzero(free)
-    free[row, first, last] = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
-    cost[~free] = np.inf
+    cost = straight_costs(corridor[:-1, :, None], corridor[1:, None], problem.rotation_weights[i])
+    row, first, last, _ = test.collisions_with_others(i, corridor[:-1], corridor[1:], traffic, motion, but=robots)
+    cost[row, first, last] = np.inf
+    tight = ~test.of_walls[i].has_room(*circles(corridor[:-1], corridor[1:]))
+    row, first, last = np.nonzero(tight[:, None, None] & (cost < np.inf))
+    free = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
+    cost[row[~free], first[~free], last[~free]] = np.inf
     return cost
 
 

@@ -1,4 +1,9 @@
-"""Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions."""
+"""Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions.
+
+A shortcut collides in many of the path's motions or in none, as a rule: a few motions far from one another are tested
+first, and the rest of those that are free in them. A robot that gained nothing is left alone until one that stood in
+its way has moved.
+"""
 
 import time
 from itertools import pairwise
@@ -11,30 +16,43 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import runs
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.near import Traffic
 from plr_jax.robots.motion import between
 
+Path = Float[np.ndarray, "steps robots dof"]
+Rows = Int[np.ndarray, "m"]
+InWay = Bool[np.ndarray, "robots"]
+
 _LONGEST = 32  # steps that one shortcut spans at most
+_STRIDES = (16, 4, 1)  # between motions that are tested one batch after the other
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
 _GAIN = 1e-3  # share of the cost below which another round is not worth its time
 
 
-def shorten(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], test: JointMotionTest, deadline: float
-) -> Float[np.ndarray, "steps robots dof"]:
+def shorten(problem: Problem, path: Path, test: JointMotionTest, deadline: float) -> Path:
     """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
 
     The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline, on
     the clock of ``time.perf_counter``.
     """
-    path, cost = path.copy(), path_cost(problem, path)
+    traffic, cost, spans = Traffic(test.robots, path), path_cost(problem, path), _spans(len(path))
+    hopeful = np.ones(len(test.robots), dtype=bool)
+    in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
     while True:
-        for i in range(len(problem.robots)):
-            if time.perf_counter() > deadline:
-                return path
-            path[:, i] = _shortened(problem, path, i, test)
-        before, cost = cost, path_cost(problem, path)
+        for i in range(len(hopeful)):
+            if not hopeful[i]:
+                continue
+            found = _shortened(problem, traffic, i, test, spans, deadline)
+            if found is None:
+                return traffic.path
+            rows, in_way[i] = found
+            hopeful[i] = len(rows) < len(path)
+            if hopeful[i]:
+                traffic.move(i, _along(traffic.path[:, i], rows))
+                hopeful |= in_way[:, i]
+        before, cost = cost, path_cost(problem, traffic.path)
         if before - cost <= _GAIN * before:
-            return path
+            return traffic.path
 
 
 def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
@@ -44,31 +62,61 @@ def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "fi
     return finer
 
 
+def _spans(steps: int) -> tuple[Rows, Rows]:
+    """First and last rows of the motions and of all that may be a shortcut."""
+    begin, place = runs(np.minimum(np.arange(steps)[::-1], _LONGEST))
+    return begin, begin + 1 + place
+
+
 def _shortened(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], i: int, test: JointMotionTest
-) -> Float[np.ndarray, "steps dof"]:
-    """One robot's motions along the shortest way from its first row to its last in the graph of shortcuts."""
-    q, steps, weight = path[:, i], len(path), problem.rotation_weights[i]
-    so_far = np.concatenate([[0.0], np.cumsum(straight_costs(q[:-1], q[1:], weight))])
-    begin, end = np.triu_indices(steps, 2)
-    near = end - begin <= _LONGEST
-    begin, end = begin[near], end[near]
+    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows], deadline: float
+) -> tuple[list[int], InWay] | None:
+    """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
+
+    Nothing past the deadline.
+    """
+    q, weight, (begin, end) = traffic.path[:, i], problem.rotation_weights[i], spans
     cost = straight_costs(q[begin], q[end], weight)
-    shorter = cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin])
-    begin, end, cost = begin[shorter], end[shorter], cost[shorter]
-    free = test.of_walls[i](q[begin], q[end])
-    begin, end, cost = begin[free], end[free], cost[free]
-    free = _apart(test, path, i, begin, end)
-    begin, end, cost = begin[free], end[free], cost[free]
-    begin = np.concatenate([begin, np.arange(steps - 1)])
-    end = np.concatenate([end, np.arange(1, steps)])
-    cost = np.concatenate([cost, np.diff(so_far)])
-    return _along(q, _shortest(begin, end, cost, steps))
+    own = end == begin + 1
+    so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
+    useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
+    begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
+    shortcuts = np.flatnonzero(~own)
+    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]])]
+    found = _apart(test, traffic, i, begin[shortcuts], end[shortcuts], deadline)
+    if found is None:
+        return None
+    apart, in_way = found
+    own[shortcuts[apart]] = True
+    return _shortest(begin[own], end[own], cost[own], len(q)), in_way
 
 
-def _shortest(
-    begin: Int[np.ndarray, "m"], end: Int[np.ndarray, "m"], cost: Float[np.ndarray, "m"], steps: int
-) -> list[int]:
+def _apart(
+    test: JointMotionTest, traffic: Traffic, i: int, begin: Rows, end: Rows, deadline: float
+) -> tuple[Bool[np.ndarray, "m"], InWay] | None:
+    """Whether shortcuts of one robot keep clear of the others, and with whom those that do not are seen to collide.
+
+    Each is cut into the pieces that it makes in the motions of the path. Nothing past the deadline.
+    """
+    apart, in_way = np.ones(len(begin), dtype=bool), np.zeros(len(test.robots), dtype=bool)
+    count = end - begin
+    owner, step = runs(count)
+    motion = begin[owner] + step
+    later = np.ones(len(owner), dtype=bool)
+    for stride in _STRIDES:
+        if time.perf_counter() > deadline:
+            return None
+        now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
+        later[now] = False
+        edge, share = owner[now], count[owner[now], None, None]
+        q0, q1 = traffic.path[begin[edge], i][:, None], traffic.path[end[edge], i][:, None]
+        pieces = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
+        piece, _, _, other = test.collisions_with_others(i, *pieces, traffic, motion[now])
+        apart[edge[piece]], in_way[other] = False, True
+    return apart, in_way
+
+
+def _shortest(begin: Rows, end: Rows, cost: Float[np.ndarray, "m"], steps: int) -> list[int]:
     """Rows on the shortest way from the first to the last, all edges leading forward."""
     graph = scipy.sparse.csr_array((cost, (begin, end)), shape=(steps, steps))  # an entry of 0 is an edge of no cost
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
@@ -85,21 +133,3 @@ def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarr
         if end > begin + 1:
             result[begin + 1 : end] = between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
     return result
-
-
-def _apart(
-    test: JointMotionTest,
-    path: Float[np.ndarray, "steps robots dof"],
-    i: int,
-    begin: Int[np.ndarray, "m"],
-    end: Int[np.ndarray, "m"],
-) -> Bool[np.ndarray, "m"]:
-    """Whether shortcuts of one robot keep clear of the motions of the others, each cut into the rows' pieces."""
-    count = end - begin
-    owner, step = runs(count)
-    motion, share = begin[owner] + step, count[owner, None]
-    q0, q1 = path[begin, i][owner], path[end, i][owner]
-    piece = between(q0, q1, step[:, None] / share), between(q0, q1, (step[:, None] + 1) / share)
-    apart = np.ones(len(begin), dtype=bool)
-    apart[owner[~test.apart_from_others(i, *piece, path, motion)]] = False
-    return apart

@@ -1,0 +1,94 @@
+"""Circles around the motions of a team along a path, which tell most robots that cannot meet.
+
+A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's length
+and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that is well
+within the tolerance of exact tests.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax.robots.robot import Robot
+
+Column = Float[np.ndarray, "n"]
+
+
+class Traffic:
+    """A path of a team, whose robots can be given other motions, and a circle around each of its motions.
+
+    Attributes:
+        path: The joint configurations ``(steps, robots, dof)``, a copy of those given; :meth:`move` changes them.
+    """
+
+    path: Float[np.ndarray, "steps robots dof"]
+    _size: Float[np.ndarray, "robots"]
+    _x: Float[np.ndarray, "motions robots"]
+    _y: Float[np.ndarray, "motions robots"]
+    _radius: Float[np.ndarray, "motions robots"]
+
+    def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
+        self.path = path.copy()
+        self._size = np.array([robot.circumscribed_radius for robot in robots])
+        self._x, self._y, self._radius = np.empty((3, max(len(path) - 1, 0), len(robots)))
+        for i in range(len(robots)):
+            self.move(i, path[:, i])
+
+    def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
+        """Have robot ``i`` go other motions, in some rows of the path that begin and end as they did."""
+        self.path[rows, i] = q
+        motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
+        x, y, radius = circles(q[:-1, None], q[1:, None])
+        self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
+
+    def near(
+        self,
+        i: int,
+        begin: Float[np.ndarray, "n k dof"],
+        end: Float[np.ndarray, "n l dof"],
+        motion: Int[np.ndarray, "n"],
+        but: Sequence[int] = (),
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Whom robot ``i`` may meet, of the others but some, while these make a motion of the path.
+
+        In each of ``n`` rows it goes from any of ``k`` configurations to any of ``l``.
+
+        Returns:
+            Rows, and the other robots that may come within reach in them, row by row.
+        """
+        x, y, radius = circles(begin, end)
+        dx, dy = self._x[motion] - x[:, None], self._y[motion] - y[:, None]
+        reach = self._radius[motion] + (radius + self._size[i])[:, None]
+        reach[:, [i, *but]] = 0.0
+        return np.nonzero(dx * dx + dy * dy < reach * reach)
+
+
+def within_reach(
+    robot_a: Robot,
+    a0: Float[np.ndarray, "n k dof"],
+    a1: Float[np.ndarray, "n l dof"],
+    robot_b: Robot,
+    b0: Float[np.ndarray, "n k_b dof"],
+    b1: Float[np.ndarray, "n l_b dof"],
+) -> Int[np.ndarray, "m"]:
+    """Rows in which two robots may meet that go from any of their first configurations to any of their last."""
+    (x, y, radius), (x_b, y_b, radius_b) = circles(a0, a1), circles(b0, b1)
+    reach = radius + radius_b + robot_a.circumscribed_radius + robot_b.circumscribed_radius
+    return np.flatnonzero((x_b - x) ** 2 + (y_b - y) ** 2 < reach * reach)
+
+
+def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> tuple[Column, Column, Column]:
+    """Circles around positions on the ways from any of some positions to any of others: centers and radii."""
+    (x0, y0, spread0), (x1, y1, spread1) = _around(begin), _around(end)
+    half = np.hypot(x1 - x0, y1 - y0) / 2
+    return (x0 + x1) / 2, (y0 + y1) / 2, half + np.maximum(spread0, spread1)
+
+
+def _around(q: Float[np.ndarray, "n k dof"]) -> tuple[Column, Column, Column]:
+    """Circles around the positions in each row."""
+    if q.shape[1] == 1:
+        return q[:, 0, 0], q[:, 0, 1], np.zeros(len(q))
+    lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
+    x, y = ((lo + hi) / 2).T
+    return x, y, np.hypot(hi[:, 0] - x, hi[:, 1] - y)
