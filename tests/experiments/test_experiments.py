@@ -16,7 +16,7 @@ from experiments import _gradient_tables, hostile_files, readme_tables
 ROOT = Path(__file__).parents[2]
 SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
-    *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace"),
+    *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace", "teams"),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "readme_tables", "hostile_files"}
 
