@@ -199,10 +199,10 @@ def _require_apart(
 ) -> None:
     cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])
     rounding = np.array([robot.rounding for robot in robots])
-    i, j = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
-    i, j = i[i < j], j[i < j]
-    close = shapely.distance(cores[i], cores[j]) <= rounding[i] + rounding[j]
-    for j, i in sorted(zip(j[close].tolist(), i[close].tolist(), strict=True)):
+    a, b = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
+    a, b = a[a < b], b[a < b]
+    close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
+    for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
         clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
         if clearance < -tolerance:
             raise ValueError(

@@ -220,7 +220,9 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
     blocked = _blocked(workspace, path)
-    encounters = {(j,): _Encounter((j,), r, path[:, j], blocked, None, tolerance) for j, r in enumerate(robots)}
+    encounters: dict[tuple[int, ...], _Encounter] = {}
+    for j, robot in enumerate(robots):
+        encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, tolerance)
     smallest = min(encounter.findings.clearance for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:

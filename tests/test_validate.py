@@ -14,6 +14,7 @@ from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.disc import DiscRobot
+from plr_jax.robots.motion import team_dof
 from plr_jax.robots.rectangle import RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
@@ -222,19 +223,24 @@ def test_random_motions_by_dense_samples_and_by_the_planners_tests(one, other):
 def test_far_robots_change_nothing_of_the_report_of_any_two(seed):
     """The clearance of a team is the least of each two of its robots, taken alone."""
     rng = np.random.default_rng(seed)
-    team = [BAR, DISC, WING, PEBBLE, DISC, PointRobot()]
-    q0, q1 = (q.reshape(6, 3) for q in random_motions(rng, 6, 9.0, 0.3, 0.6))
-    alone = []
-    for i, j in combinations(range(6), 2):
-        try:
-            pair = [i, j]
-            alone.append(validate(Problem(ROOM, [team[i], team[j]], q0[pair], q1[pair]), [q0[pair], q1[pair]]))
-        except ValueError:
-            return
-    result = validate(Problem(ROOM, team, q0, q1), [q0, q1])
+    team = [BAR, DISC, WING, PEBBLE, DISC, POINT]
+    hall = Workspace(((-3, -3), (12, 9)))
+    grid = np.array([(0, 0, 0), (4, 0, 1), (8, 0, 2), (0, 4, 3), (4, 4, 4), (8, 4, 5)])
+    q0 = grid + rng.uniform(-1, 1, (6, 3))
+    q1 = grid[rng.permutation(6)] if seed % 2 else grid
+    q1 = q1 + rng.uniform(-1, 1, (6, 3))
+    pairs, alone = [list(pair) for pair in combinations(range(6), 2)], []
+    for pair in pairs:
+        two = [team[i] for i in pair]
+        path = np.array([q0[pair], q1[pair]])[..., : team_dof(two)]
+        alone.append(validate(Problem(hall, two, *path), path))
+    result = validate(Problem(hall, team, q0, q1), [q0, q1])
     assert result.valid == all(report.valid for report in alone)
     if result.valid:
         assert result.clearance == min(report.clearance for report in alone)
+    else:
+        first = min((r.when, *(pair[k] for k in r.who)) for r, pair in zip(alone, pairs, strict=True) if not r.valid)
+        assert (result.when, *result.who) == first
 
 
 SOLUTIONS = [

@@ -1,8 +1,8 @@
 """Circles around the motions of a team along a path, which tell most robots that cannot meet.
 
-A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's length
-and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that is well
-within the tolerance of exact tests.
+A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's
+length and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that is
+well within the tolerance of exact tests.
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,8 @@ class Traffic:
         dx, dy = self._x[motion] - x[:, None], self._y[motion] - y[:, None]
         reach = self._radius[motion] + (radius + self._size[i])[:, None]
         reach[:, [i, *but]] = 0.0
-        return np.nonzero(dx * dx + dy * dy < reach * reach)
+        row, other = np.nonzero(dx * dx + dy * dy < reach * reach)
+        return row, other
 
 
 def within_reach(

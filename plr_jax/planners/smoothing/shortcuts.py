@@ -110,8 +110,8 @@ def _apart(
         later[now] = False
         edge, share = owner[now], count[owner[now], None, None]
         q0, q1 = traffic.path[begin[edge], i][:, None], traffic.path[end[edge], i][:, None]
-        pieces = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
-        piece, _, _, other = test.collisions_with_others(i, *pieces, traffic, motion[now])
+        first, last = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
+        piece, _, _, other = test.collisions_with_others(i, first, last, traffic, motion[now])
         apart[edge[piece]], in_way[other] = False, True
     return apart, in_way
 
