@@ -91,7 +91,10 @@ def den520d(seed: int, smoke: bool) -> dict[str, Any]:
     for instance, size in [(1, 2)] if smoke else [(i, k) for i in _INSTANCES for k in _SIZES]:
         root = ElementTree.parse(folder / "ccbs" / "den520d" / f"den520d-random-{instance}.xml").getroot()
         ends = np.array(
-            [[[float(agent.get(f"{end}_{axis}", "")) + 0.5 for axis in "ji"] for agent in root] for end in ("start", "goal")]
+            [
+                [[float(agent.get(f"{end}_{axis}", "")) + 0.5 for axis in "ji"] for agent in root]
+                for end in ("start", "goal")
+            ]
         )
         began = time.perf_counter()
         problem = Problem(workspace, [DiscRobot(_RADIUS)] * size, ends[0, :size], ends[1, :size])
@@ -110,7 +113,9 @@ def unseen(seed: int, smoke: bool) -> dict[str, Any]:
         bl_plan(scenes.perturbed(scene, 1000 + seed))
         problems = [scenes.perturbed(scene, seed + k) for k in range(1 if smoke else _UNSEEN)]
         runs = [planned(problem, alone(problem)) for problem in problems]
-        middle = {key: float(np.median([run[key] for run in runs])) for key in ("seconds", "first", "first_ratio", "ratio")}
+        middle = {
+            key: float(np.median([run[key] for run in runs])) for key in ("seconds", "first", "first_ratio", "ratio")
+        }
         valid = all(run["valid"] for run in runs)
         rows.append({"scene": "four rooms", "robots": size, **middle, "valid": valid, "found_by": "", "status": ""})
         print(line(rows[-1]), flush=True)

@@ -69,6 +69,8 @@ def test_four_rooms_from_start_to_end(tmp_path):
         "four_rooms",
         "--robots",
         2,
+        "--heuristic",
+        "plr",
         "--plr-bytes",
         512,
         "-o",
@@ -146,7 +148,7 @@ def test_seed_and_bytes_reach_the_plrs(planned, monkeypatch):
         return construct(oracle, domain, max_leaves=2)
 
     monkeypatch.setattr(_planning, "construct", small)
-    assert run("single_door", "--plr-bytes", 700, "--seed", 5).exit_code == 0
+    assert run("single_door", "--heuristic", "plr", "--plr-bytes", 700, "--seed", 5).exit_code == 0
     assert calls == [{"max_bytes": 700, "seed": 5}]
 
 
@@ -155,7 +157,8 @@ def test_heuristics_are_what_their_names_say():
     exact, points = (robot_distance_fns(problem, inflated=inflated) for inflated in (True, False))
     q = problem.starts[None] + np.array([[[0.0, 0.0]], [[0.5, 3.0]]])
     values = {}
-    for name in Heuristic:
+    assert _planning.heuristic_of(Heuristic.lattice, problem, exact, 1024, 0) == (None, [])
+    for name in set(Heuristic) - {Heuristic.lattice}:
         function, plrs = _planning.heuristic_of(name, problem, exact, 1024, 0)
         values[name] = function(q)
         assert len(plrs) == (name in (Heuristic.plr, Heuristic.point_plr))

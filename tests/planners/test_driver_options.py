@@ -31,7 +31,7 @@ def test_without_a_heuristic_costs_along_the_lattice_guide():
     solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, heuristic_weight=1.0))
     (lattice,) = joint_lattice_of(problem, 0.4).lattices
     least = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
-    assert solution.stats.history[0][1] == pytest.approx(least, rel=1e-6) and solution.stats.num_nodes < 60
+    assert solution.stats.history[0][1] == pytest.approx(least, rel=1e-6) and solution.stats.num_nodes < 100
 
 
 @cache

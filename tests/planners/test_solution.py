@@ -83,7 +83,7 @@ SOLUTION = solution_of(
     PROBLEM, PATH, 8.5, Status.SOLVED, Stats(9, 8, 7, 6, {"a": 0.1}, ((0.25, 99.5), (0.5, 1 / 3))), PATH, 1.25
 )
 NONE = solution_of(PROBLEM, None, 8.0, Status.EXHAUSTED, Stats(1), PROBLEM.starts[None])
-COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid")
+COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
 finite = st.floats(-1e6, 1e6)
 amounts = st.floats(0, 1e300)
 
@@ -120,7 +120,7 @@ def findings(draw):
     stats = {
         "history": tuple(draw(st.lists(st.tuples(amounts, amounts), max_size=3))),
         "seconds": draw(st.dictionaries(st.text(max_size=5), amounts, max_size=3)),
-        **dict(zip(COUNTS, draw(st.tuples(*[st.integers(0, 2**60)] * 4)), strict=True)),
+        **dict(zip(COUNTS, draw(st.tuples(*[st.integers(0, 2**60)] * len(COUNTS))), strict=True)),
     }
     return draw(st.sampled_from([path, None])), draw(st.sampled_from(Status)), bounds, stats
 
@@ -328,7 +328,7 @@ def test_a_scene_file_is_no_solution_file(tmp_path):
         scenes.load(tmp_path / "a.json")
 
 
-STATS = {**dict.fromkeys(COUNTS, 1), "seconds": {}, "history": []}
+STATS = {**dict.fromkeys(COUNTS, 1), "seconds": {}, "history": [], "found_by": "bl"}
 DEEP = {"a": [[[[[]]]]]}
 
 
