@@ -13,7 +13,7 @@ from plr_jax.planners._budget import SearchBudget
 from plr_jax.planners._heuristics import require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.lacam.timetable import Timetable, replan_each, replan_neighbors
+from plr_jax.planners.lacam.timetable import Timetable, num_bytes_of_timetable, replan_each, replan_neighbors
 from plr_jax.planners.lattice.build import num_configurations
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.level import SearchLevel, build_level, num_bytes
@@ -204,13 +204,15 @@ class _Run:
     def _replanned(self, level: SearchLevel, state: State, name: str) -> Int[np.ndarray, "rows robots"]:
         """Plan robots anew among the others, alone, then together with neighbors while that gains."""
         waiting = np.repeat(state[-1:], len(state) // _WAITING, axis=0)
-        timetable = Timetable(
-            level.kinds,
-            level.costs_to_go,
-            np.concatenate([state, waiting]),
-            self.problem.workspace.tolerance,
-            self.budget.deadline,
-        )
+        rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
+        if self.budget.memory + num_bytes_of_timetable(level.kinds, len(rows)) >= self.options.max_memory:
+            return state
+        try:
+            timetable = Timetable(level.kinds, level.costs_to_go, rows, tolerance, self.budget.deadline)
+        except TimeoutError:
+            return state
+        finally:
+            self._end_phase("replan")
         replan_each(timetable)
         self._end_phase("replan")
         self._offer(level, timetable.state, name)

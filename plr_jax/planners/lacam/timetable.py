@@ -12,6 +12,7 @@ from plr_jax.planners.lattice.edges import Kind
 _ROUNDING = 1e-9
 _GAIN = 1e-2  # share of the cost below which another round is not worth its time
 _GROUP = 5
+_EDGE_BYTES, _NODE_BYTES = 2, 8  # what an edge takes, and a node while a robot is replanned, a step
 
 
 class Timetable:
@@ -23,6 +24,9 @@ class Timetable:
         state: The nodes of each robot, ``(steps + 1, robots)``.
         cost: What the paths of the robots cost.
         least: What they would cost if each were alone.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes before it is drawn up.
     """
 
     def __init__(
@@ -41,6 +45,8 @@ class Timetable:
         self.blocked = [np.zeros((size, kind.edges.none + 1), dtype) for kind in kinds]
         self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
         for i, (k, row) in self.place.items():
+            if time.perf_counter() > deadline:
+                raise TimeoutError("The deadline passed before the timetable was drawn up.")
             self.least[i] = costs_to_go[k][row, kinds[k].node[row, 0]]
             self.cost[i] = kinds[k].edges.cost[self._motions(i)].sum()
             self.enter(i)
@@ -117,6 +123,13 @@ class Timetable:
     def _motions(self, i: int) -> Int[np.ndarray, "steps"]:
         """The edges of a robot's path."""
         return self.kinds[self.place[i][0]].edges.along(self.state[:, i])
+
+
+def num_bytes_of_timetable(kinds: Sequence[Kind], num_rows: int) -> int:
+    """About what a timetable takes."""
+    num_edges = sum(kind.edges.none for kind in kinds)
+    num_nodes = max(len(kind.table.q) for kind in kinds)
+    return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
 def replan_each(timetable: Timetable) -> None:

@@ -11,7 +11,13 @@ from plr_jax import scenes, validate
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners import Status
 from plr_jax.planners.lacam.conflicts import Conflicts
-from plr_jax.planners.lacam.timetable import Timetable, replan_each, replan_neighbors, replan_together
+from plr_jax.planners.lacam.timetable import (
+    Timetable,
+    num_bytes_of_timetable,
+    replan_each,
+    replan_neighbors,
+    replan_together,
+)
 
 TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(12), 0.4), "mixed": (MIXED, 0.6)}
 
@@ -112,6 +118,17 @@ def test_a_group_that_gains_nothing_keeps_its_paths():
             assert timetable.cost.sum() <= cost.sum() * (1 + 1e-9)
         for blocked, fresh in zip(timetable.blocked, blocked_from_scratch(timetable), strict=True):
             np.testing.assert_array_equal(blocked, fresh)
+
+
+def test_a_timetable_that_is_late_is_not_drawn_up():
+    with pytest.raises(TimeoutError, match="deadline"):
+        timetable_of("crowd", seconds=-1.0)
+
+
+def test_a_timetable_takes_about_what_is_said():
+    _, timetable = timetable_of("crowd")
+    said = num_bytes_of_timetable(timetable.kinds, len(timetable.state))
+    assert sum(blocked.nbytes for blocked in timetable.blocked) <= said
 
 
 def test_after_the_deadline_paths_stay_as_they_are():
