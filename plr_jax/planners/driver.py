@@ -177,6 +177,8 @@ class _Run:
             level = build_level(self.problem, self.test, step, self.options, self.budget.deadline)
             self._end_phase("lattice")
             if level is not None:
+                level.num_bytes = int(num_bytes(self.problem, step, len(self.options.primitives)))
+                self.budget.memory += level.num_bytes
                 level.begin(self.heuristic, weight, self.options, self.budget)
         except TimeoutError:
             return None

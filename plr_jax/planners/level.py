@@ -46,6 +46,8 @@ class SearchLevel:
         weight: Of the heuristic in best-first search.
         lazy: The lazy search, if it takes part.
         best_first: Best-first search, once it has begun.
+        turn: Length of the next turn, in first ones.
+        num_bytes: About what the lattices take.
     """
 
     step: float
@@ -58,6 +60,7 @@ class SearchLevel:
     lazy: LazySearch | None = None
     best_first: BestFirstSearch | None = None
     turn: float = 1.0
+    num_bytes: int = 0
 
     @property
     def least_cost(self) -> float:
@@ -68,8 +71,8 @@ class SearchLevel:
 
     @property
     def memory(self) -> int:
-        """What the searches hold."""
-        return sum(search.memory for search in (self.lazy, self.best_first) if search is not None)
+        """What the lattices and the searches hold."""
+        return self.num_bytes + sum(search.memory for search in (self.lazy, self.best_first) if search is not None)
 
     def begin(self, heuristic: HeuristicFn | None, weight: float, options: BLOptions, budget: SearchBudget) -> None:
         """Evaluate the heuristic, and get the searches ready. Without one, the costs-to-go along the lattices are it.
@@ -98,7 +101,10 @@ class SearchLevel:
         num_robots, status = len(self.joint.lattices), None
         if self.lazy is not None:
             status = self.lazy.run(int(self.turn * _LAZY_TURN * num_robots), bar)
-        if status is None and "bl" in options.searchers and self._has_room(options, budget):
+        has_room = self._has_room(options, budget)
+        if self.lazy is None and not has_room:
+            return Status.MEMORY_LIMIT
+        if status is None and "bl" in options.searchers and has_room:
             if self.best_first is None:
                 self.best_first = self._best_first(options, budget)
             status = self.best_first.run(max(1, int(self.turn * _BEST_FIRST_TURN / num_robots)), bar)
@@ -118,9 +124,9 @@ class SearchLevel:
 
     @property
     def state(self) -> State:
-        """The nodes of the search that has more of them."""
+        """The nodes of the search that has more of them, or the starts before there is one."""
         states = [search.state for search in (self.lazy, self.best_first) if search is not None]
-        return max(states, key=len)
+        return max(states, key=len, default=np.array([[lattice.start for lattice in self.joint.lattices]]))
 
     def _has_room(self, options: BLOptions, budget: SearchBudget) -> bool:
         """Whether the tables of best-first search fit into memory, or are there already."""

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from planner_helpers import exact, hallway, planned
 
-from plr_jax import BLOptions, bl_plan, scenes
+from plr_jax import BLOptions, bl_plan, scenes, validate
 from plr_jax.planners import Status, straight_line, sum_of_distances, zero
+from plr_jax.planners.lacam.pibt import Step
 
 
 @pytest.mark.parametrize(
@@ -118,3 +119,45 @@ def test_an_interruption_before_the_first_path(at):
     solution = bl_plan(problem, Interruption(problem, at), BLOptions(searchers=("bl",), step=0.5))
     assert solution.status is Status.INTERRUPTED and not solution.solved
     assert len(solution.samples) == max(solution.stats.num_nodes, 1)
+
+
+def test_best_first_search_alone_says_where_memory_ends():
+    problem = scenes.four_rooms(8)
+    # The lattices fit, the tables of each robot's motions do not.
+    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, max_memory=7e5, time_limit=5))
+    assert solution.status is Status.MEMORY_LIMIT and not solution.solved
+    np.testing.assert_array_equal(solution.samples, problem.starts[None])
+    assert 1e5 < solution.stats.num_bytes < 7e5
+
+
+def test_a_coarser_lattice_is_tried_where_memory_is_short():
+    problem = scenes.door(20)
+    roomy = bl_plan(problem, options=BLOptions(searchers=("lacam",)))
+    tight = bl_plan(problem, options=BLOptions(searchers=("lacam",), max_memory=0.95 * roomy.stats.num_bytes))
+    assert tight.solved and tight.stats.num_bytes < roomy.stats.num_bytes
+    none = bl_plan(problem, options=BLOptions(max_memory=1000))
+    assert none.status is Status.MEMORY_LIMIT and none.stats.num_bytes > 1000
+
+
+def test_interrupting_the_lazy_search_keeps_its_nodes(monkeypatch):
+    find, calls = Step.find, []
+
+    def interrupted(self, order, constraints):
+        calls.append(order)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return find(self, order, constraints)
+
+    monkeypatch.setattr(Step, "find", interrupted)
+    solution = bl_plan(scenes.door(20))
+    assert solution.status is Status.INTERRUPTED and not solution.solved
+    assert len(solution.samples) == solution.stats.num_nodes == 6
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.3, 1.0])
+def test_whatever_the_time_limit_a_path_is_valid(limit):
+    problem = scenes.crowd(25)
+    solution = bl_plan(problem, options=BLOptions(time_limit=limit, cost_factor=1.0))
+    assert solution.status is Status.TIME_LIMIT
+    if solution.solved:
+        assert validate(problem, solution.path).valid and solution.motions_factor >= 1
