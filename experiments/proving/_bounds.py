@@ -88,7 +88,8 @@ def violations(
             lower, upper = _bounds(plr, x, how)
             for name, distance in distances.items():
                 inside = plr.domain.contains(x) & np.isfinite(distance)
-                _count(rows[leaf, name], part, *(each[inside] for each in (x, distance, lower, upper)), how)
+                answers = distance[inside], lower[inside], upper[inside]
+                _count(rows[leaf, name], part, x[inside], *answers, how)
     return list(rows.values())
 
 
@@ -120,7 +121,7 @@ def _count(
     holds = (lower - rounding <= distance) & (distance <= upper + rounding) & np.isfinite(upper)
     broken = np.flatnonzero(~holds)
     beyond = np.maximum(lower - distance, distance - upper)[broken]
-    exactly = shapely.covers(part, shapely.points(x[broken]))
+    exactly = np.asarray(shapely.covers(part, shapely.points(x[broken])))
     row["points"] += len(x)
     row["violations"] += int(exactly.sum())
     row["by_tolerance"] += int((~exactly).sum())

@@ -74,7 +74,7 @@ def _builds(seed: int, smoke: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def _build(found: Map, leaf: str, limits: dict[str, int], seed: int) -> Callable[[], PLR]:
+def _build(found: Map, leaf: str, limits: dict[str, Any], seed: int) -> Callable[[], PLR]:
     def build() -> PLR:
         *_, oracle = prepared(*found)
         return construct(oracle, oracle.workspace.bounds, leaf=leaf, seed=seed, **limits)
