@@ -31,11 +31,6 @@ class Conflicts:
             known.update(zip(part.tolist(), self._find(a, part, b), strict=True))
         return [known[edge] for edge in wanted]
 
-    @property
-    def num_bytes(self) -> int:
-        """About what is kept."""
-        return sum(edges.nbytes for known in self._known.values() for edges in known.values())
-
     def _find(self, a: int, motion: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
         ours, others = self.kinds[a], self.kinds[b]
         begin, end = (ours.table.q[node[motion]] for node in (ours.edges.begin, ours.edges.end))

@@ -47,7 +47,6 @@ class TeamMoves:
             self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
             self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.length
         self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
-        self.num_tested = 0
 
     def __call__(self, state: Int[np.ndarray, "robots"]) -> Moves:
         """The moves from a joint configuration."""
@@ -68,7 +67,6 @@ class TeamMoves:
             places.append(kind.table.q[node])
             ends.append(kind.table.q[target])
             position[kind.members] = places[-1][:, :2]
-            self.num_tested += target.size
         first, second = self._near(position)
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
         for pair in np.unique(pairs).tolist():
