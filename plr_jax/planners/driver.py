@@ -1,6 +1,7 @@
 """The planner for several robots at once (Section V of the paper, and searches beside it)."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -131,7 +132,12 @@ class _Run:
             limit = self.budget.exceeded()
             if limit:
                 return limit
-            if weight > _LEAST_WEIGHT:
+            if self.options.step is not None and "lacam" in self.options.searchers:
+                # On the same lattice, lazy search would do the same again.
+                if "bl" not in self.options.searchers:
+                    return Status.EXHAUSTED
+                self.options = replace(self.options, searchers=("bl",))
+            elif weight > _LEAST_WEIGHT:
                 weight = (1 + weight) / 2
             elif self.options.step is not None:
                 return Status.EXHAUSTED

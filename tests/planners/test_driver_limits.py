@@ -5,7 +5,7 @@ import pytest
 from planner_helpers import exact, hallway, planned
 
 from plr_jax import BLOptions, bl_plan, scenes, validate
-from plr_jax.planners import Status, straight_line, sum_of_distances, zero
+from plr_jax.planners import Status, driver, straight_line, sum_of_distances, zero
 from plr_jax.planners.lacam.pibt import Step
 
 
@@ -163,3 +163,17 @@ def test_whatever_the_time_limit_a_path_is_valid(limit):
     assert solution.status is Status.TIME_LIMIT
     if solution.solved:
         assert validate(problem, solution.path).valid and solution.motions_factor >= 1
+
+
+def test_on_a_given_lattice_lazy_search_is_made_once(monkeypatch):
+    found = []
+    offer = driver._Run._offer_found
+    monkeypatch.setattr(
+        driver._Run, "_offer_found", lambda run, level: (found.append(level.found[0]), offer(run, level))[1]
+    )
+    options = BLOptions(step=0.5, cost_factor=1.0, time_limit=20)
+    assert bl_plan(scenes.cross(2), options=options).status is Status.EXHAUSTED
+    assert found[0] == "lacam" and len(found) > 2 and set(found[1:]) == {"bl"}
+    found.clear()
+    alone = BLOptions(searchers=("lacam",), step=0.5, cost_factor=1.0, time_limit=20)
+    assert bl_plan(scenes.cross(2), options=alone).status is Status.EXHAUSTED and found == ["lacam"]
