@@ -232,7 +232,8 @@ class _Run:
             self._offer(level, timetable.state, name)
             if before - timetable.cost.sum() <= _GAIN * before:
                 break
-        return timetable.state
+        num_rows = 1 + len(timetable.state) - int(np.all(timetable.state == timetable.state[-1], axis=1)[::-1].sum())
+        return timetable.state[:num_rows]
 
     def _offer(self, level: SearchLevel, state: State, name: str) -> None:
         """Offer a path along lattices, and if it becomes the best, say how far from the best of its motions it is.

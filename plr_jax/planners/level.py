@@ -24,7 +24,7 @@ from plr_jax.planners.lattice.edges import Kind, kinds_of
 from plr_jax.planners.lattice.joint import JointLattice, State
 from plr_jax.planners.lattice.motions import Lattice
 
-_LAZY_TURN, _BEST_FIRST_TURN = 32, 1024  # steps times, and expansions over, the number of robots
+_PATIENCE, _BEST_FIRST_TURN = 8, 1024  # steps without gain times, and expansions over, the number of robots
 _MOTION_BYTES = 80  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _SEARCH_BYTES = 16  # what a motion takes in the tables of each robot for best-first search
@@ -100,7 +100,7 @@ class SearchLevel:
         """
         num_robots, status = len(self.joint.lattices), None
         if self.lazy is not None:
-            status = self.lazy.run(int(self.turn * _LAZY_TURN * num_robots), bar)
+            status = self.lazy.run(int(self.turn * _PATIENCE * num_robots), bar)
         has_room = self._has_room(options, budget)
         if self.lazy is None and not has_room:
             return Status.MEMORY_LIMIT

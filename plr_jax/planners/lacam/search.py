@@ -16,6 +16,7 @@ from plr_jax.planners.lattice.joint import JointLattice, State
 
 _NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # what a node takes, and for each of its robots
 _CONSTRAINT_BYTES = 100
+_ROUNDING = 1e-9
 
 
 @dataclass(eq=False)
@@ -60,7 +61,7 @@ class LazySearch:
         costs_to_go: Sequence[Float[np.ndarray, "_"]],
         budget: SearchBudget,
     ):
-        self.joint, self.moves, self.budget = joint, moves, budget
+        self.joint, self.moves, self.costs_to_go, self.budget = joint, moves, costs_to_go, budget
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         far = np.nan_to_num([cost[node] for cost, node in zip(costs_to_go, start.tolist(), strict=True)], posinf=0.0)
@@ -68,15 +69,17 @@ class LazySearch:
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None
-        self.num_steps, self.memory = 0, 0
+        self.nearest = float("inf")  # least sum of the costs-to-go of a node
+        self.num_idle, self.memory = 0, 0  # steps that brought it no nearer
         self._add(start, None)
 
-    def run(self, num_steps: int, progress: tqdm | None = None) -> Status | None:
+    def run(self, patience: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, nothing is left, or a limit is reached, and say which.
 
-        None for a pause: after so many steps of this search, those of earlier runs included.
+        None for a pause: after so many steps in a row that brought the team no nearer to its goals.
         """
-        while self.found is None and self.open and self.num_steps < num_steps:
+        self.num_idle = 0
+        while self.found is None and self.open and self.num_idle < patience:
             limit = self.budget.exceeded()
             if limit:
                 return limit
@@ -109,7 +112,7 @@ class LazySearch:
         """One more step of the team, under the node's next constraints."""
         constraints = node.constraints.popleft()
         moves = self.moves(node.state)
-        self.num_steps += 1
+        self.num_idle += 1
         self.budget.num_expansions += 1
         self.budget.num_children_scored += sum(map(len, moves.child))
         if len(constraints) < len(node.order):
@@ -133,6 +136,9 @@ class LazySearch:
             self._hold(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.found = node
+            cost_to_go = sum(float(cost[at]) for cost, at in zip(self.costs_to_go, state.tolist(), strict=True))
+            if cost_to_go < (1 - _ROUNDING) * self.nearest:
+                self.nearest, self.num_idle = cost_to_go, 0
         self.open.append(node)
 
     def _hold(self, num_bytes: int) -> None:

@@ -24,6 +24,7 @@ _GAIN = 3e-3  # share of the cost below which the corridors are narrowed
 _NARROWINGS = 3
 _REACH = 4  # widths of a corridor within which two robots count as touching
 _MARGIN = 3  # rows before and after those in which they do
+_ROUNDING = 1e-9
 _FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
@@ -89,21 +90,38 @@ def _shortened(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """The robots' cheapest motions within their corridors in some rows, both ends as they are."""
+    """The robots' cheapest motions within their corridors in some rows, both ends as they are.
+
+    Only motions are tested that may be part of something cheaper than what the robots do.
+    """
     path = traffic.path[rows]
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     motion = np.arange(rows.start, rows.start + len(path) - 1)
-    costs = [_costs(problem, traffic, motion, robots, i, own, test) for i, own in zip(robots, corridors, strict=True)]
+    costs = [
+        straight_costs(own[:-1, :, None], own[1:, None], problem.rotation_weights[i])
+        for i, own in zip(robots, corridors, strict=True)
+    ]
+    through = [_least_through(cost) for cost in costs]
+    least = [float(cost[0].min()) for cost in through]
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
+    for i, own, cost, total, alone in zip(robots, corridors, costs, through, least, strict=True):
+        _block(cost, total < (1 - _ROUNDING) * (alone + spare), traffic, motion, robots, i, own, test)
     cost = costs[0]
     if len(robots) == 2:
         # From each two of their places to each two.
         (i, j), (a, b) = robots, corridors
         cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        near = within_reach(test.robots[i], a[:-1], a[1:], test.robots[j], b[:-1], b[1:])
-        mine = a[:-1][near][:, :, None, None, None], a[1:][near][:, None, None, :, None]
-        theirs = b[:-1][near][:, None, :, None, None], b[1:][near][:, None, None, None, :]
-        cost[near] = np.where(test.apart(i, *mine, j, *theirs), cost[near], np.inf)
-        cost = cost.reshape(len(cost), cost.shape[1] * cost.shape[2], -1)
+        shape, size = cost.shape, cost.shape[1] * cost.shape[2]
+        cost = cost.reshape(-1, size, size)
+        hopeful = _least_through(cost) < (1 - _ROUNDING) * cost[:, 0, 0].sum()
+        near = np.zeros(len(cost), dtype=bool)
+        near[within_reach(test.robots[i], a[:-1], a[1:], test.robots[j], b[:-1], b[1:])] = True
+        tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+        row, a_first, b_first, a_last, b_last = tested
+        apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
+        cost[~hopeful] = np.inf
+        cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
+        cost[:, 0, 0] = costs[0][:, 0, 0] + costs[1][:, 0, 0]
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
 
@@ -122,24 +140,41 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
     return corridor
 
 
-def _costs(
-    problem: Problem,
+def _block(
+    cost: Float[np.ndarray, "motions size size"],
+    hopeful: Bool[np.ndarray, "motions size size"],
     traffic: Traffic,
     motion: Int[np.ndarray, "motions"],
     robots: tuple[int, ...],
     i: int,
     corridor: Corridor,
     test: JointMotionTest,
-) -> Float[np.ndarray, "motions size size"]:
-    """Cost of every motion within a robot's corridor; ``inf`` if it hits a wall or a robot that keeps its motions."""
-    cost = straight_costs(corridor[:-1, :, None], corridor[1:, None], problem.rotation_weights[i])
-    row, first, last, _ = test.collisions_with_others(i, corridor[:-1], corridor[1:], traffic, motion, but=robots)
-    cost[row, first, last] = np.inf
-    tight = ~test.of_walls[i].has_room(*circles(corridor[:-1], corridor[1:]))
-    row, first, last = np.nonzero(tight[:, None, None] & (cost < np.inf))
-    free = test.of_walls[i](corridor[row, first], corridor[row + 1, last])
+) -> None:
+    """Give all motions within a robot's corridor, but those it makes, a cost of ``inf`` that are not hopeful.
+
+    Or that hit a wall or a robot that keeps its motions.
+    """
+    own = cost[:, 0, 0].copy()
+    cost[~hopeful] = np.inf
+    row, first, last = np.nonzero(hopeful)
+    tight = ~test.of_walls[i].has_room(*circles(corridor[:-1], corridor[1:]))[row]
+    begin, end = corridor[row, first], corridor[row + 1, last]
+    free = np.ones(len(row), dtype=bool)
+    free[tight] = test.of_walls[i](begin[tight], end[tight])
+    collides = test.collisions_with_others(i, begin[:, None], end[:, None], traffic, motion[row], but=robots)[0]
+    free[collides] = False
     cost[row[~free], first[~free], last[~free]] = np.inf
-    return cost
+    cost[:, 0, 0] = own
+
+
+def _least_through(cost: Float[np.ndarray, "motions size size"]) -> Float[np.ndarray, "motions size size"]:
+    """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
+    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
+    so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
+    so_far[0, :, 0] = 0.0
+    for motion in range(len(cost) - 1):
+        np.minimum.reduce(so_far[motion][:, :, None] + both[motion], axis=1, out=so_far[motion + 1])
+    return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
 
 
 def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:

@@ -51,8 +51,8 @@ def test_turning_robots_that_cannot_turn_exhaust_it():
 def test_a_paused_search_goes_on_where_it_was():
     whole, paused = search_of(scenes.door(20), 0.4), search_of(scenes.door(20), 0.4)
     assert whole.run(10_000) is Status.SOLVED
-    for num_steps in (10, 11, 60):
-        assert paused.run(num_steps) is None and paused.num_steps == num_steps
+    for patience in (2, 3, 5):
+        assert paused.run(patience) is None and paused.num_idle == patience
     assert paused.run(10_000) is Status.SOLVED
     np.testing.assert_array_equal(whole.branch, paused.branch)
 
@@ -63,8 +63,7 @@ def test_limits():
     assert search_of(scenes.door(20), 0.4, budget=search_budget(seconds=-1.0)).run(100) is Status.TIME_LIMIT
     budget = search_budget()
     search = search_of(scenes.door(20), 0.4, FOUR_NEIGHBORS, budget)
-    assert search.run(50) in (None, Status.SOLVED) and budget.memory == search.memory > 0
-    assert budget.num_expansions == search.num_steps <= 50
+    assert search.run(5) is None and budget.memory == search.memory > 0
 
 
 def test_a_team_at_its_goals_is_solved_from_the_start():
