@@ -1,5 +1,7 @@
 """The corners at which shortest paths turn: what each sees, which join, and where paths to one goal turn first."""
 
+import math
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,19 +95,25 @@ class CornerVisibility:
         return self.table.num_bytes + sum(a.nbytes for a in arrays)
 
 
-def corner_visibility(workspace: Workspace) -> CornerVisibility:
-    """The corners of a workspace, swept around once for all goals."""
+def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> CornerVisibility:
+    """The corners of a workspace, swept around once for all goals.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    """
     corners, views = find_corners(workspace)
-    table = visibility_table(workspace.boundary, workspace.tolerance, views)
-    return CornerVisibility(corners, table, _tangent_edges(corners, table))
+    table = visibility_table(workspace.boundary, workspace.tolerance, views, deadline)
+    return CornerVisibility(corners, table, _tangent_edges(corners, table, deadline))
 
 
-def _tangent_edges(corners: ReflexCorners, table: VisibilityTable) -> Int[np.ndarray, "edges 2"]:
+def _tangent_edges(corners: ReflexCorners, table: VisibilityTable, deadline: float) -> Int[np.ndarray, "edges 2"]:
     """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once."""
     everything, points = slice(None), corners.points
     step = max(1, _CHUNK // max(1, len(points)))
     edges = [np.empty((0, 2), int)]
     for begin in range(0, len(points), step):
+        if time.perf_counter() > deadline:
+            raise TimeoutError(f"{begin:,} of {len(points):,} corners had been joined when the time was over.")
         part = slice(begin, begin + step)
         tangent = corners.is_tangent(part) | corners.is_tangent(everything, part).T
         v, w = np.nonzero(np.triu(tangent, 1 + begin))

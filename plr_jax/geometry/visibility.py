@@ -10,6 +10,8 @@ sparse table for range minima; the nearest edge over a long range is then handed
 by level, to single intervals. All of it is array operations, O(E log E) a viewpoint.
 """
 
+import math
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,15 +132,23 @@ class VisibilityTable:
         return (height >= -self.tolerance) & (edge >= 0)
 
 
-def visibility_table(boundary: Boundary, tolerance: float, views: Viewpoints) -> VisibilityTable:
+def visibility_table(
+    boundary: Boundary, tolerance: float, views: Viewpoints, deadline: float = math.inf
+) -> VisibilityTable:
     """The visibility polygons of all viewpoints.
 
     These are points in free space, on walls only exactly at vertices or with their sectors given.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
     cut = _cuts(boundary, views)
     size = max(1, _CHUNK // len(boundary.vertices))
     starts, edges, counts = [], [], []
     for begin in range(0, len(views.points), size):
+        if time.perf_counter() > deadline:
+            message = f"{begin:,} of {len(views.points):,} viewpoints had looked around when the time was over."
+            raise TimeoutError(message)
         chunk = slice(begin, begin + size)
         inside = (views.owner >= begin) & (views.owner < begin + size)
         part = Viewpoints(views.points[chunk], views.owner[inside] - begin, views.start[inside], views.end[inside])

@@ -1,16 +1,24 @@
 """One exact distance function for each robot of a problem: the terms of a team's heuristic."""
 
+import math
+import time
+
 import numpy as np
 import shapely
 import shapely.ops
 from jaxtyping import Float
 
+from plr_jax._arrays import deadline_after
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
+_AT_ONCE = 1e-9  # seconds
 
-def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
+
+def robot_distance_fns(
+    problem: Problem, inflated: bool = True, *, time_limit: float = math.inf
+) -> list[VisibilityGraph]:
     """Exact distance of each robot to its goal, alone among the obstacles.
 
     Robots of one size share the visibility of the corners.
@@ -20,23 +28,33 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
         inflated: Whether obstacles are grown by each robot's radius (of one that turns, its inscribed radius), so
             that distances are those of its reference point. False gives the paper's point robots, whose distances
             are shorter.
+        time_limit: Seconds that all of it may take. A single call of Shapely is not cut short.
 
     Returns:
         A distance function of the position ``(n, 2)`` for each robot, never longer than the robot's own shortest
         path. ``inf`` where its center cannot be.
 
+    Raises:
+        TimeoutError: If the time limit passes first.
+
     References:
         Section V-B of the paper, which uses the point robots' distances.
     """
+    deadline = deadline_after(time_limit)
     first: dict[float, VisibilityGraph] = {}
     distance_fns = []
-    for robot, goal in zip(problem.robots, problem.goals, strict=True):
+    for done, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
+        if time.perf_counter() > deadline:
+            raise TimeoutError(
+                f"The distances of {done} of {len(problem.robots)} robots were known when time was up."
+            )
         radius = robot.inscribed_radius if inflated else 0.0
         if radius in first:
             distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
             continue
         workspace = problem.workspace.inflate(radius) if radius > 0 else problem.workspace
-        first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace))
+        time_left = max(_AT_ONCE, deadline - time.perf_counter())
+        first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace), time_limit=time_left)
         distance_fns.append(first[radius])
     return distance_fns
 

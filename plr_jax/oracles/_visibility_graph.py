@@ -1,5 +1,6 @@
 """Exact shortest-path distance among polygons in the plane."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,7 +8,7 @@ import networkx
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
@@ -31,6 +32,7 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, ``(2,)``, in closed free space.
+        time_limit: Seconds that construction may take. A single call of Shapely is not cut short.
 
     Attributes:
         workspace: As given.
@@ -41,6 +43,7 @@ class VisibilityGraph:
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
+        TimeoutError: If the time limit passes first.
 
     References:
         de Berg et al., Computational Geometry (3rd ed.), chapter 15; visibility polygons as in
@@ -56,8 +59,9 @@ class VisibilityGraph:
     _goal_table: VisibilityTable
     _turns: TurnPoints
 
-    def __init__(self, workspace: Workspace, goal: ArrayLike):
-        _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace))
+    def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float = math.inf):
+        deadline = deadline_after(time_limit)
+        _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace, deadline))
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
