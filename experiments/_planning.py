@@ -36,18 +36,21 @@ SCENES: dict[str, Callable[[], Problem]] = {
 }
 
 NONE, STRAIGHT, POINT_PLR, PLR, EXACT = HEURISTICS = ("none", "straight line", "PLR, point robots", "PLR", "exact")
+LATTICE = "lattice"  # the planner's own choice
 
 
 class Built(NamedTuple):
     """A heuristic, and the seconds that its exact distances and its PLRs took."""
 
-    heuristic: HeuristicFn
+    heuristic: HeuristicFn | None
     oracle_seconds: float
     plr_seconds: float
 
 
 def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> Built:
-    """A heuristic of :data:`HEURISTICS` for a problem, its PLRs of so many bytes each."""
+    """A heuristic of :data:`HEURISTICS` for a problem, its PLRs of so many bytes each, or none."""
+    if name == LATTICE:
+        return Built(None, 0.0, 0.0)
     if name == NONE:
         return Built(zero(), 0.0, 0.0)
     if name == STRAIGHT:
@@ -66,7 +69,7 @@ def lower_bound(problem: Problem) -> float:
     return float(sum_of_distances(robot_distance_fns(problem))(problem.starts[None])[0])
 
 
-def plan(problem: Problem, heuristic: HeuristicFn, options: BLOptions) -> tuple[Solution, float]:
+def plan(problem: Problem, heuristic: HeuristicFn | None, options: BLOptions) -> tuple[Solution, float]:
     """A solution of BL, and its seconds from call to return."""
     began = time.perf_counter()
     solution = bl_plan(problem, heuristic, options)

@@ -1,7 +1,7 @@
 """Experiments of several sections, each in a file of its own, which are measured and kept one by one."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from experiments._results import command_line, environment, output_folder, read, write
 
@@ -16,6 +16,11 @@ class Section(Protocol):
     def table(self, results: dict[str, Any], /) -> str:
         """The results as text."""
         ...
+
+
+@runtime_checkable
+class DrawnSection(Section, Protocol):
+    """What a section's file has that draws figures too."""
 
     def draw(self, results: dict[str, Any], output: Path, /) -> list[Path]:
         """The files of its figures."""
@@ -47,6 +52,10 @@ def _draw(output: Path, name: str, sections: dict[str, Section]) -> None:
     print(text)
     tables = output / f"{name}.txt"
     tables.write_text(text, encoding="utf-8")
-    figures = [figure for section, part in results.items() for figure in sections[section].draw(part, output)]
+    figures = []
+    for name, part in results.items():
+        section = sections[name]
+        if isinstance(section, DrawnSection):
+            figures += section.draw(part, output)
     for path in [tables, *figures]:
         print(f"wrote {path}")

@@ -126,8 +126,3 @@ def table(results: dict[str, Any]) -> str:
             beyond = results["rows"][name]["total"] - alone
             notes.append(f"{name}: {beyond:+.2f} s beyond {IMPORT} (at most +0.8)")
     return "\n".join([aligned(rows, numbers=4), *notes]) + "\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

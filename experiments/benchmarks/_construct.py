@@ -211,8 +211,3 @@ def table(results: dict[str, Any]) -> str:
 
 def _task(task: dict[str, Any]) -> str:
     return f"{task['leaves']:,} leaves: largest error {task['max']:.2g} (at most {task['allowed']})"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure: how construction grows with leaves is drawn in the section on growth."""
-    return []

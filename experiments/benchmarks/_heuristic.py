@@ -10,7 +10,6 @@ Teams of 2 are the first of 4; teams of 16 are those of 8 twice, each PLR with a
 
 import importlib.util
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -154,8 +153,3 @@ def _ratios(rows: list[dict[str, Any]]) -> list[str]:
 
 def _millions(rate: float) -> str:
     return f"{rate / 1e6:,.1f}" if rate >= 1e7 else f"{rate / 1e6:,.3f}"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure: how the heuristic grows with robots is drawn in the section on growth."""
-    return []

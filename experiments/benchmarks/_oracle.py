@@ -238,8 +238,3 @@ def _ratios(maps: dict[str, Any], largest: str) -> list[str]:
                     f"{query / micro[largest]:,.0f} a point in a batch, {query / micro['1']:.1f} one by one"
                 )
     return lines
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure: how the costs grow with vertices is drawn in the section on growth."""
-    return []

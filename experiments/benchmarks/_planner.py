@@ -8,7 +8,6 @@ race's has the same lines and more of them.
 """
 
 import importlib.util
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,8 +57,3 @@ def table(results: dict[str, Any]) -> str:
             rows.append([trial["scene"], name, seconds, *over, valid])
     head = "Cost of the best path so far over the lower bound"
     return f"{head}\n\n{aligned(rows, numbers=len(rows[0]) - 2)}\n{race.summary_table(results)}"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure: see ``race.png``."""
-    return []

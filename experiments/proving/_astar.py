@@ -8,7 +8,6 @@ counts. The PLRs themselves are no lower bounds: how often they mislead is count
 
 import heapq
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -167,8 +166,3 @@ def table(results: dict[str, Any]) -> str:
         counts = [f"{row['problems']:,}", f"{row['not_optimal']:,}"]
         rows.append([row["map"], row["heuristic"], *counts, *numbers, f"{row['nodes_to_straight']:.1%}"])
     return aligned(rows, numbers=7)
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

@@ -1,6 +1,5 @@
 """How wide proven bounds of leaves are beside mean errors, and largest proven errors beside the largest found."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,8 +54,3 @@ def table(results: dict[str, Any]) -> str:
     for row in results["rows"]:
         rows.append([row["map"], row["leaf"], f"{row['bytes']:,}", *(f"{row[name]:.3g}" for name in names)])
     return aligned(rows, numbers=8)
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

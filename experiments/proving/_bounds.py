@@ -12,7 +12,6 @@ goal, so nothing is proven of them; where they are beyond the bounds, they are c
 """
 
 import itertools
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -139,8 +138,3 @@ def table(results: dict[str, Any]) -> str:
         counts = [f"{row['points']:,}", f"{row['violations']:,}", f"{row['worst']:.2g}", f"{row['by_tolerance']:,}"]
         rows.append([row["map"], row["leaf"], row["truth"], *counts])
     return aligned(rows, numbers=4)
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

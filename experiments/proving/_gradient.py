@@ -1,6 +1,5 @@
 """Angles between the gradient of a certified PLR and the exact direction."""
 
-from pathlib import Path
 from typing import Any
 
 from experiments._tables import aligned
@@ -31,8 +30,3 @@ def table(results: dict[str, Any]) -> str:
         angles = [f"{angle:.3g}" for angle in (*row["angles"].values(), row["max_angle"])]
         rows.append([row["leaf"], f"{row['bytes']:,}", *angles, str(row["num_zero"]), str(row["num_not_finite"])])
     return aligned(rows, numbers=7) + f"The {results['map']}, degrees, {results['points']:,} free points.\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

@@ -1,6 +1,5 @@
 """A notch one thousandth of the map, of which samples hardly know: the largest error there and next to the goal."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,8 +44,3 @@ def table(results: dict[str, Any]) -> str:
         largest = [f"{row['largest'][name]:.3g}" for name in names]
         rows.append([row["leaf"], "yes" if row["certified"] else "no", f"{row['bytes']:,}", *largest, proven])
     return aligned(rows, numbers=len(names) + 2)
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

@@ -4,7 +4,6 @@ Noise, where there is some, is normal, of 1e-6 units, and the same whenever a po
 against the exact distance, over random free points. Planes stand beside them.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,8 +59,3 @@ def table(results: dict[str, Any]) -> str:
         cells = [f"{row['bytes']:,}", f"{row['leaves']:,}", f"{row['mean']:.2g}", f"{row['largest_of_points']:.2g}"]
         rows.append([row["map"], row["leaf"], f"{row['noise']:g}", *cells])
     return aligned(rows, numbers=5)
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

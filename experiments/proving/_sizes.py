@@ -7,7 +7,6 @@ of the whole chain from rings of free space to the certified PLR.
 """
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -111,8 +110,3 @@ def table(results: dict[str, Any]) -> str:
             ]
         )
     return aligned(rows, numbers=len(rows[0]) - 3) + "%: of the largest distance.\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure: leaves have one of their own."""
-    return []

@@ -4,7 +4,6 @@ As in :mod:`experiments.proving._bounds`, with the oracle as truth. A map's numb
 ``[seed, number]``.
 """
 
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -145,8 +144,3 @@ def table(results: dict[str, Any]) -> str:
         rows.append([leaf, *counts, f"{total['by_tolerance']:,}"])
     refused = [f"not built: map {each['map']}, {each['leaf']}: {each['error']}" for each in results["refused"]]
     return "\n".join([aligned(rows, numbers=5).rstrip(), *refused]) + "\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

@@ -5,7 +5,6 @@ are warm, each from rings of free space by way of a workspace and a visibility g
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -103,8 +102,3 @@ def table(results: dict[str, Any]) -> str:
     builds = [_build_line(row) for row in results["builds"]]
     head = f"{queries['map']}, {queries['points']:,} points\n"
     return head + aligned(rows, numbers=4) + "\nfrom workspace to PLR\n" + "\n".join(builds) + "\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

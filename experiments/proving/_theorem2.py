@@ -14,7 +14,6 @@ least squares keeps ``L`` at the base points between the smallest and the larges
 What is proven instead are bounds of every leaf, which hold at all of these points.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -194,8 +193,3 @@ def table(results: dict[str, Any]) -> str:
             numbers = [f"{part[f'largest_in_{kind}']:.3f}", f"{part[f'beyond_in_{kind}']}"]
             rows.append([name, f"{count} {kind}", *numbers, f"{part['proven_violations']} of {part['points']:,}"])
     return aligned(rows, numbers=3) + "\n".join(texts) + "\n"
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """No figure."""
-    return []

@@ -17,7 +17,7 @@ _AT_ONCE = 1e-9  # seconds
 
 
 def robot_distance_fns(
-    problem: Problem, inflated: bool = True, *, time_limit: float = math.inf
+    problem: Problem, inflated: bool = True, *, time_limit: float | int = math.inf
 ) -> list[VisibilityGraph]:
     """Exact distance of each robot to its goal, alone among the obstacles.
 

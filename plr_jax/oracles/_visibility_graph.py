@@ -59,7 +59,7 @@ class VisibilityGraph:
     _goal_table: VisibilityTable
     _turns: TurnPoints
 
-    def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float = math.inf):
+    def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
         _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace, deadline))
 

@@ -1,0 +1,75 @@
+"""By how much a process grows under limits of memory: at its peak, over what it held at the call.
+
+Each call has a process of its own, in which a small plan was made before, and goes on until it is out of memory or
+time. A limit of memory bounds what lattices and searches hold; the process may grow by a fifth more.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from experiments._tables import aligned
+
+MEGABYTES = (100, 200, 500, 1000)
+SECONDS = 20.0
+SCENES = ("tangle", "four rooms 8", "door 50", "crowd 100")
+MOST_GROWTH = 1.2
+_ROOT = Path(__file__).parents[2]
+_STATUS = Path("/proc/self/status")
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    if not _STATUS.exists():
+        return {"rows": [], "skipped": "skipped: this system does not tell the largest size of a process\n"}
+    scenes, limits, seconds = (SCENES[:1], MEGABYTES[:1], 0.3) if smoke else (SCENES, MEGABYTES, SECONDS)
+    calls = [(scene, limit, kind) for scene in scenes for limit in limits for kind in ("lattice", "none")]
+    rows = []
+    for scene, limit, kind in tqdm(calls[: 1 if smoke else None], desc="memory limits", delay=3, disable=None):
+        command = [sys.executable, "-m", "experiments.planning._memory_limits", scene, str(limit), kind, str(seconds)]
+        output = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, check=True).stdout
+        rows.append({"scene": scene, "megabytes": limit, "heuristic": kind, **json.loads(output)})
+    return {"rows": rows}
+
+
+def grown(scene: str, megabytes: str, kind: str, seconds: str) -> dict[str, Any]:
+    """What one call makes of this process."""
+    from experiments.planning._plans import timed
+    from experiments.planning._time_limits import SCENES as PROBLEMS
+    from plr_jax import BLOptions, zero
+
+    problem, heuristic = PROBLEMS[scene](), zero() if kind == "none" else None
+    timed(PROBLEMS["four rooms 2"](), BLOptions(), heuristic)
+    before = kilobytes("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the largest size begins anew
+    options = BLOptions(cost_factor=1e-9, max_memory=1e6 * float(megabytes), time_limit=float(seconds))
+    solution, taken = timed(problem, options, heuristic)
+    return {
+        "growth": round((kilobytes("VmHWM") - before) * 1024 / 1e6, 1),
+        "status": solution.status.name,
+        "seconds": round(taken, 3),
+        "solved": solution.solved,
+    }
+
+
+def kilobytes(name: str) -> int:
+    """A figure of this process, as Linux tells it."""
+    lines = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
+    return int(lines[name].split()[0])
+
+
+def table(results: dict[str, Any]) -> str:
+    rows = [["scene", "heuristic", "status", "path", "limit MB", "grown MB", "share"]]
+    for row in results["rows"]:
+        share = row["growth"] / row["megabytes"]
+        path = "yes" if row["solved"] else "no"
+        numbers = f"{row['megabytes']:,}", f"{row['growth']:,.0f}", f"{share:.2f}"
+        rows.append([row["scene"], row["heuristic"], row["status"], path, *numbers])
+    return aligned(rows, 3) + results.get("skipped", "")
+
+
+if __name__ == "__main__":
+    print(json.dumps(grown(*sys.argv[1:])))

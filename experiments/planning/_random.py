@@ -1,0 +1,127 @@
+"""A thousand random problems: one to eight robots of all shapes among random obstacles.
+
+Each is planned, then planned for longer. Wrong is a path that ``validate`` refuses, a cost that is not that of the
+path, and a claim about the best cost that a path found later disproves, or the exact distances of points do.
+"""
+
+import traceback
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import shapely
+from tqdm import tqdm
+
+from experiments._tables import aligned
+from experiments.planning._plans import alone, timed
+from plr_jax import (
+    BLOptions,
+    DiscRobot,
+    PointRobot,
+    PolygonRobot,
+    Problem,
+    RectangleRobot,
+    Robot,
+    Workspace,
+    path_cost,
+    validate,
+)
+
+NUM_PROBLEMS = 1_000
+MOST_ROBOTS, MOST_OBSTACLES = 8, 8
+SECONDS, MORE_SECONDS = 3.0, 0.5
+_TRIALS = 200
+_ROUNDING = 1e-9
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    count, counts, wrong = 5 if smoke else NUM_PROBLEMS, Counter[str](), []
+    for k in tqdm(range(count), desc="random problems", delay=3, disable=None):
+        problem = random_problem(np.random.default_rng((seed, k)))
+        try:
+            outcome, failure = judged(problem)
+        except Exception:
+            outcome, failure = "crashed", traceback.format_exc()
+        counts[outcome] += 1
+        if failure:
+            wrong.append({"problem": k, "failure": failure})
+    return {"problems": count, "outcomes": dict(counts), "wrong": wrong}
+
+
+def judged(problem: Problem) -> tuple[str, str]:
+    """How planning ended, and what is wrong with it."""
+    solution, _ = timed(problem, BLOptions(time_limit=SECONDS))
+    later, _ = timed(problem, BLOptions(cost_factor=1.0, time_limit=MORE_SECONDS))
+    best = min(solution.cost, later.cost)
+    for each in (solution, later):
+        if each.path is None:
+            continue
+        report = validate(problem, each.path)
+        if not report.valid:
+            return "invalid path", report.message
+        if abs(path_cost(problem, each.path) - each.cost) > _ROUNDING * (1 + each.cost):
+            return "wrong cost", f"{each.cost} for a path of {path_cost(problem, each.path)}"
+        # A path of the team may cost as little as its robots' shortest paths as points, but no less.
+        if each.lower_bound > best * (1 + _ROUNDING) or each.cost < alone(problem, inflated=False) * (1 - _ROUNDING):
+            return "wrong factor", f"bound {each.lower_bound}, best {best}"
+        if each.factor < 1 - _ROUNDING or each.motions_factor < 1 - _ROUNDING:
+            return "wrong factor", f"{each.factor}, {each.motions_factor}"
+    return f"{solution.status.name.lower()}{'' if solution.solved else ', no path'}", ""
+
+
+def random_problem(rng: np.random.Generator) -> Problem:
+    """Up to eight robots of random shapes among up to eight random obstacles."""
+    while True:
+        obstacles = [convex(rng, rng.uniform(0, 10, 2), rng.uniform(0.5, 2.5)) for _ in range(rng.integers(9))]
+        try:
+            workspace = Workspace(((0, 0), (10, 10)), obstacles)
+            robots = [random_robot(rng) for _ in range(rng.integers(1, MOST_ROBOTS + 1))]
+            if rng.random() < 0.5:  # robots of few kinds, as in most teams
+                robots = [robots[i % 2 % len(robots)] for i in range(len(robots))]
+            ends = [random_places(workspace, robots, rng) for _ in range(2)]
+            return Problem(workspace, robots, *ends)
+        except ValueError:
+            continue
+
+
+def convex(rng: np.random.Generator, center: np.ndarray, size: float) -> np.ndarray:
+    """A random convex polygon about a center."""
+    points = shapely.MultiPoint(center + size * rng.uniform(-1, 1, (rng.integers(4, 8), 2)))
+    return shapely.get_coordinates(points.convex_hull)[:-1]
+
+
+def random_robot(rng: np.random.Generator) -> Robot:
+    shape = rng.integers(4)
+    if shape == 0:
+        return PointRobot()
+    if shape == 1:
+        return DiscRobot(float(rng.uniform(0.1, 0.6)))
+    if shape == 2:
+        return RectangleRobot(float(rng.uniform(0.3, 1.5)), float(rng.uniform(0.2, 0.8)))
+    corners = convex(rng, np.zeros(2), float(rng.uniform(0.3, 0.8)))
+    return PolygonRobot(corners - corners.mean(axis=0))
+
+
+def random_places(workspace: Workspace, robots: list[Robot], rng: np.random.Generator) -> np.ndarray:
+    """Places for all robots, one after the other; ``ValueError`` if there is no room."""
+    dof = max(robot.dof for robot in robots)
+    places: list[np.ndarray] = []
+    for i, _ in enumerate(robots):
+        for _ in range(_TRIALS):
+            place = np.concatenate([rng.uniform(0, 10, 2), rng.uniform(-np.pi, np.pi, 1)])[:dof]
+            try:
+                Problem(workspace, robots[: i + 1], [*places, place], [*places, place])
+            except ValueError:
+                continue
+            places.append(place)
+            break
+        else:
+            raise ValueError("There is no room.")
+    return np.array(places)
+
+
+def table(results: dict[str, Any]) -> str:
+    rows = [["outcome", "problems"]]
+    rows += [[name, f"{count:,}"] for name, count in sorted(results["outcomes"].items())]
+    failures = "".join(f"problem {each['problem']}: {each['failure']}\n" for each in results["wrong"])
+    return aligned(rows, 1) + failures
