@@ -122,19 +122,31 @@ def ompl_plan(
     References:
         Sucan, Moll, Kavraki: The Open Motion Planning Library. IEEE Robotics & Automation Magazine 19, 2012.
     """
-    _check(planner, seed, time_limit, cost_target)
-    for module in ("ompl", "numba"):
-        if importlib.util.find_spec(module) is None:
-            raise ImportError(f"OMPL planners need {module}: pip install 'plr-jax[baselines]'", name=module)
-    # No path costs less than nothing.
-    target = 0.0 if cost_target is None else float(cost_target)
-    task = _task(problem, planner, int(seed), float(time_limit), target)
+    if planner not in _PLANNERS:
+        raise ValueError(f"planner must be one of {', '.join(_PLANNERS)}, got {planner!r}.")
+    return trial(task_of(problem, planner, seed, time_limit, cost_target), problem, "ompl_worker")
+
+
+def trial(task: Task, problem: Problem, module: str) -> Solution:
+    """What a worker makes of a task.
+
+    Args:
+        task: The task.
+        problem: The problem that it is about.
+        module: The worker, a module of this package.
+
+    Returns:
+        The best valid path, as :func:`ompl_plan` says.
+    """
+    for needed in ("ompl", "numba"):
+        if importlib.util.find_spec(needed) is None:
+            raise ImportError(f"OMPL planners need {needed}: pip install 'plr-jax[baselines]'", name=needed)
     messages, interrupted = [], False
     try:
-        messages.extend(_messages(task))
+        messages.extend(_messages(task, module))
     except KeyboardInterrupt:
         interrupted = True
-    return _solution(problem, planner, messages, interrupted)
+    return _solution(problem, task.planner, messages, interrupted)
 
 
 def _solution(problem: Problem, planner: str, messages: list[Message], interrupted: bool) -> Solution:
@@ -169,17 +181,17 @@ def _as_valid(
     report = validate(problem, path)
     if report.valid:
         return path
-    warnings.warn(f"A path of OMPL's {planner} is not valid and was dropped: {report.message}", stacklevel=4)
+    warnings.warn(f"A path of OMPL's {planner} is not valid and was dropped: {report.message}", stacklevel=5)
     return None
 
 
-def _messages(task: Task) -> Iterator[Message]:
+def _messages(task: Task, module: str) -> Iterator[Message]:
     """Run a task in a process of its own, which ends with the iteration."""
     package = str(Path(__file__).parents[2])
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([package, *filter(None, [os.getenv("PYTHONPATH")])])}
     with tempfile.TemporaryFile() as errors:
         worker = subprocess.Popen(
-            [sys.executable, "-m", "experiments.baselines.ompl_worker"],
+            [sys.executable, "-m", f"experiments.baselines.{module}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -204,7 +216,11 @@ def _messages(task: Task) -> Iterator[Message]:
             worker.stdout.close()
 
 
-def _task(problem: Problem, planner: str, seed: int, time_limit: float, cost_target: float) -> Task:
+def task_of(
+    problem: Problem, planner: str, seed: int, time_limit: float | int, cost_target: float | int | None
+) -> Task:
+    """A problem as a task, its arguments checked; without a cost target, one that no path costs less than."""
+    _check(seed, time_limit, cost_target)
     headings = np.zeros((len(problem.robots), 3 - problem.dof))
     starts, goals = (np.hstack([q, headings]) for q in (problem.starts, problem.goals))
     for q in (starts, goals):
@@ -212,9 +228,9 @@ def _task(problem: Problem, planner: str, seed: int, time_limit: float, cost_tar
     workspace = problem.workspace
     return Task(
         planner=planner,
-        seed=seed,
-        time_limit=time_limit,
-        cost_target=cost_target,
+        seed=int(seed),
+        time_limit=float(time_limit),
+        cost_target=0.0 if cost_target is None else float(cost_target),
         sizes=np.array([_size(robot) for robot in problem.robots]),
         rotation_weights=problem.rotation_weights,
         starts=starts,
@@ -234,9 +250,7 @@ def _size(robot: Robot) -> tuple[float, float, float]:
     return float(half[0]), float(half[1]), robot.rounding
 
 
-def _check(planner: Any, seed: Any, time_limit: Any, cost_target: Any) -> None:
-    if planner not in _PLANNERS:
-        raise ValueError(f"planner must be one of {', '.join(_PLANNERS)}, got {planner!r}.")
+def _check(seed: Any, time_limit: Any, cost_target: Any) -> None:
     if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**32 - 1:
         raise ValueError(f"seed must be an integer from 0 to 2**32 - 2, got {seed!r}.")
     for name, value in (("time_limit", time_limit), ("cost_target", cost_target)):

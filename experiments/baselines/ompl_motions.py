@@ -84,12 +84,17 @@ def is_free(first: int, last: int, scene: int) -> bool:
     Returns:
         True if all robots stay clear of walls and of one another along the whole motion. Touching is clear.
     """
+    free = is_motion_free(_configurations(first, scene), _configurations(last, scene), scene)
+    count(free, scene)
+    return free
+
+
+@njit(cache=True)
+def count(free: bool, scene: int):
+    """Count a motion, and whether it was free."""
     header = carray(pointer(scene), (_HEADER,), np.float64)
-    q0, q1 = _configurations(first, scene), _configurations(last, scene)
-    free = is_motion_free(q0, q1, scene)
     header[_CHECKED] += 1
     header[_FREE] += free
-    return free
 
 
 @njit(cache=True)
@@ -136,7 +141,7 @@ def _clear_of_walls(q0, q1, size, walls, slack, piece):
         distance = _segment_distance(x0, y0, x1, y1, ax, ay, bx, by)
         if distance < inner - slack:
             return False
-        on_wall = on_wall or _point_distance(x1 - ax, y1 - ay, bx - ax, by - ay) <= slack
+        on_wall = on_wall or point_distance(x1 - ax, y1 - ay, bx - ax, by - ay) <= slack
         if boxy and distance < outer:
             wall = np.array([walls[k, 4], walls[k, 5], walls[k, 7]])
             if not _stay_apart(q0, q1, size, wall, wall, np.array([walls[k, 6], 0.0, 0.0]), slack, piece):
@@ -148,7 +153,7 @@ def _clear_of_walls(q0, q1, size, walls, slack, piece):
 def _apart(a0, a1, size_a, b0, b1, size_b, slack, piece):
     """Whether two robots stay apart."""
     x, y = b0[0] - a0[0], b0[1] - a0[1]
-    distance = _point_distance(-x, -y, b1[0] - a1[0] - x, b1[1] - a1[1] - y)
+    distance = point_distance(-x, -y, b1[0] - a1[0] - x, b1[1] - a1[1] - y)
     if distance >= _outer(size_a) + _outer(size_b) - slack:
         return True
     if (size_a[0] == 0 and size_b[0] == 0) or distance < _inner(size_a) + _inner(size_b) - slack:
@@ -237,15 +242,15 @@ def _crosses(x0, y0, x1, y1, ax, ay, bx, by):
 def _segment_distance(x0, y0, x1, y1, ax, ay, bx, by):
     """Distance of two segments that do not cross."""
     return min(
-        _point_distance(x0 - ax, y0 - ay, bx - ax, by - ay),
-        _point_distance(x1 - ax, y1 - ay, bx - ax, by - ay),
-        _point_distance(ax - x0, ay - y0, x1 - x0, y1 - y0),
-        _point_distance(bx - x0, by - y0, x1 - x0, y1 - y0),
+        point_distance(x0 - ax, y0 - ay, bx - ax, by - ay),
+        point_distance(x1 - ax, y1 - ay, bx - ax, by - ay),
+        point_distance(ax - x0, ay - y0, x1 - x0, y1 - y0),
+        point_distance(bx - x0, by - y0, x1 - x0, y1 - y0),
     )
 
 
 @njit(cache=True)
-def _point_distance(x, y, dx, dy):
+def point_distance(x, y, dx, dy):
     """Distance of a point to a segment from the origin to ``(dx, dy)``."""
     squared = dx * dx + dy * dy
     t = min(max((x * dx + y * dy) / squared, 0.0), 1.0) if squared > 0 else 0.0
@@ -257,14 +262,7 @@ def _point_distance(x, y, dx, dy):
 def _configurations(state, scene):
     robots = int(carray(pointer(scene), (_HEADER,), np.float64)[_ROBOTS])
     sizes = carray(pointer(scene + 8 * _HEADER), (robots, 3), np.float64)
-    # A nanobind instance holds, after its 16-byte Python header, where its C++ object is, as a distance to it or
-    # to a pointer to it; bit 2 of the flags that follow says which. An OMPL state has its data after one
-    # pointer: the parts of a compound state, the values of a real vector, the value of an angle.
-    offset, flags = carray(pointer(state + 16), (2,), np.int32)
-    parts = state + offset
-    if not flags & 4:
-        parts = word(parts)
-    parts = carray(pointer(word(parts + 8)), (2 * robots,), np.int64)
+    parts = parts_of(state, 2 * robots)
     q = np.zeros((robots, 3))
     rectangles = 0
     for i in range(robots):
@@ -273,6 +271,19 @@ def _configurations(state, scene):
             q[i, 2] = carray(pointer(parts[robots + rectangles] + 8), (1,), np.float64)[0]
             rectangles += 1
     return q
+
+
+@njit(cache=True)
+def parts_of(state: int, count: int):
+    """Addresses of the parts of a compound state, given its ``id`` and how many to read."""
+    # A nanobind instance holds, after its 16-byte Python header, where its C++ object is, as a distance to it or
+    # to a pointer to it; bit 2 of the flags that follow says which. An OMPL state has its data after one
+    # pointer: the parts of a compound state, the values of a real vector, the value of an angle or a time.
+    offset, flags = carray(pointer(state + 16), (2,), np.int32)
+    parts = state + offset
+    if not flags & 4:
+        parts = word(parts)
+    return carray(pointer(word(parts + 8)), (count,), np.int64)
 
 
 @njit(cache=True)

@@ -18,8 +18,10 @@ from jaxtyping import Float
 from ompl import base, geometric
 from ompl import util as ompl_util
 
-from experiments.baselines.ompl import Done, Found, Ready, Task
+from experiments.baselines.ompl import Done, Found, Message, Ready, Task
 from experiments.baselines.ompl_motions import Scene, configurations_of, is_free, is_motion_free
+
+Send: TypeAlias = Callable[[Message], None]
 
 _LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one reported, as a share
 
@@ -111,32 +113,37 @@ class _Setup:
 
 def main() -> None:
     """Run the task that comes in."""
+    serve(_trial)
+
+
+def serve(trial: Callable[[Task, Send], Done]) -> None:
+    """Run a trial of the task that comes in, send its messages, and end the process."""
     messages = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # so that what libraries print does not come among the messages
 
-    def send(message: Ready | Found | Done) -> None:
+    def send(message: Message) -> None:
         pickle.dump(message, messages)
         messages.flush()
 
     task: Task = pickle.load(sys.stdin.buffer)
     ompl_util.RNG.setSeed(task.seed + 1)  # 0 is no seed to OMPL
     ompl_util.setLogLevel(ompl_util.LOG_ERROR)
-    begin = time.perf_counter()
-    setup = _setup(task)
-    send(Ready(time.perf_counter() - begin))
-    send(_run(setup, send))
+    send(trial(task, send))
     os._exit(0)  # past the bindings' report on what they leak at exit
 
 
-def _run(setup: _Setup, send: Callable[[Found], None]) -> Done:
+def _trial(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
-    begin, best, task, scene = time.perf_counter(), np.inf, setup.task, setup.scene
+    begin = time.perf_counter()
+    setup = _setup(task)
+    send(Ready(time.perf_counter() - begin))
+    begin, best, scene = time.perf_counter(), np.inf, setup.scene
 
     def report(cost: float) -> bool:
         """Report a path of some cost, and tell whether the trial is over."""
         nonlocal best
         seconds = time.perf_counter() - begin
-        if 0 < cost < best * (1 - _LEAST_IMPROVEMENT) or best > task.cost_target >= cost > 0:
+        if is_news(cost, best, task):
             path = setup.path()
             if setup.is_valid(path):
                 best = cost
@@ -146,6 +153,11 @@ def _run(setup: _Setup, send: Callable[[Found], None]) -> Done:
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
     seconds = time.perf_counter() - begin
     return Done(finished or best <= task.cost_target, seconds, setup.samples(), scene.num_checked, scene.num_free)
+
+
+def is_news(cost: float, best: float, task: Task) -> bool:
+    """Whether a path is to be reported after the best one so far."""
+    return 0 < cost < best * (1 - _LEAST_IMPROVEMENT) or best > task.cost_target >= cost > 0
 
 
 Report: TypeAlias = Callable[[float], bool]
@@ -216,8 +228,7 @@ def _setup(task: Task) -> _Setup:
     information.setup()
     ends = [_state(space, task, q) for q in (task.starts, task.goals)]
     for state, q in zip(ends, (task.starts, task.goals), strict=True):
-        if not np.allclose(np.exp(1j * configurations_of(state, scene)), np.exp(1j * q)):
-            raise RuntimeError("This version of OMPL keeps states in another way; please use ompl 2.0.1.")
+        require_same(np.exp(1j * configurations_of(state, scene)), np.exp(1j * q))
         information.isValid(state)  # compiles, and so does the next line
         is_motion_free(q, q, address)
     definition = base.ProblemDefinition(information)
@@ -233,17 +244,25 @@ def _setup(task: Task) -> _Setup:
     return _Setup(task, scene, information, definition, planner, objective)
 
 
+def require_same(read: Any, written: Any) -> None:
+    """Refuse a version of OMPL whose states read back otherwise than they were written."""
+    if not np.allclose(read, written):
+        raise RuntimeError("This version of OMPL keeps states in another way; please use ompl 2.0.1.")
+
+
+def plane_of(task: Task) -> Any:
+    """The positions within the bounds."""
+    plane, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
+    for axis in range(2):
+        bounds.setLow(axis, float(task.lo[axis]))
+        bounds.setHigh(axis, float(task.hi[axis]))
+    plane.setBounds(bounds)
+    return plane
+
+
 def _space(task: Task) -> Any:
     """A position for each robot, then a heading for each rectangle: its metric is our cost."""
-    parts, weights = [], []
-    for _ in task.sizes:
-        plane, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
-        for axis in range(2):
-            bounds.setLow(axis, float(task.lo[axis]))
-            bounds.setHigh(axis, float(task.hi[axis]))
-        plane.setBounds(bounds)
-        parts.append(plane)
-        weights.append(1.0)
+    parts, weights = [plane_of(task) for _ in task.sizes], [1.0] * len(task.sizes)
     for weight in task.rotation_weights[task.sizes[:, 0] > 0]:
         parts.append(base.SO2StateSpace())
         weights.append(max(float(weight), 1e-6))  # 0 would make no metric

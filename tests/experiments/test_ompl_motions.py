@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from robot_helpers import random_motions
 
-from experiments.baselines.ompl import _task
+from experiments.baselines.ompl import task_of
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
@@ -33,7 +33,7 @@ def problem_of(robots):
 
 
 def scene_of(problem):
-    task = _task(problem, "RRTConnect", 0, 1.0, 0.0)
+    task = task_of(problem, "RRTConnect", 0, 1.0, None)
     return kernels.Scene(task.sizes, task.walls, task.tolerance)
 
 
@@ -103,7 +103,7 @@ def test_a_rectangle_turns_the_shorter_way():
 def test_states_are_read_as_they_are_written_and_their_distance_is_our_cost(problem):
     from plr_jax import path_cost
 
-    task = _task(problem, "RRTConnect", 0, 1.0, 0.0)
+    task = task_of(problem, "RRTConnect", 0, 1.0, None)
     space, scene = worker._space(task), scene_of(problem)
     rng = np.random.default_rng(3)
     path = np.zeros((2, len(problem.robots), 3))
