@@ -53,8 +53,8 @@ def _draw(output: Path, name: str, sections: dict[str, Section]) -> None:
     tables = output / f"{name}.txt"
     tables.write_text(text, encoding="utf-8")
     figures = []
-    for name, part in results.items():
-        section = sections[name]
+    for each, part in results.items():
+        section = sections[each]
         if isinstance(section, DrawnSection):
             figures += section.draw(part, output)
     for path in [tables, *figures]:

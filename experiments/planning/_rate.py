@@ -1,8 +1,8 @@
 """Joint states that a search scores a second, and in one call of the heuristic.
 
-Best-first search alone goes on to a limit, so that it is the search that is measured. Joint children are scored under
-tables of a heuristic with terms; a plain function is called on arrays of joint configurations, whose rows are counted.
-Lazy search scores no joint states, but every motion of every robot once a step.
+Best-first search alone goes on to a limit, so that it is the search that is measured. Joint children are scored by
+tables of a heuristic with terms; a plain function is called with arrays of joint configurations, whose rows are
+counted. Lazy search scores no joint states, but every motion of every robot once a step.
 """
 
 from typing import Any

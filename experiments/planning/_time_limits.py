@@ -8,7 +8,7 @@ from tqdm import tqdm
 from experiments._planning import SCENES as OF_TABLE_TWO
 from experiments._tables import aligned
 from experiments.planning._plans import timed
-from plr_jax import BLOptions, scenes, sum_of_distances, validate, robot_distance_fns
+from plr_jax import BLOptions, robot_distance_fns, scenes, sum_of_distances, validate
 
 NUM_RUNS = 200
 SHORTEST, LONGEST = 0.1, 5.0

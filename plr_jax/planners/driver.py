@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from plr_jax._problem import Problem, path_cost
+from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._budget import SearchBudget
@@ -25,6 +25,8 @@ from plr_jax.planners.smoothing.shortcuts import halved, shorten
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _COARSEST = 1 / 4  # tried where memory is short
 _LARGEST_FIRST = 1 << 16  # configurations of a robot on the first lattice
+_AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
+_SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
 _REFINEMENT = 1.25
 _WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
 _WAITING = 4  # rows of a path for each one in which robots may wait besides
@@ -162,9 +164,9 @@ class _Run:
             fits = step >= finest and self._fits(step)
             if not levels and not fits:
                 return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
-            if fits and (level := self._level(step, weight)):
+            if fits and (level := self._level(step, weight, may_halve=self.options.step is None and not levels)):
                 levels.append(level)
-                weight *= _GREEDIER
+                step, weight = level.step, weight * _GREEDIER
             for level in reversed(levels):
                 status = self._run(level)
                 if status is Status.SOLVED:
@@ -177,13 +179,22 @@ class _Run:
                     return status, level.step
             step /= _REFINEMENT
 
-    def _level(self, step: float, weight: float) -> SearchLevel | None:
-        """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up."""
+    def _level(self, step: float, weight: float, may_halve: bool) -> SearchLevel | None:
+        """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up.
+
+        Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried.
+        """
         try:
-            level = build_level(self.problem, self.test, step, self.options, self.budget.deadline)
+            level = self._build(step)
+            while level is not None and may_halve and self._goes_around(level):
+                finer = self._build(level.step / 2)
+                if finer is None or finer.least_cost > (1 - _SHORTER) * level.least_cost:
+                    break
+                level = finer
             self._end_phase("lattice")
             if level is not None:
-                level.num_bytes = int(num_bytes(self.problem, step, len(self.options.primitives)))
+                self.num_bytes = max(self.num_bytes, self._needed(level.step))
+                level.num_bytes = int(num_bytes(self.problem, level.step, len(self.options.primitives)))
                 self.budget.memory += level.num_bytes
                 level.begin(self.heuristic, weight, self.options, self.budget)
         except TimeoutError:
@@ -191,6 +202,17 @@ class _Run:
         finally:
             self._end_phase("heuristic")
         return level
+
+    def _build(self, step: float) -> SearchLevel | None:
+        return build_level(self.problem, self.test, step, self.options, self.budget.deadline)
+
+    def _goes_around(self, level: SearchLevel) -> bool:
+        """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is no large one."""
+        problem, step = self.problem, level.step / 2
+        straight = straight_costs(problem.starts, problem.goals, problem.rotation_weights)
+        is_small = all(num_configurations(problem.workspace, each, step) <= _LARGEST_FIRST for each in problem.robots)
+        fits = self._needed(step) < self.options.max_memory
+        return is_small and fits and bool((level.least_costs > _AROUND * straight).any())
 
     def _run(self, level: SearchLevel) -> Status | None:
         """Let the searches on some lattices go on for a turn."""
@@ -283,9 +305,11 @@ class _Run:
 
     def _fits(self, step: float) -> bool:
         """Whether the lattices of a step fit into memory beside what is there."""
-        needed = self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
-        self.num_bytes = max(self.num_bytes, needed)
-        return needed < self.options.max_memory
+        self.num_bytes = max(self.num_bytes, self._needed(step))
+        return self._needed(step) < self.options.max_memory
+
+    def _needed(self, step: float) -> float:
+        return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
 
     def _first_step(self) -> float:
         """A step to begin with: the coarsest one tried if memory is short."""

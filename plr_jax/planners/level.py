@@ -63,11 +63,16 @@ class SearchLevel:
     num_bytes: int = 0
 
     @property
+    def least_costs(self) -> Float[np.ndarray, "robots"]:
+        """What the cheapest motions of each robot cost if it is alone; ``inf`` if it cannot reach its goal."""
+        costs = of_robots(self.kinds, self.costs_to_go)
+        pairs = zip(costs, self.joint.lattices, strict=True)
+        return np.array([cost_to_go[lattice.start] for cost_to_go, lattice in pairs])
+
+    @property
     def least_cost(self) -> float:
-        """What the cheapest motions of all robots cost if each is alone; ``inf`` if one cannot reach its goal."""
-        starts = [kind.node[:, 0] for kind in self.kinds]
-        pairs = zip(self.costs_to_go, starts, strict=True)
-        return float(sum(costs[np.arange(len(costs)), start].sum() for costs, start in pairs))
+        """What they cost in all."""
+        return float(self.least_costs.sum())
 
     @property
     def memory(self) -> int:
