@@ -2,10 +2,10 @@
 
 A run is of one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
 Under a heuristic, best-first search goes alone; "lattice" is ``bl_plan(problem)``, both of its searches by the costs
-along the lattices. Before a scene's runs, another variant of it is planned under each heuristic, so that everything is
-compiled, and the map is known, but no starts and goals. Nodes, costs and paths depend on the seeds alone, but for runs
-that a limit ended; seconds do not. Every path is checked by ``validate``, but for those of the seconds within a factor
-of the bound. The race with other planners is ``experiments.race``.
+along the lattices. Before a scene's runs, another variant of it is planned under each heuristic, so that everything
+is compiled, and the map is known, but no starts and goals. Nodes, costs and paths depend on the seeds alone, but for
+runs that a limit ended; seconds do not. Every path is checked by ``validate``, but for those of the seconds within a
+factor of the bound. The race with other planners is ``experiments.race``.
 """
 
 import os

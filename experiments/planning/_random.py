@@ -79,7 +79,7 @@ def random_problem(rng: np.random.Generator) -> Problem:
             if rng.random() < 0.5:  # robots of few kinds, as in most teams
                 robots = [robots[i % 2 % len(robots)] for i in range(len(robots))]
             ends = [random_places(workspace, robots, rng) for _ in range(2)]
-            return Problem(workspace, robots, *ends)
+            return Problem(workspace, robots, ends[0], ends[1])
         except ValueError:
             continue
 

@@ -207,7 +207,7 @@ class _Run:
         return build_level(self.problem, self.test, step, self.options, self.budget.deadline)
 
     def _goes_around(self, level: SearchLevel) -> bool:
-        """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is no large one."""
+        """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""
         problem, step = self.problem, level.step / 2
         straight = straight_costs(problem.starts, problem.goals, problem.rotation_weights)
         is_small = all(num_configurations(problem.workspace, each, step) <= _LARGEST_FIRST for each in problem.robots)
