@@ -10,7 +10,7 @@ from experiments._tables import aligned
 from experiments.planning._plans import timed
 from plr_jax import BLOptions, scenes
 from plr_jax.collision import joint_motion
-from plr_jax.collision.near import Traffic
+from plr_jax.collision.broad_phase import Traffic
 from plr_jax.planners.lacam import conflicts, moves
 from plr_jax.planners.lacam.moves import TeamMoves
 from plr_jax.planners.smoothing import corridor

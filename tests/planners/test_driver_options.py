@@ -5,11 +5,10 @@ from functools import cache
 import networkx as nx
 import numpy as np
 import pytest
-from planner_helpers import FOUR_NEIGHBORS, ROOM, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
+from planner_helpers import FOUR_NEIGHBORS, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
 
-from plr_jax import BLOptions, Problem, RectangleRobot, bl_plan, robot_distance_fns, scenes
+from plr_jax import BLOptions, bl_plan, robot_distance_fns, scenes
 from plr_jax.planners import straight_line, sum_of_distances, zero
-from plr_jax.planners.level import claimed_cells
 
 
 def same(first, second):
@@ -88,20 +87,6 @@ def test_larger_cells_of_a_team():
         planned(problem, step=0.25, cell_size=size, searchers=("bl",)).stats.num_nodes for size in (None, 0.5)
     )
     assert coarse < fine
-
-
-def test_claimed_cells():
-    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = joint_lattice_of(problem, 1.0).lattices
-    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
-    cells = claimed_cells(lattice, 0.65, 2.0)
-    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
-    for node in range(0, len(lattice.q), 37):
-        alike = (key == key[node]).all(axis=1)
-        alike[lattice.goal] = False
-        if node != lattice.goal:
-            np.testing.assert_array_equal(cells == cells[node], alike)
-    assert (cells == cells[lattice.goal]).sum() == 1
 
 
 @pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import runs
 from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.broad_phase import Traffic
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.near import Traffic
 from plr_jax.robots.motion import between
 
 Path = Float[np.ndarray, "steps robots dof"]
