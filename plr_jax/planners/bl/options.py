@@ -32,8 +32,8 @@ class BLOptions:
             Larger cells make a search smaller and less complete: they want primitives long enough to leave a cell,
             as a joint configuration in a claimed cell is dropped.
         heuristic_weight: Factor of the heuristic in best-first search, from 0 to 1e6. The larger, the greedier. None:
-            2, or 3/8 a robot if that is more, as many robots have more ways to stand in each other's. It grows by half
-            from one lattice to the next finer one.
+            2, or 3/8 a robot if that is more, as many robots have more ways to stand in each other's. It grows by
+            half from one lattice to the next finer one.
         batch: Most nodes of best-first search expanded at once; it widens from one node while it makes no progress.
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
