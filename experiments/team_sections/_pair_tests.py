@@ -27,7 +27,7 @@ from plr_jax.planners.smoothing import corridor
 NUM_ROBOTS = 29
 SEARCHERS = {"both": ("lacam", "bl"), "best-first": ("bl",)}
 COUNTED: tuple[tuple[Any, str], ...] = (
-    *((JointLattice, "collisions"), (JointMotionTest, "apart"), (JointMotionTest, "collisions_with_others")),
+    *((JointLattice, "collisions"), (JointMotionTest, "apart"), (JointMotionTest, "meet"), (Traffic, "near")),
     *((TeamMoves, "_near"), (moves, "motions_apart"), (moves, "_bits"), (Conflicts, "_find")),
     *((Traffic, "move"), (corridor, "within_reach"), (corridor, "_touching")),
 )

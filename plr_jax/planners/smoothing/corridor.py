@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import run_members
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.broad_phase import Traffic, circles, within_reach
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -164,8 +165,10 @@ def _block(
     begin, end = corridor[row, first], corridor[row + 1, last]
     free = np.ones(len(row), dtype=bool)
     free[tight] = test.of_walls[i](begin[tight], end[tight])
-    collides = test.collisions_with_others(i, begin[:, None], end[:, None], traffic, motion[row], excluded=robots)[0]
-    free[collides] = False
+    near, other = traffic.near(i, corridor[:-1], corridor[1:], motion, robots)
+    tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+    meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])
+    free[tested[meet]] = False
     cost[row[~free], first[~free], last[~free]] = np.inf
     cost[:, 0, 0] = own
 
