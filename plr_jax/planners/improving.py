@@ -76,8 +76,7 @@ class Improvement:
                     break
         finally:
             table.held.release()
-        at_rest = np.all(table.state == table.state[-1], axis=1)
-        return table.state[: len(at_rest) + 1 - np.append(at_rest[::-1], False).argmin()]
+        return until_arrival(table.state)
 
     def _shorten(self, state: State) -> None:
         """Shorten a path, and offer each version, until one is good enough."""
@@ -114,3 +113,9 @@ class Improvement:
         """Cost of a path over that of each robot's cheapest motions alone: no path along the lattices costs less."""
         cost, least = path_cost(self.problem, self._path(state)), self.level.least_cost
         return (1 + _ROUNDING) * cost / least if least > 0 else 1.0
+
+
+def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
+    """A path without the rows at its end in which all robots wait."""
+    waits = np.all(state == state[-1], axis=1)
+    return state[: len(state) + 1 - np.append(waits[::-1], False).argmin()]
