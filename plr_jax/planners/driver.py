@@ -17,14 +17,13 @@ from plr_jax.planners._incumbent import Incumbent
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.improving import Improvement
-from plr_jax.planners.lattice.build import num_configurations
-from plr_jax.planners.level import LatticeLevel, build_level, num_bytes
+from plr_jax.planners.level import LatticeLevel, build_level, num_bytes, work
 from plr_jax.planners.searches import Searches
 
 # Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
 _COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
 _COARSEST = 1 / 4  # tried where memory is short
-_LARGEST_FIRST = 1 << 16  # configurations of a robot on the first lattice
+_MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
 _AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
 _SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
 _REFINEMENT = 1.25
@@ -202,7 +201,7 @@ class _Run:
         """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""
         problem, step = self.problem, level.step / 2
         straight = straight_costs(problem.starts, problem.goals, problem.rotation_weights)
-        is_small = all(num_configurations(problem.workspace, each, step) <= _LARGEST_FIRST for each in problem.robots)
+        is_small = work(problem, step, len(self.options.primitives)) <= _MOST_FIRST
         fits = self._needed(step) < self.options.max_memory
         return is_small and fits and bool((level.least_costs > _AROUND * straight).any())
 
@@ -233,8 +232,10 @@ class _Run:
         return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
 
     def _first_step(self) -> float:
-        """A step to begin with: the coarsest one tried if memory is short."""
+        """A step to begin with, of lattices that are built soon: the coarsest one tried if memory is short."""
         step, coarsest = _step_of_robots(self.problem), _COARSEST * float(self.problem.workspace.bounds.width.max())
+        while step < coarsest and work(self.problem, step, len(self.options.primitives)) > _MOST_FIRST:
+            step *= _REFINEMENT
         while step < coarsest and not self._fits(step):
             step *= _REFINEMENT
         return step
@@ -259,10 +260,7 @@ def _proven_cost(heuristic: HeuristicFn | None, problem: Problem) -> float:
 
 
 def _step_of_robots(problem: Problem) -> float:
-    """A lattice about as fine as the smallest robot is large, but not one that takes long to build."""
+    """That of lattices about as fine as the smallest robot is large."""
     extent = float(problem.workspace.bounds.width.max())
     sizes = [min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots]
-    step = float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
-    while max(num_configurations(problem.workspace, robot, step) for robot in problem.robots) > _LARGEST_FIRST:
-        step *= _REFINEMENT
-    return step
+    return float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))

@@ -1,5 +1,7 @@
 """A path that a search has found made cheaper: along the lattices first, then off them."""
 
+from contextlib import suppress
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -62,21 +64,24 @@ class Improvement:
                 table = ReservationTable(self.level.kinds, self.level.costs_to_go, rows, tolerance, self.budget)
         except TimeoutError:
             return state
-        try:
-            with self.incumbent.phase("replan"):
-                replan_each(table)
-            self._offer(table.state)
-            rng = np.random.default_rng(0)
-            while not self._is_enough and not self.budget.exceeded():
-                before = table.cost.sum()
-                with self.incumbent.phase("replan"):
-                    replan_neighborhoods(table, len(self.problem.robots), rng)
-                self._offer(table.state)
-                if before - table.cost.sum() <= _GAIN * before:
-                    break
-        finally:
-            table.held.release()
+        with suppress(TimeoutError):  # whenever that strikes, the table's paths are free of collisions
+            self._replan(table)
+        self._offer(table.state)
+        table.held.release()
         return until_arrival(table.state)
+
+    def _replan(self, table: ReservationTable) -> None:
+        with self.incumbent.phase("replan"):
+            replan_each(table)
+        self._offer(table.state)
+        rng = np.random.default_rng(0)
+        while not self._is_enough and not self.budget.exceeded():
+            before = table.cost.sum()
+            with self.incumbent.phase("replan"):
+                replan_neighborhoods(table, len(self.problem.robots), rng)
+            self._offer(table.state)
+            if before - table.cost.sum() <= _GAIN * before:
+                break
 
     def _shorten(self, state: State) -> None:
         """Shorten a path, and offer each version, until one is good enough."""

@@ -12,9 +12,11 @@ from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
 from plr_jax.planners.lattice.edges import Kind, by_robot, kinds_of
 from plr_jax.planners.lattice.joint import JointLattice
+from plr_jax.robots.robot import Robot
 
 _MOTION_BYTES = 80  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
+_TURNING = 4  # times as long as a round robot's motion one takes to test that turns
 _GOALS = 8  # costs-to-go at a time, between two looks at the clock
 
 
@@ -65,10 +67,24 @@ def build_level(
 
 def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
     """About what the lattices of a step take if all is free, so that those too large are not begun."""
-    kinds = set(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
-    tables = sum(num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
+    tables = sum(num_configurations(problem.workspace, robot, step) for robot in _kinds(problem))
     columns = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
     return _MOTION_BYTES * (1 + num_primitives) * tables + _COLUMN_BYTES * columns
+
+
+def work(problem: Problem, step: float, num_primitives: int) -> float:
+    """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
+    each = (
+        (_TURNING if robot.dof == 3 else 1) * num_configurations(problem.workspace, robot, step)
+        for robot in _kinds(problem)
+    )
+    return (1 + num_primitives) * sum(each)
+
+
+def _kinds(problem: Problem) -> list[Robot]:
+    """One robot of each kind."""
+    kinds = dict.fromkeys(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
+    return [robot for robot, _ in kinds]
 
 
 def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes"]:

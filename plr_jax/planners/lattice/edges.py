@@ -162,10 +162,13 @@ class Edges:
 
     def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Cost of the cheapest motions from the starts of some robots to each node but their goals, likewise."""
+        return sparse_graphs.dijkstra(self._graph, indices=self.kind.node[rows, 0])
+
+    @cached_property
+    def _graph(self) -> csr_array:
+        """The cheapest shared edges."""
         edge = np.flatnonzero(self._cheapest)
-        shape = (self.num_nodes,) * 2
-        graph = csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=shape)
-        return sparse_graphs.dijkstra(graph, indices=self.kind.node[rows, 0])
+        return csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
 
 
 def kinds_of(joint: JointLattice) -> list[Kind]:

@@ -12,7 +12,7 @@ from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners._budget import HeldMemory
 from plr_jax.planners.lattice.edges import Kind
 
-_CHUNK = 256  # edges at a time
+_CHUNK, _PAIRS = 256, 1 << 16  # edges, and pairs of them, at a time, between two looks at the clock
 _ENTRY_BYTES = 200  # what an edge takes, besides those that collide with it
 
 
@@ -23,13 +23,20 @@ class Conflicts:
         self.kinds, self.tolerance, self.held = kinds, tolerance, held
         pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
         self._known: dict[tuple[int, int], dict[int, Int[np.ndarray, _]]] = {pair: {} for pair in pairs}
+        self._chunk = dict.fromkeys(pairs, 1)
 
     def of(self, a: int, edges: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
-        """For each of some edges of kind ``a``, the edges of kind ``b`` that collide with it."""
+        """For each of some edges of kind ``a``, the edges of kind ``b`` that collide with it.
+
+        Raises:
+            TimeoutError: If time or memory is spent before all are found. What was found is kept.
+        """
         known, wanted = self._known[a, b], edges.tolist()
         missing = np.array(sorted({edge for edge in wanted if edge not in known}), dtype=np.intp)
-        for begin in range(0, len(missing), _CHUNK):
-            part = missing[begin : begin + _CHUNK]
+        while len(missing):
+            if self.held.budget.spent():
+                raise TimeoutError("Time or memory was spent before all collisions were found.")
+            part, missing = np.split(missing, [self._chunk[a, b]])
             found = self._find(a, part, b)
             known.update(zip(part.tolist(), found, strict=True))
             self.held.add(sum(_ENTRY_BYTES + edges.nbytes for edges in found))
@@ -45,6 +52,7 @@ class Conflicts:
         node = np.concatenate(near).astype(int)
         index, at = run_members(first, node)
         row, edge = row[at], order[index]
+        self._chunk[a, b] = int(np.clip(_PAIRS * len(motion) // max(1, len(row)), 1, _CHUNK))
         others_begin, others_end = (others.table.q[node[edge]] for node in (others.edges.begin, others.edges.end))
         apart = motions_apart(
             ours.robot, begin[row], end[row], others.robot, others_begin, others_end, self.tolerance

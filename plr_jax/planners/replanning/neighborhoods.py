@@ -39,18 +39,23 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
         table.release(i)
-    for done, i in enumerate(robots):
-        spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
-        if not table.replan(i, cost.sum() - spent - needed):
-            break
-        table.reserve(i)
-    else:
-        return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
-    for i in robots[:done]:
-        table.release(i)
-    table.state[:, robots], table.cost[robots] = state, cost
-    for i in robots:
-        table.reserve(i)
+    num_reserved = 0
+    try:
+        for done, i in enumerate(robots):
+            spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
+            if not table.replan(i, cost.sum() - spent - needed):
+                break
+            table.reserve(i)
+            num_reserved += 1
+        else:
+            return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+    finally:
+        if num_reserved < len(robots):
+            for i in robots[:num_reserved]:
+                table.release(i)
+            table.state[:, robots], table.cost[robots] = state, cost
+            for i in robots:
+                table.reserve(i)
     return False
 
 

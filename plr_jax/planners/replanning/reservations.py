@@ -42,19 +42,21 @@ class ReservationTable:
         self.kinds, self.costs_to_go, self.state, self.budget = kinds, costs_to_go, state.copy(), budget
         self.held = HeldMemory(budget)
         self.held.add(num_bytes_of_table(kinds, len(state)))
-        self.costs_to_come = [kind.edges.costs_to_come(np.arange(len(kind.members))) for kind in kinds]
+        self._costs_to_come: dict[int, Float[np.ndarray, _]] = {}
         self.conflicts = Conflicts(kinds, tolerance, self.held)
         self.place = {int(i): (k, row) for k, kind in enumerate(kinds) for row, i in enumerate(kind.members)}
         size, dtype = len(state) - 1, np.min_scalar_type(state.shape[1])
         self.blocked = [np.zeros((size, kind.edges.num_edges + 1), dtype) for kind in kinds]
         self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
         for i, (k, row) in self.place.items():
-            if budget.spent():
-                self.held.release()
-                raise TimeoutError("Time or memory was spent before all paths were reserved.")
             self.least[i] = costs_to_go[k][row, kinds[k].node[row, 0]]
             self.cost[i] = kinds[k].edges.cost[self._motions(i)].sum()
-            self.reserve(i)
+        try:
+            for i in self.place:
+                self.reserve(i)
+        except TimeoutError:
+            self.held.release()
+            raise
 
     @property
     def num_robots(self) -> int:
@@ -73,7 +75,7 @@ class ReservationTable:
         return self.kinds[self.place[i][0]].table.q[self.state[:, i], :2]
 
     def reserve(self, i: int) -> None:
-        """Block what collides with the path of a robot."""
+        """Block what collides with the path of a robot; ``TimeoutError`` if time or memory is spent before."""
         for blocked, where in self._collisions(i):
             blocked[where] += 1
 
@@ -90,7 +92,10 @@ class ReservationTable:
         k, row = self.place[i]
         edges, blocked = self.kinds[k].edges, self.blocked[k]
         start, goal = self.kinds[k].node[row].tolist()
-        least = self.costs_to_come[k][row] + self.costs_to_go[k][row]
+        if i not in self._costs_to_come:
+            self._costs_to_come[i] = self.kinds[k].edges.costs_to_come(np.array([row]))[0]
+            self.held.add(self._costs_to_come[i].nbytes)
+        least = self._costs_to_come[i] + self.costs_to_go[k][row]
         least[[start, goal]] = 0.0
         nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
         index = np.full(len(least), len(nodes))

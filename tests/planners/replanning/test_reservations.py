@@ -51,7 +51,7 @@ def test_a_robot_gets_the_cheapest_path_among_the_others(name):
 
 
 def test_a_table_that_is_late_is_not_drawn_up():
-    with pytest.raises(TimeoutError, match="before all paths were reserved"):
+    with pytest.raises(TimeoutError, match="before all collisions were found"):
         table_of("crowd", seconds=-1.0)
 
 
