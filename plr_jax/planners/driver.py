@@ -12,7 +12,7 @@ from plr_jax._problem import Problem, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners._budget import SearchBudget
-from plr_jax.planners._heuristics import require_heuristic
+from plr_jax.planners._heuristics import estimates, require_heuristic
 from plr_jax.planners._incumbent import Incumbent
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.bl.options import BLOptions
@@ -109,18 +109,17 @@ class _Run:
         self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots)
-        self.lower_bound = max(
-            straight_line_bound(problem), options.lower_bound or 0.0, _proven_cost(heuristic, problem)
-        )
+        self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
         self.enough = math.inf
-        if options.cost_factor < math.inf:
-            self.enough = (1 + _ROUNDING) * options.cost_factor * self.lower_bound
         self.incumbent = Incumbent(problem, began)
         self.samples = problem.starts[None].copy()
         self.num_bytes = 0.0
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
+        self.lower_bound = max(self.lower_bound, _proven_cost(self.heuristic, self.problem))
+        if self.options.cost_factor < math.inf:
+            self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
         options, step, weight = self.options, self.options.step or self._first_step(), self.options.heuristic_weight
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
@@ -255,7 +254,7 @@ def _proven_cost(heuristic: HeuristicFn | None, problem: Problem) -> float:
     """What a heuristic proves of the cost of any path: its value at the starts, if it is a lower bound, else 0."""
     if not (isinstance(heuristic, BoundingFn) and heuristic.is_lower_bound):
         return 0.0
-    cost = float(heuristic(problem.starts[None].copy())[0])
+    cost = float(estimates(heuristic, problem.starts[None].copy())[0])
     return (1 - _ROUNDING) * cost if np.isfinite(cost) else 0.0
 
 

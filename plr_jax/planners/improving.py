@@ -117,7 +117,9 @@ class Improvement:
     def _factor(self, state: State) -> float:
         """Cost of a path over that of each robot's cheapest motions alone: no path along the lattices costs less."""
         cost, least = path_cost(self.problem, self._path(state)), self.level.least_cost
-        return (1 + _ROUNDING) * cost / least if least > 0 else 1.0
+        if least > 0:
+            return (1 + _ROUNDING) * cost / least
+        return 1.0 if cost == 0 else float("inf")
 
 
 def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from planner_helpers import FOUR_NEIGHBORS, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
 
-from plr_jax import BLOptions, bl_plan, robot_distance_fns, scenes
-from plr_jax.planners import straight_line, sum_of_distances, zero
+from plr_jax import BLOptions, Problem, RectangleRobot, Workspace, bl_plan, robot_distance_fns, scenes
+from plr_jax.planners import Status, straight_line, sum_of_distances, zero
 
 
 def same(first, second):
@@ -92,3 +92,27 @@ def test_larger_cells_of_a_team():
 @pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
 def test_other_options_solve_too(options):
     planned(scenes.four_rooms(2), step=0.5, **options)
+
+
+@pytest.mark.parametrize("answer", [0.0, None, np.zeros(0), np.zeros((1, 2)), "far"])
+def test_a_bounding_heuristic_that_answers_something_else_is_refused(answer, unchecked_types):
+    class Bounding:
+        is_lower_bound = True
+
+        def __call__(self, q):
+            return answer
+
+    with pytest.raises(ValueError, match="heuristic"):
+        bl_plan(scenes.four_rooms(2), Bounding())
+
+
+def test_a_step_beyond_all_bounds_is_a_lattice_of_one_cell():
+    solution = bl_plan(scenes.four_rooms(2), options=BLOptions(step=1e12, time_limit=5))
+    assert solution.status is Status.EXHAUSTED and not solution.solved
+
+
+def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cost():
+    ends = [(10.5, 10.5, 0), (10.5, 11.5, 0)], [(10.5, 10.5, np.pi), (10.5, 11.5, np.pi)]
+    problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
+    solution = bl_plan(problem, options=BLOptions(step=1.0))
+    assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf

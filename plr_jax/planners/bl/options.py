@@ -76,7 +76,8 @@ class BLOptions:
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
-        if isinstance(self.searchers, str) or not self.searchers or not set(self.searchers) <= set(SEARCHERS):
+        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
+        if not is_some or any(name not in SEARCHERS for name in self.searchers):
             raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
         _require_primitives(self.primitives)
 
