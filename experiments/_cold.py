@@ -1,4 +1,4 @@
-"""Two plans in a process of their own, from its start: ``python -m experiments._cold SCENE HEURISTIC`` prints JSON."""
+"""Two plans in a new process, from its start: ``python -m experiments._cold SCENE HEURISTIC`` prints JSON."""
 
 import json
 import subprocess

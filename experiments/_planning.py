@@ -64,9 +64,12 @@ def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> Built:
     return Built(sum_of_distances(plrs), middle - began, time.perf_counter() - middle)
 
 
-def lower_bound(problem: Problem) -> float:
-    """Sum of the robots' exact distances from their starts, each alone; turns of rectangles are left out."""
-    return float(sum_of_distances(robot_distance_fns(problem))(problem.starts[None])[0])
+def lower_bound(problem: Problem, inflated: bool = True) -> float:
+    """Sum of the robots' exact distances from their starts, each alone; turns of rectangles are left out.
+
+    Not ``inflated``: those of points.
+    """
+    return float(sum_of_distances(robot_distance_fns(problem, inflated=inflated))(problem.starts[None])[0])
 
 
 def plan(problem: Problem, heuristic: HeuristicFn | None, options: BLOptions) -> tuple[Solution, float]:

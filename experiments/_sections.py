@@ -52,10 +52,11 @@ def _draw(output: Path, name: str, sections: dict[str, Section]) -> None:
     print(text)
     tables = output / f"{name}.txt"
     tables.write_text(text, encoding="utf-8")
-    figures = []
-    for name, part in results.items():
-        section = sections[name]
-        if isinstance(section, DrawnSection):
-            figures += section.draw(part, output)
+    figures = [figure for each, part in results.items() for figure in figures_of(sections[each], part, output)]
     for path in [tables, *figures]:
         print(f"wrote {path}")
+
+
+def figures_of(section: Section, results: dict[str, Any], output: Path) -> list[Path]:
+    """The files of a section's figures, drawn, where it has any."""
+    return section.draw(results, output) if isinstance(section, DrawnSection) else []

@@ -12,6 +12,11 @@ def spread(values: list[float | None], form: str) -> str:
     return f"{np.median(known):{form}} ({max(known):{form}})" if known else "-"
 
 
+def or_dash(value: float | None, form: str) -> str:
+    """A number, or a dash if there is none."""
+    return "-" if value is None else f"{value:{form}}"
+
+
 def num_solved(row: dict[str, Any]) -> int:
     """How many runs of a row of Table II found a path."""
     return sum(cost is not None for cost in row["cost"])

@@ -77,7 +77,7 @@ def race(name: str, seed: int, largest_limit: float, improve_seconds: float) -> 
     }
 
 
-def ours_of(problem: Problem, heuristic: HeuristicFn, improve_seconds: float) -> dict[str, Any]:
+def ours_of(problem: Problem, heuristic: HeuristicFn | None, improve_seconds: float) -> dict[str, Any]:
     """BL's first path, shortened, in median seconds of several runs after one to warm up; then better ones."""
     plan(problem, heuristic, BLOptions())
     runs = [plan(problem, heuristic, BLOptions()) for _ in range(NUM_RUNS)]

@@ -53,7 +53,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     """An array of any shape as one of float64; ``expected`` says in an error what it must be."""
     try:
         numbers = np.asarray(value)
-        if np.iscomplexobj(numbers):  # whose imaginary parts NumPy would drop
+        if numbers.dtype.kind in "cUSMm":  # NumPy would drop imaginary parts, and read texts and dates as numbers
             raise TypeError
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -2,6 +2,7 @@ import os
 import sys
 from pathlib import Path
 
+import hypothesis
 import jaxtyping
 import pytest
 import shape_checks
@@ -14,6 +15,10 @@ sys.path.append(str(Path(__file__).parent.parent))
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 for _library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+# How long an example takes is no defect, on a busy machine least of all.
+hypothesis.settings.register_profile("without deadlines", deadline=None)
+hypothesis.settings.load_profile("without deadlines")
 
 # Files whose tests take seconds each: begun first, so that no worker is left with one of them at the end.
 _LONG = ("test_notebooks.py", "test_experiments.py", "test_benchmark_", "test_readme.py", "test_dbcbs.py")

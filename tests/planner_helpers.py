@@ -22,9 +22,9 @@ from plr_jax import (
 from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
-from plr_jax.planners import sum_of_distances
+from plr_jax.planners import straight_line, sum_of_distances
 from plr_jax.planners._budget import SearchBudget
-from plr_jax.planners.bl.heuristic_table import tabulate, weighted
+from plr_jax.planners.bl import heuristic_table as tables
 from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
 from plr_jax.planners.lattice.joint import JointLattice
 
@@ -70,7 +70,8 @@ def joint_lattice_of(problem, step, primitives=PRIMITIVES):
 
 def heuristic_table(joint, heuristic, weight):
     plain = None if isinstance(heuristic, SeparableHeuristic) else heuristic
-    return weighted(joint, tabulate(joint, heuristic), weight, plain)
+    terms = straight_line(joint.problem) if plain else heuristic
+    return tables.heuristic_table(joint, tables.tabulate(joint, terms), weight, plain)
 
 
 def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):

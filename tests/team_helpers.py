@@ -6,10 +6,9 @@ from planner_helpers import joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace
 from plr_jax.planners.lacam.moves import TeamMoves
-from plr_jax.planners.lacam.search import LazySearch
+from plr_jax.planners.lacam.search import LaCAM
 from plr_jax.planners.lattice.build import PRIMITIVES
 from plr_jax.planners.lattice.edges import kinds_of
-from plr_jax.planners.level import of_robots
 
 TRIANGLE = PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)])
 MIXED = Problem(
@@ -19,21 +18,20 @@ MIXED = Problem(
         RectangleRobot(0.9, 0.4),
         DiscRobot(0.3),
         PointRobot(),
-        PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)]),
+        TRIANGLE,
     ],
     [(0.5, 0.6, 0), (1.0, 3.7, 0.4), (5.5, 0.6, 0), (3.1, 1.0, 0), (4.0, 4.0, 1.0)],
     [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0), (1.0, 4.0, 0.0)],
 )
 
 
-def team_of(problem, step, *primitives):
-    joint = joint_lattice_of(problem, step, *primitives)
+def team_of(problem, step, primitives=PRIMITIVES):
+    joint = joint_lattice_of(problem, step, primitives)
     kinds = kinds_of(joint)
-    costs = [kind.edges.costs_to_go(np.arange(len(kind.members))) for kind in kinds]
-    return joint, TeamMoves(kinds, costs, problem.workspace.tolerance)
+    costs_to_go = [kind.edges.costs_to_go(np.arange(len(kind.members))) for kind in kinds]
+    return joint, TeamMoves(kinds, costs_to_go, problem.workspace.tolerance)
 
 
 def search_of(problem, step, primitives=PRIMITIVES, budget=None):
     joint, moves = team_of(problem, step, primitives)
-    costs = of_robots(moves.kinds, moves.costs_to_go)
-    return LazySearch(joint, moves, costs, budget or search_budget())
+    return LaCAM(joint, moves, budget or search_budget())

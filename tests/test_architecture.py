@@ -35,6 +35,16 @@ PLR_LAYERS = [
     ["_certify"],
     ["_construct", "_io", "_trace", "refinement"],
 ]
+# And inside that of the planners.
+PLANNER_LAYERS = [
+    ["_heuristics", "_solution"],
+    ["_budget", "_incumbent", "_sba_star"],
+    ["lattice"],
+    ["bl", "lacam", "replanning", "smoothing"],
+    ["level"],
+    ["searches", "improving"],
+    ["driver"],
+]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {
     "growth": {"partition", "query", "sampling", "file", "certificate"},
@@ -42,8 +52,8 @@ PLR_IMPORTS = {
 }
 MOST_MODULES, MOST_LINES = 12, 350
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-PLR = PACKAGE / "plr"
-PLR_SOURCES = [path for path in SOURCES if path.is_relative_to(PLR)]
+PLR, PLANNERS = PACKAGE / "plr", PACKAGE / "planners"
+PLR_SOURCES, PLANNER_SOURCES = ([path for path in SOURCES if path.is_relative_to(room)] for room in (PLR, PLANNERS))
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.name}" for path in (PLR / "leaves").iterdir() if path.is_dir())
 LEAF_NAMES = {"plane", "continuous", "smooth", "cone"}
 
@@ -102,6 +112,18 @@ def test_imports_inside_the_room_that_stores_point_downward(path):
     part = part_of(path, PLR)
     if part != "__init__":
         assert parts_of(path, PLR) - {part} <= PLR_IMPORTS.get(part, below(part, PLR_LAYERS))
+
+
+def test_every_part_of_the_planners_has_a_layer():
+    found = {part_of(path, PLANNERS) for path in PLANNER_SOURCES} - {"__init__"}
+    assert found == {part for layer in PLANNER_LAYERS for part in layer}
+
+
+@pytest.mark.parametrize("path", PLANNER_SOURCES, ids=lambda path: str(path.relative_to(PLANNERS)))
+def test_imports_inside_the_planners_point_downward(path):
+    part = part_of(path, PLANNERS)
+    if part != "__init__":
+        assert parts_of(path, PLANNERS) - {part} <= below(part, PLANNER_LAYERS)
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.collision.near import Traffic
+from plr_jax.collision.broad_phase import Traffic
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
@@ -31,7 +31,7 @@ class JointMotionTest:
         return tuple(motion_test(self.workspace, robot) for robot in self.robots)
 
     @cached_property
-    def kind(self) -> Int[np.ndarray, "robots"]:
+    def first_equal(self) -> Int[np.ndarray, "robots"]:
         """For each robot the first that is equal to it."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
@@ -61,31 +61,19 @@ class JointMotionTest:
         """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance)
 
-    def collisions_with_others(
+    def meet(
         self,
         i: int,
-        begin: Float[np.ndarray, "n k dof"],
-        end: Float[np.ndarray, "n l dof"],
+        begin: Float[np.ndarray, "m dof"],
+        end: Float[np.ndarray, "m dof"],
         traffic: Traffic,
-        motion: Int[np.ndarray, "n"],
-        but: Sequence[int] = (),
-    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Which motions of robot ``i`` collide with whom of the others but some, as these go along a path.
-
-        In each of ``n`` rows, the robot goes from every one of ``k`` configurations to every one of ``l``. Meanwhile
-        the others go from row ``motion`` of the path to the next.
-
-        Returns:
-            Of each collision: the row, the configurations that the motion leads from and to, and the other robot.
-        """
-        near_row, near = traffic.near(i, begin, end, motion, but)
-        found = [np.empty((4, 0), dtype=np.intp)]
-        for kind in set(self.kind[near].tolist()):
-            of_kind = self.kind[near] == kind
-            row, other = near_row[of_kind], near[of_kind]
-            theirs = (traffic.path[motion[row] + ahead, other][:, None, None] for ahead in (0, 1))
-            apart = self.apart(i, begin[row][:, :, None], end[row][:, None], kind, *theirs)
-            pair, first, last = np.nonzero(~apart)
-            found.append(np.array([row[pair], first, last, other[pair]]))
-        row, first, last, other = np.concatenate(found, axis=1)
-        return row, first, last, other
+        motion: Int[np.ndarray, "m"],
+        other: Int[np.ndarray, "m"],
+    ) -> Bool[np.ndarray, "m"]:
+        """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
+        result = np.empty(len(motion), dtype=bool)
+        for kind in set(self.first_equal[other].tolist()):
+            alike = np.flatnonzero(self.first_equal[other] == kind)
+            theirs = (traffic.path[motion[alike] + ahead, other[alike]] for ahead in (0, 1))
+            result[alike] = ~self.apart(i, begin[alike], end[alike], kind, *theirs)
+        return result

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import runs
+from plr_jax._arrays import run_members, runs
 from plr_jax.collision.boxes import judge_boxes
 from plr_jax.collision.convex import judge_convex
 from plr_jax.collision.moving import MovingBodies, bisect, moving
@@ -111,10 +111,8 @@ class MotionTest:
         if self.robot.circumscribed_radius == 0:
             a = np.stack([pieces.x, pieces.y], axis=1)
             return self.workspace.is_visible(a, a + np.stack([pieces.dx, pieces.dy], axis=1))
-        count = self._first[cell + 1] - self._first[cell]
-        piece = np.repeat(np.arange(len(cell)), count)
-        begin = self._first[cell] - (np.cumsum(count) - count)
-        edge = self._edge[np.repeat(begin, count) + np.arange(len(piece))]
+        index, piece = run_members(self._first, cell)
+        edge = self._edge[index]
         distance = _distance_to_edges(pieces.take(piece), self.workspace.boundary.segments[edge])
         clear = np.ones(len(cell), dtype=bool)
         clear[piece[distance < self.robot.inscribed_radius - self.workspace.tolerance]] = False

@@ -14,6 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
 _AT_ONCE = 1e-9  # seconds
+_SLACK = 4  # tolerances
 
 
 def robot_distance_fns(
@@ -48,7 +49,8 @@ def robot_distance_fns(
             raise TimeoutError(
                 f"The distances of {done} of {len(problem.robots)} robots were known when time was up."
             )
-        radius = robot.inscribed_radius if inflated else 0.0
+        # A robot may overlap a wall by the tolerance, and fits a passage exactly as wide as it is.
+        radius = max(0.0, robot.inscribed_radius - _SLACK * problem.workspace.tolerance) if inflated else 0.0
         if radius in first:
             distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
             continue

@@ -40,15 +40,16 @@ class Stats:
     """What a planner did.
 
     Args:
-        num_nodes: Joint configurations kept: claimed cells of BL, samples of a sampling-based planner.
-        num_expansions: How often a node's children were asked for.
-        num_children_scored: Children given a cost and a heuristic: joint ones, and BL's of the first robots alone.
-        num_children_valid: Those found free of collision.
+        num_nodes: Joint configurations kept: nodes of the searches, samples of a sampling-based planner.
+        num_expansions: How often a node's children were asked for; of LaCAM, steps that were tried.
+        num_children_scored: Children given a cost and a heuristic: joint ones, of best-first search also those of the
+            first robots alone; of LaCAM motions of single robots.
+        num_children_valid: Those found free of collision; of LaCAM steps found.
         seconds: Wall-clock seconds by phase.
         history: Each new best path: seconds since the start and its cost.
         found_by: Of :func:`plr_jax.bl_plan`, the search whose path became the best one, "lacam" or "bl".
-        num_bytes: Of the same, the most memory that lattices and searches were to take together; at a memory limit,
-            what would have been needed to go on.
+        num_bytes: Of the same, about what the largest lattices that were tried, and what was held beside them, take;
+            what the limit on memory kept from being tried counts too, so that it then exceeds that limit.
     """
 
     num_nodes: int
@@ -79,8 +80,8 @@ class Solution:
         lower_bound: A cost below which there is no path.
         status: Why the planner ended. A path may be there whatever it says.
         stats: What the planner did.
-        samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of BL,
-            those of its last search.
+        samples: Joint configurations of the nodes, ``(nodes, robots, dof)``, in the order of their making; of
+            ``bl_plan``, those of the larger search on the lattices that were searched last.
         motions_factor: Proven bound of the cost of the path that ``path`` was shortened from, over that of the
             cheapest one made of the same motions; ``inf`` where nothing is proven of that. Of BL, the motions of the
             lattices on which it was found.

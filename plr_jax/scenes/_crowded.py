@@ -5,6 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import require_integer
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.disc import DiscRobot
@@ -15,7 +16,7 @@ _WALLS = (
     ((10.0, 0.0), (11.0, 0.0), (11.0, 9.4), (10.0, 9.4)),
     ((10.0, 10.6), (11.0, 10.6), (11.0, 20.0), (10.0, 20.0)),
 )
-_CROWDED, _CLEAR = 0.15, 0.05
+_COVERED, _CLEAR = 0.15, 0.05
 _MOST_TRIALS = 1_000_000
 
 
@@ -34,8 +35,9 @@ def door(num_robots: int) -> Problem:
     Raises:
         ValueError: For another number of robots.
     """
-    if not _is_integer(num_robots) or num_robots % 2 or not 2 <= num_robots <= _MOST_AT_A_DOOR:
-        raise ValueError(f"The scene door has an even number of robots from 2 to 50; got {num_robots!r}.")
+    require_integer("num_robots", num_robots, 2)
+    if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
+        raise ValueError(f"num_robots must be an even number from 2 to 50, got {num_robots!r}.")
     row, column = np.divmod(np.arange(num_robots // 2), 5)
     left = np.stack([1 + 1.7 * column, 2 + 3.9 * row], axis=1)
     right = left * (-1, 1) + (21, 0)
@@ -55,11 +57,11 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
         The problem: discs of radius 0.4.
 
     Raises:
-        ValueError: If there is no robot.
+        ValueError: If there is no robot, the seed is no integer of at least 0, or no places are found.
     """
-    if not _is_integer(num_robots) or num_robots < 1:
-        raise ValueError(f"The scene crowd has at least one robot; got {num_robots!r}.")
-    side = math.sqrt(num_robots * math.pi * _RADIUS**2 / _CROWDED)
+    require_integer("num_robots", num_robots, 1)
+    require_integer("seed", seed, 0)
+    side = math.sqrt(num_robots * math.pi * _RADIUS**2 / _COVERED)
     rng = np.random.default_rng(seed)
     starts, goals = (_scattered(num_robots, side, rng) for _ in range(2))
     return Problem(Workspace(((0, 0), (side, side)), []), [DiscRobot(_RADIUS)] * num_robots, starts, goals)
@@ -77,7 +79,3 @@ def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[
             if placed == num_robots:
                 return places
     raise ValueError(f"Found no places for {num_robots} robots; try another seed.")
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

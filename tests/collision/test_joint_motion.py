@@ -1,13 +1,12 @@
 from itertools import combinations
 
 import numpy as np
-import pytest
 import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
+from plr_jax.collision.broad_phase import Traffic
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.near import Traffic
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
 
@@ -56,29 +55,21 @@ def random_path(rng, steps, side):
     return q + np.pad(rng.uniform(0, side, (len(TEAM), 2)), ((0, 0), (0, 1)))
 
 
-@pytest.mark.parametrize("but", [(), (0, 4)])
-@pytest.mark.parametrize("i", range(len(TEAM)))
-def test_collisions_with_others_are_those_of_all_pairs(i, but):
-    rng = np.random.default_rng(i)
-    collisions, motions = 0, 0
-    for side, places in ((2.0, 1), (6.0, 3), (30.0, 3)):
-        path = random_path(rng, 9, side)
-        motion = rng.integers(0, 8, 12)
-        begin = path[motion, i][:, None] + rng.normal(0, 0.3, (12, places, 3))
-        end = path[motion + 1, i][:, None] + rng.normal(0, 0.3, (12, places + 1, 3))
-        found = TEAM_TEST.collisions_with_others(i, begin, end, Traffic(TEAM, path), motion, but)
-        expected = np.zeros((12, places, places + 1, len(TEAM)), dtype=bool)
-        for j in set(range(len(TEAM))) - {i, *but}:
-            theirs = (path[motion + ahead, j][:, None, None] for ahead in (0, 1))
-            expected[..., j] = ~TEAM_TEST.apart(i, begin[:, :, None], end[:, None], j, *theirs)
-        assert set(zip(*(x.tolist() for x in found), strict=True)) == set(map(tuple, np.argwhere(expected).tolist()))
-        collisions, motions = collisions + expected.sum(), motions + expected.size
-    assert 10 < collisions < motions / 2
+def test_motions_meet_others_as_they_are_not_apart_from_them():
+    rng, collisions = np.random.default_rng(0), 0
+    for i in range(len(TEAM)):
+        path, motion = random_path(rng, 9, 3.0), rng.integers(0, 8, 300)
+        begin, end = (path[motion + ahead, i] + rng.normal(0, 0.3, (300, 3)) for ahead in (0, 1))
+        other = rng.choice(sorted(set(range(len(TEAM))) - {i}), 300)
+        found = TEAM_TEST.meet(i, begin, end, Traffic(TEAM, path), motion, other)
+        for k, j in enumerate(other.tolist()):
+            theirs = (path[[motion[k] + ahead], j] for ahead in (0, 1))
+            assert found[k] == ~TEAM_TEST.apart(i, begin[[k]], end[[k]], j, *theirs)[0]
+        collisions += found.sum()
+    assert 100 < collisions < 150 * len(TEAM)
 
 
-def test_no_motions_collide_with_nobody():
+def test_no_motions_meet_nobody():
     path = random_path(np.random.default_rng(0), 3, 6.0)
-    none, traffic = np.zeros((0, 2, 3)), Traffic(TEAM, path)
-    assert [len(x) for x in TEAM_TEST.collisions_with_others(1, none, none, traffic, np.zeros(0, dtype=int))] == [
-        0
-    ] * 4
+    none, nobody = np.zeros((0, 3)), np.zeros(0, dtype=int)
+    assert len(TEAM_TEST.meet(1, none, none, Traffic(TEAM, path), nobody, nobody)) == 0

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments._sections import figures_of
 from experiments.benchmarks import _accuracy, _gradient, _query, _query_sizes
 from experiments.benchmarks._grids import (
     filled_grid,
@@ -48,7 +49,7 @@ def wall_square():
 def test_table_and_figures_come_from_the_results_alone(name, tmp_path):
     text = SECTIONS[name].table(smoke(name))
     assert "PLR" in text and not re.search(r"\bnan\b", text)
-    for path in SECTIONS[name].draw(smoke(name), tmp_path):
+    for path in figures_of(SECTIONS[name], smoke(name), tmp_path):
         assert path.name == f"benchmark_{name}.png" and path.stat().st_size > 1_000
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 
+from experiments._sections import figures_of
 from experiments.benchmarks import _cold_start, _construct, _growth, _heuristic, _oracle, _planner
 from plr_jax import VisibilityGraph, Workspace, construct, scenes, sum_of_distances
 from plr_jax.plr.sampling import cell_fit
@@ -47,7 +48,7 @@ def measured():
 def test_table_and_figures_need_the_results_alone(section, measured, tmp_path):
     results = measured(section)
     assert SECTIONS[section].table(results).endswith("\n")
-    for path in SECTIONS[section].draw(results, tmp_path):
+    for path in figures_of(SECTIONS[section], results, tmp_path):
         assert path.name.startswith(f"benchmark_{section}") and path.stat().st_size > 0
 
 

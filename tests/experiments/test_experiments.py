@@ -12,6 +12,8 @@ from unittest import mock
 import pytest
 
 from experiments import _gradient_tables, hostile_files, readme_tables
+from experiments.team_sections import _plans
+from plr_jax import BLOptions, scenes
 
 ROOT = Path(__file__).parents[2]
 SMOKED = [
@@ -131,6 +133,37 @@ def test_readme_tables_of_the_planner(smoke, tmp_path, monkeypatch):
     line = next(line for line in text.splitlines() if line.startswith("| single door | 0.08 |"))
     assert f" {statistics.median(row['nodes']):,.0f} ({max(row['nodes']):,}) " in line
     assert f" {statistics.median(row['seconds']):.3f} ({max(row['seconds']):.3f}) " in line
+
+
+def test_readme_table_of_teams_has_a_row_for_each_of_theirs(smoke):
+    results = record_in(smoke("teams"), "teams")["results"]
+    sections = ("first", "half_a_minute", "den520d", "dbcbs_16", "unseen")
+    lines = readme_tables.teams(results).splitlines()
+    num_rows = sum(len(results[section]["rows"]) for section in sections)
+    assert len([line for line in lines if line.startswith("|")]) == 2 + num_rows
+    assert any(line.startswith("| crowd, improved for 0.5 s | 6 | 0/1 |") for line in lines)
+
+
+def test_runs_of_teams_that_found_no_path_are_counted():
+    problem = scenes.crowd(2)
+    found, failed = (_plans.planned(problem, 1.0, BLOptions(time_limit=seconds)) for seconds in (60.0, 1e-9))
+    assert (found["failures"], failed["failures"], failed["first"]) == (0, 1, None)
+    row = {"scene": "crowd", **_plans.middle([found, failed])}
+    assert row["failures"] == 1 and row["runs"] == 2 and row["valid"] and row["ratio"] == found["ratio"]
+    assert row["status"] == "SOLVED, TIME_LIMIT"
+    none = {"scene": "crowd", **_plans.middle([failed, failed])}
+    assert none["valid"] is None and none["ratio"] is None
+    with_path, without = _plans.table_of({"rows": [row, none]}).splitlines()[2:]
+    assert with_path.split()[:4] == ["crowd", "valid", "2", "1/2"]
+    assert without.split()[:4] == ["crowd", "TIME_LIMIT", "2", "2/2"] and without.split()[-1] == "-"
+
+
+@pytest.mark.parametrize("scene, size", [("door", 4), ("crowd", 6), ("four_rooms", 2)])
+def test_two_teams_share_a_workspace_but_no_starts_and_goals(scene, size):
+    known, problem = _plans.two_teams(scene, size, 0)
+    assert known.workspace is problem.workspace and known.robots == problem.robots
+    for ours, theirs in ((problem.starts, known.starts), (problem.goals, known.goals)):
+        assert not (ours == theirs).all(axis=1).any()
 
 
 @pytest.mark.parametrize("name", ["continuity", "descent", "trajectory", "refinement"])

@@ -9,6 +9,7 @@ import pytest
 import shapely
 
 from experiments import _proof_tables, proofs
+from experiments._sections import figures_of
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
 from experiments.proving import _astar, _bounds, _hard_points, _plain, _slivers, _speed, _worst_points
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
@@ -23,7 +24,7 @@ def smoke(name):
 @pytest.mark.parametrize("name", proofs.SECTIONS)
 def test_text_and_figures_come_from_the_results_alone(name, tmp_path):
     assert len(proofs.SECTIONS[name].table(smoke(name)).splitlines()) >= 3
-    for path in proofs.SECTIONS[name].draw(smoke(name), tmp_path):
+    for path in figures_of(proofs.SECTIONS[name], smoke(name), tmp_path):
         assert path.stat().st_size > 10_000
 
 

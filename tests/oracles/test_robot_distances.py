@@ -64,3 +64,13 @@ def test_construction_ends_at_its_time_limit(build):
         with pytest.raises(ValueError, match="time_limit must be a positive number or inf"):
             build(problem, time_limit=wrong)
     build(problem, time_limit=60)
+
+
+def test_a_disc_fits_a_passage_exactly_as_wide_as_it_is():
+    lower, upper = [(4, 0), (6, 0), (6, 4.5), (4, 4.5)], [(4, 5.5), (6, 5.5), (6, 16), (4, 16)]
+    workspace = Workspace(((0, 0), (10, 20)), [lower, upper])
+    problem = Problem(workspace, [DiscRobot(0.5)] * 2, [(2, 5), (8, 12)], [(8, 5), (5, 18)])
+    (through, _) = robot_distance_fns(problem)
+    np.testing.assert_allclose(through(problem.starts[:1]), 6, rtol=1e-9)
+    slot = Problem(Workspace(((0, 0), (10, 1))), [DiscRobot(0.5)], [(0.5, 0.5)], [(9.5, 0.5)])
+    np.testing.assert_allclose(robot_distance_fns(slot)[0](slot.starts), 9, rtol=1e-9)

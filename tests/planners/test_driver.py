@@ -82,6 +82,14 @@ def test_two_discs_in_a_bay_narrower_than_a_cell_of_the_first_lattice():
 # Problems that are hardly problems
 
 
+def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
+    lower, upper = [(4.5, 0), (5.5, 0), (5.5, 2.69), (4.5, 2.69)], [(4.5, 3.51), (5.5, 3.51), (5.5, 8.8), (4.5, 8.8)]
+    workspace = Workspace(((0, 0), (10, 10)), [lower, upper])
+    problem = Problem(workspace, [DiscRobot(0.4)] * 2, [(1, 3), (1, 5)], [(9, 3), (9, 5)])
+    assert bl_plan(problem, options=BLOptions(step=0.4)).cost > 27
+    assert planned(problem, exact(problem)).cost < 17.2 and bl_plan(problem).cost < 17.2
+
+
 @pytest.mark.parametrize("weight", [None, 0.0])
 def test_a_start_that_is_the_goal(weight):
     problem = Problem(ROOM, [DiscRobot(0.4), DiscRobot(0.5)], [(1, 1), (5, 5)], [(1, 1), (5, 5)])

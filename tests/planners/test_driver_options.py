@@ -5,11 +5,10 @@ from functools import cache
 import networkx as nx
 import numpy as np
 import pytest
-from planner_helpers import FOUR_NEIGHBORS, ROOM, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
+from planner_helpers import FOUR_NEIGHBORS, TRANSLATIONS, exact, graph_of, joint_lattice_of, planned
 
-from plr_jax import BLOptions, Problem, RectangleRobot, bl_plan, robot_distance_fns, scenes
-from plr_jax.planners import straight_line, sum_of_distances, zero
-from plr_jax.planners.level import claimed_cells
+from plr_jax import BLOptions, Problem, RectangleRobot, Workspace, bl_plan, robot_distance_fns, scenes
+from plr_jax.planners import Status, straight_line, sum_of_distances, zero
 
 
 def same(first, second):
@@ -90,20 +89,30 @@ def test_larger_cells_of_a_team():
     assert coarse < fine
 
 
-def test_claimed_cells():
-    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
-    (lattice,) = joint_lattice_of(problem, 1.0).lattices
-    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
-    cells = claimed_cells(lattice, 0.65, 2.0)
-    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
-    for node in range(0, len(lattice.q), 37):
-        alike = (key == key[node]).all(axis=1)
-        alike[lattice.goal] = False
-        if node != lattice.goal:
-            np.testing.assert_array_equal(cells == cells[node], alike)
-    assert (cells == cells[lattice.goal]).sum() == 1
-
-
 @pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
 def test_other_options_solve_too(options):
     planned(scenes.four_rooms(2), step=0.5, **options)
+
+
+@pytest.mark.parametrize("answer", [0.0, None, np.zeros(0), np.zeros((1, 2)), "far"])
+def test_a_bounding_heuristic_that_answers_something_else_is_refused(answer, unchecked_types):
+    class Bounding:
+        is_lower_bound = True
+
+        def __call__(self, q):
+            return answer
+
+    with pytest.raises(ValueError, match="heuristic"):
+        bl_plan(scenes.four_rooms(2), Bounding())
+
+
+def test_a_step_beyond_all_bounds_is_a_lattice_of_one_cell():
+    solution = bl_plan(scenes.four_rooms(2), options=BLOptions(step=1e12, time_limit=5))
+    assert solution.status is Status.EXHAUSTED and not solution.solved
+
+
+def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cost():
+    ends = [(10.5, 10.5, 0), (10.5, 11.5, 0)], [(10.5, 10.5, np.pi), (10.5, 11.5, np.pi)]
+    problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
+    solution = bl_plan(problem, options=BLOptions(step=1.0))
+    assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from planner_helpers import ROOM, exact
 
 from plr_jax import (
     DiscRobot,
@@ -8,7 +9,6 @@ from plr_jax import (
     VisibilityGraph,
     Workspace,
     path_cost,
-    robot_distance_fns,
     scenes,
     validate,
 )
@@ -16,13 +16,8 @@ from plr_jax.planners import Status
 from plr_jax.planners._heuristics import straight_line, sum_of_distances, zero
 from plr_jax.planners._sba_star import _Neighborhoods, _SBAStarSearch, sba_star_plan
 
-ROOM = Workspace(((0, 0), (10, 10)))
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 9)])
 MIXED = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], [(1, 1, 5), (1, 8, 0)], [(9, 5, 5), (8, 8, 3)])
-
-
-def exact(problem):
-    return sum_of_distances(robot_distance_fns(problem))
 
 
 def grown(problem, num_steps, heuristic=None, seed=0):

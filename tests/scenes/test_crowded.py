@@ -20,7 +20,7 @@ def test_door(num_robots):
 
 @pytest.mark.parametrize("num_robots", [0, 1, 3, 52, 2.0, True, "2"])
 def test_door_of_another_number(num_robots, unchecked_types):
-    with pytest.raises(ValueError, match="even number"):
+    with pytest.raises(ValueError, match="num_robots must be an"):
         scenes.door(num_robots)
 
 
@@ -42,5 +42,11 @@ def test_crowd(num_robots, seed):
 
 @pytest.mark.parametrize("num_robots", [0, -1, 2.5, True])
 def test_crowd_of_no_robots(num_robots, unchecked_types):
-    with pytest.raises(ValueError, match="at least one robot"):
+    with pytest.raises(ValueError, match="num_robots must be an integer"):
         scenes.crowd(num_robots)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a"])
+def test_crowd_of_another_seed(seed, unchecked_types):
+    with pytest.raises(ValueError, match="seed must be an integer"):
+        scenes.crowd(3, seed)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from plr_jax._types import HeuristicFn, SeparableHeuristic
-from plr_jax.planners._heuristics import estimates, require_estimates, straight_line
+from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners.bl.successors import Successors
 from plr_jax.planners.lattice.joint import JointLattice, State
 
@@ -26,13 +26,13 @@ class HeuristicTable(NamedTuple):
     child is evaluated; straight lines then choose which children are worth it where there are too many.
 
     The ``tables`` hold each robot's unweighted terms (of a ``plain`` heuristic, which has none, those of straight
-    lines), ``terms`` cost and weighted term of each configuration's primitives; ``farthest`` is the least that stands
-    for an infinite joint estimate.
+    lines), ``scores`` the cost of each configuration's primitives and the weighted term of where they lead;
+    ``farthest`` is the least that stands for an infinite joint estimate.
     """
 
     weight: float
     tables: tuple[Table, ...]
-    terms: tuple[Float[np.ndarray, "nodes primitives"], ...]
+    scores: tuple[Float[np.ndarray, "nodes primitives"], ...]
     plain: HeuristicFn | None
     farthest: float
 
@@ -59,15 +59,14 @@ class HeuristicTable(NamedTuple):
         return score[rows, order], children.primitive[rows, order]
 
 
-def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
+def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float = math.inf) -> list[Table]:
     """A heuristic's terms over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
 
-    Those of straight lines for a heuristic that has none. A negative estimate counts as 0.
+    A negative estimate counts as 0.
 
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    terms = heuristic if isinstance(heuristic, SeparableHeuristic) else straight_line(joint.problem)
     size = max(len(lattice.q) for lattice in joint.lattices)
     # One column a robot, so that a team's PLRs answer in one call; shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
@@ -76,11 +75,11 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
         if time.perf_counter() > deadline:
             raise TimeoutError("The deadline passed before the heuristic was known.")
         q = joint.configurations(state[begin : begin + _CHUNK])
-        values[begin : begin + _CHUNK] = require_estimates(terms.per_robot(q), q.shape[:2])
+        values[begin : begin + _CHUNK] = require_estimates(heuristic.per_robot(q), q.shape[:2])
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 
-def weighted(
+def heuristic_table(
     joint: JointLattice, values: Sequence[Float[np.ndarray, "_"]], weight: float, plain: HeuristicFn | None = None
 ) -> HeuristicTable:
     """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
@@ -88,11 +87,11 @@ def weighted(
     An infinite estimate never prunes: it counts as farther than all finite ones.
     """
     tables = tuple(_finite(column) for column in values)
-    terms = tuple(
+    scores = tuple(
         (lattice.cost + weight * table[lattice.child]).astype(np.float32)
         for lattice, table in zip(joint.lattices, tables, strict=True)
     )
-    return HeuristicTable(weight, tables, terms, plain, float(2 * sum(table.max() for table in tables)))
+    return HeuristicTable(weight, tables, scores, plain, float(2 * sum(table.max() for table in tables)))
 
 
 def _finite(values: Table) -> Table:

@@ -1,4 +1,4 @@
-"""Options of the Barraquand-Latombe planner, checked where they come in."""
+"""Options of ``bl_plan``, checked where they come in."""
 
 import math
 from collections.abc import Sequence
@@ -19,9 +19,10 @@ class BLOptions:
     """Options of :func:`plr_jax.bl_plan`.
 
     Args:
-        searchers: Which searches take turns until one finds a path. "lacam" moves the whole team one step at a time:
-            it is over at once where robots can push one another along, for large teams as well. "bl" is best-first
-            search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
+        searchers: Which searches take turns until one finds a path. "lacam" is LaCAM, which moves the whole team one
+            step at a time: it is over at once where robots can push one another along, for large teams as well. "bl"
+            is best-first search over cells of the joint space: it finds what takes a plan, as swaps in tight places.
+            It alone heeds ``cell_size``, ``heuristic_weight``, ``batch``, ``branching`` and ``width``.
         primitives: Motions of a robot besides staying, as offsets ``(columns, rows, turns)`` in cells of its
             lattice. Round robots leave out those that turn.
         step: Side of a lattice's cells, in workspace units. None: chosen for each problem, and refined until the
@@ -30,15 +31,16 @@ class BLOptions:
             take a robot's farthest point. None: every joint configuration of the lattices is a cell of its own.
             Larger cells make a search smaller and less complete: they want primitives long enough to leave a cell,
             as a joint configuration in a claimed cell is dropped.
-        heuristic_weight: Factor of the heuristic, from 0 to 1e6. The larger, the greedier. None: 2, or 3/8 a
-            robot if that is more, as many robots have more ways to stand in each other's. It grows by half from one
-            lattice to the next finer one.
-        batch: Most nodes expanded at once; the search widens from one node while it makes no progress.
+        heuristic_weight: Factor of the heuristic in best-first search, from 0 to 1e6. The larger, the greedier. None:
+            2, or 3/8 a robot if that is more, as many robots have more ways to stand in each other's. It grows by
+            half from one lattice to the next finer one.
+        batch: Most nodes of best-first search expanded at once; it widens from one node while it makes no progress.
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
         cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
             costs more, the search goes on with smaller weights and steps, until a limit.
-        lower_bound: A cost below which there is no path, in workspace units. None: that of straight lines.
+        lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
+            straight lines and what the heuristic proves.
         time_limit: Seconds.
         max_expansions: Most expansions; deterministic, unlike the time limit.
         max_memory: Most bytes of the lattices and of the search's nodes.
@@ -74,7 +76,8 @@ class BLOptions:
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be an integer of at least 1, got {value!r}.")
-        if isinstance(self.searchers, str) or not self.searchers or not set(self.searchers) <= set(SEARCHERS):
+        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
+        if not is_some or any(name not in SEARCHERS for name in self.searchers):
             raise ValueError(f"searchers must be some of {SEARCHERS}, at least one, got {self.searchers!r}.")
         _require_primitives(self.primitives)
 

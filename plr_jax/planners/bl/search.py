@@ -1,7 +1,6 @@
 """Best-first search over joint configurations that claims every cell of the joint space once."""
 
 import heapq
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,14 +8,16 @@ from jaxtyping import Float, Int, Shaped
 from tqdm import tqdm
 
 from plr_jax._arrays import runs
-from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners._budget import HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.bl.heuristic_table import HeuristicTable
 from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.bl.successors import best_successors
 from plr_jax.planners.lattice.joint import JointLattice, State
+from plr_jax.planners.lattice.motions import Lattice
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
+_MOTION_BYTES = 16  # what a motion takes in the table of a robot
 _KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
@@ -84,18 +85,16 @@ class BestFirstSearch:
     A node adds only a few children at a time, and returns to the frontier with the score of its next one
     (partial expansion). Several nodes are expanded at once while the search makes no progress.
 
-    The ``cells`` are each robot's: the claimed cell that each configuration of its lattice belongs to.
     """
 
-    def __init__(
-        self,
-        joint: JointLattice,
-        estimate: HeuristicTable,
-        cells: Sequence[Int[np.ndarray, "_"]],
-        options: BLOptions,
-        budget: SearchBudget,
-    ):
-        self.joint, self.estimate, self.cells, self.options, self.budget = joint, estimate, cells, options, budget
+    def __init__(self, joint: JointLattice, estimate: HeuristicTable, options: BLOptions, budget: SearchBudget):
+        self.joint, self.estimate, self.options, self.budget = joint, estimate, options, budget
+        self.cells = [
+            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
+            for lattice, robot in zip(joint.lattices, joint.problem.robots, strict=True)
+        ]
+        self.held = HeldMemory(budget)
+        self.held.add(bytes_of_tables(joint))
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         self.tree = SearchTree.of(start)
@@ -106,15 +105,15 @@ class BestFirstSearch:
         self.wider: dict[int, int] = {}
         self.pushed, self.size, self.num_expansions = 0, 1, 0
         self.found = 0 if np.array_equal(start, self.goal) else None
-        self.memory = 0
         budget.num_nodes += 1
 
-    def run(self, num_expansions: int, progress: tqdm | None = None) -> Status | None:
+    def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, or a limit is reached, and say which.
 
-        None for a pause: after so many expansions of this search, those of earlier runs included.
+        None for a pause: after so many expansions more.
         """
-        while self.found is None and self.frontier and self.num_expansions < num_expansions:
+        last = self.num_expansions + max_expansions
+        while self.found is None and self.frontier and self.num_expansions < last:
             limit = self.budget.exceeded()
             if limit:
                 return limit
@@ -156,7 +155,7 @@ class BestFirstSearch:
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""
         state, cost = self.tree.state[nodes], self.tree.cost[nodes]
-        children = best_successors(self.joint, self.estimate.terms, state, width)
+        children = best_successors(self.joint, self.estimate.scores, state, width)
         score, primitive = self.estimate.rescored(self.joint, state, children)
         num_valid = np.isfinite(score).sum(axis=1)
         num_kept = np.minimum(num_valid, min(width, max(width // _KEPT, self.options.branching)))
@@ -173,7 +172,7 @@ class BestFirstSearch:
         for i, node in enumerate(nodes):
             own = slice(last[i] - num_kept[i], last[i])
             self.successors[node] = SuccessorList(score[own], cost[own], state[own], cell[own], width, bool(whole[i]))
-            self.hold(self.successors[node].num_bytes)
+            self.held.add(self.successors[node].num_bytes)
 
     def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
         """Joint cells, each as bytes."""
@@ -192,7 +191,7 @@ class BestFirstSearch:
             self._return(successors.score[child], node)
             return
         del self.successors[node]
-        self.hold(-successors.num_bytes)
+        self.held.add(-successors.num_bytes)
         if not successors.whole and successors.width < _WIDEST:
             self.wider[node] = successors.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
@@ -214,14 +213,29 @@ class BestFirstSearch:
             self.found = node
         self.nearest = min(self.nearest, score - cost)
         self.budget.num_nodes += 1
-        self.hold(_NODE_BYTES + 8 * len(state))
+        self.held.add(_NODE_BYTES + 8 * len(state))
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""
         self.pushed += 1
         heapq.heappush(self.frontier, (float(score), -self.pushed, node))
 
-    def hold(self, num_bytes: int) -> None:
-        """Count memory that is taken, or given back."""
-        self.memory += num_bytes
-        self.budget.memory += num_bytes
+
+def bytes_of_tables(joint: JointLattice) -> int:
+    """About what the tables of each robot's motions take that best-first search makes."""
+    return _MOTION_BYTES * sum(lattice.table.child.size for lattice in joint.lattices)
+
+
+def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:
+    """The cell of a robot's configuration space that each configuration of its lattice claims: a number for each.
+
+    The robot's corners are ``radius`` from its center. Without a size of cells, every configuration is its own. The
+    goal has a cell of its own, so that nothing else claims it.
+    """
+    nodes = np.arange(len(lattice.q))
+    if cell_size is None:
+        return nodes
+    scale = np.array([1.0, 1.0, radius])[: lattice.q.shape[1]]
+    cells = np.unique(np.floor(lattice.q * scale / cell_size), axis=0, return_inverse=True)[1].reshape(-1)
+    cells[lattice.goal] = -1
+    return cells

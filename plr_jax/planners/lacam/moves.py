@@ -31,21 +31,21 @@ class Moves(NamedTuple):
 
 
 class TeamMoves:
-    """The moves of a team on its lattices, all robots scored at once by their costs-to-go, near ones tested at once.
+    """The moves of a team on its lattices, all robots scored at once by their heuristic, near ones tested at once.
 
     Args:
         kinds: The robots.
-        costs_to_go: Those of each kind.
+        heuristic: Estimated costs-to-go of each kind's robots, by node, ``inf`` where unknown.
         tolerance: That of the workspace.
     """
 
-    def __init__(self, kinds: Sequence[Kind], costs_to_go: Sequence[Float[np.ndarray, "_ _"]], tolerance: float):
-        self.kinds, self.costs_to_go, self.tolerance = kinds, costs_to_go, tolerance
+    def __init__(self, kinds: Sequence[Kind], heuristic: Sequence[Float[np.ndarray, "_ _"]], tolerance: float):
+        self.kinds, self.heuristic, self.tolerance = kinds, heuristic, tolerance
         self.num_robots = sum(len(kind.members) for kind in kinds)
         self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
         for k, kind in enumerate(kinds):
             self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
-            self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.length
+            self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.stride
         self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
 
     def __call__(self, state: Int[np.ndarray, "robots"]) -> Moves:
@@ -54,14 +54,12 @@ class TeamMoves:
         ranked: list[list[int]] = [[]] * self.num_robots
         neighbors: list[list[tuple[int, list[Bits]]]] = [[] for _ in range(self.num_robots)]
         places, ends, position = [], [], np.empty((self.num_robots, 2))
-        for kind, cost_to_go in zip(self.kinds, self.costs_to_go, strict=True):
+        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             node = state[kind.members]
             target, cost = kind.motions(node)
-            score = np.where(np.isfinite(cost), cost_to_go[np.arange(len(node))[:, None], target], np.inf)
-            order, num_free = (
-                np.argsort(score, axis=1, kind="stable").tolist(),
-                np.isfinite(cost).sum(axis=1).tolist(),
-            )
+            score = np.where(np.isfinite(cost), estimate[np.arange(len(node))[:, None], target], np.inf)
+            order = np.argsort(score, axis=1, kind="stable").tolist()
+            num_free = np.isfinite(cost).sum(axis=1).tolist()
             for i, targets, best, count in zip(kind.members.tolist(), target.tolist(), order, num_free, strict=True):
                 child[i], ranked[i] = targets, best[:count]
             places.append(kind.table.q[node])
@@ -82,6 +80,13 @@ class TeamMoves:
                 neighbors[robot].append((other, ours))
                 neighbors[other].append((robot, theirs))
         return Moves(child, ranked, neighbors)
+
+    def estimates(self, state: Int[np.ndarray, "robots"]) -> Float[np.ndarray, "robots"]:
+        """The heuristic of each robot."""
+        values = np.empty(self.num_robots)
+        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
+            values[kind.members] = estimate[np.arange(len(kind.members)), state[kind.members]]
+        return values
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """Pairs of robots that primitives may bring together, in the order of their kinds."""

@@ -16,8 +16,8 @@ from plr_jax.planners.lacam.moves import Bits, Moves
 _MOST_CHOICES = 20  # tried a robot, before nobody is asked to make way any more
 
 
-class Step:
-    """A step that is being found: what robots have chosen, and what they may still choose."""
+class PIBT:
+    """A step of the team that is being found: what robots have chosen, and what they may still choose."""
 
     def __init__(self, moves: Moves):
         self.moves = moves

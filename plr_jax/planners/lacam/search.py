@@ -1,17 +1,16 @@
 """Search over joint configurations one step apart, under constraints that grow as they are needed (LaCAM)."""
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax.planners._budget import SearchBudget
+from plr_jax.planners._budget import HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.lacam.moves import TeamMoves
-from plr_jax.planners.lacam.pibt import Step
+from plr_jax.planners.lacam.pibt import PIBT
 from plr_jax.planners.lattice.joint import JointLattice, State
 
 _NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # what a node takes, and for each of its robots
@@ -41,45 +40,37 @@ class Node:
         self.order = np.argsort(-self.waiting, kind="stable").tolist()
 
 
-class LazySearch:
+class LaCAM:
     """Okumura's search: the newest node is asked for one more step of the team, until all are at their goals.
 
     A node's first step is free. Each step after that begins with more constraints: the robot next in the order of
     priorities must choose another primitive. So every step is tried in the end, but hardly ever has to be. A step to
     a node that is known puts that on top again.
 
-    The ``costs_to_go`` are those of each robot, by node.
-
     References:
         Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
     """
 
-    def __init__(
-        self,
-        joint: JointLattice,
-        moves: TeamMoves,
-        costs_to_go: Sequence[Float[np.ndarray, "_"]],
-        budget: SearchBudget,
-    ):
-        self.joint, self.moves, self.costs_to_go, self.budget = joint, moves, costs_to_go, budget
+    def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
+        self.joint, self.moves, self.budget, self.held = joint, moves, budget, HeldMemory(budget)
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
-        far = np.nan_to_num([cost[node] for cost, node in zip(costs_to_go, start.tolist(), strict=True)], posinf=0.0)
+        far = np.nan_to_num(moves.estimates(start), posinf=0.0)
         self.at_rest = far / (1 + far.max())  # among robots at their goals, those go first that came from far
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None
-        self.nearest = float("inf")  # least sum of the costs-to-go of a node
-        self.num_idle, self.memory = 0, 0  # steps that brought it no nearer
+        self.nearest = float("inf")  # least sum of the estimates of a node
+        self.num_idle = 0  # steps that brought it no nearer
         self._add(start, None)
 
-    def run(self, patience: int, progress: tqdm | None = None) -> Status | None:
+    def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, nothing is left, or a limit is reached, and say which.
 
         None for a pause: after so many steps in a row that brought the team no nearer to its goals.
         """
         self.num_idle = 0
-        while self.found is None and self.open and self.num_idle < patience:
+        while self.found is None and self.open and self.num_idle < max_idle:
             limit = self.budget.exceeded()
             if limit:
                 return limit
@@ -118,8 +109,8 @@ class LazySearch:
         if len(constraints) < len(node.order):
             robot = node.order[len(constraints)]
             node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
-            self._hold(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
-        primitives = Step(moves).find(node.order, constraints)
+            self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+        primitives = PIBT(moves).find(node.order, constraints)
         if primitives is not None:
             self.budget.num_children_valid += 1
             self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
@@ -133,15 +124,10 @@ class LazySearch:
             before = self.at_rest if parent is None else parent.waiting + 1
             node = self.nodes[key] = Node(state, parent, np.where(arrived, self.at_rest, before))
             self.budget.num_nodes += 1
-            self._hold(_NODE_BYTES + _ROBOT_BYTES * len(state))
+            self.held.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.found = node
-            cost_to_go = sum(float(cost[at]) for cost, at in zip(self.costs_to_go, state.tolist(), strict=True))
-            if cost_to_go < (1 - _ROUNDING) * self.nearest:
-                self.nearest, self.num_idle = cost_to_go, 0
+            estimate = float(self.moves.estimates(state).sum())
+            if estimate < (1 - _ROUNDING) * self.nearest:
+                self.nearest, self.num_idle = estimate, 0
         self.open.append(node)
-
-    def _hold(self, num_bytes: int) -> None:
-        """Count memory that is taken."""
-        self.memory += num_bytes
-        self.budget.memory += num_bytes

@@ -240,7 +240,7 @@ def _motions(recipe: _Recipe, grid: Grid) -> Motions:
 def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
     """Cells no larger than a step; headings are centered on the axes, along which hallways lie most often."""
     lo, width = workspace.bounds.lo, workspace.bounds.width
-    shape = np.ceil(width / step - _ROUNDING).astype(int)
+    shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
     side = width / shape
     if robot.dof == 3:
         turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)

@@ -1,5 +1,6 @@
 """The motions of one kind of robot as edges of a graph, and costs along it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,16 +58,16 @@ class Edges:
     """The motions of a kind of robot, staying among them: those that all share, then those into the ends of each.
 
     Attributes:
-        begin, end, cost: Nodes and costs of each edge. The last one, ``none``, leads nowhere at infinite cost.
+        begin, end, cost: Nodes and costs of each edge. One more, edge ``num_edges``, leads nowhere at infinite cost.
         own: For each robot the edges into its start and its goal.
-        length: Largest distance that one translates, in workspace units.
+        stride: Largest distance that one translates, in workspace units.
     """
 
     def __init__(self, kind: Kind):
         self.kind, self.num_nodes = kind, len(kind.table.q)
         begin, primitive = np.nonzero(np.isfinite(kind.table.cost))
         shared = begin, kind.table.child[begin, primitive], kind.table.cost[begin, primitive]
-        self.num_shared = self.none = len(begin)
+        self.num_shared = self.num_edges = len(begin)
         into = np.argsort(shared[1], kind="stable")
         first = np.searchsorted(shared[1][into], np.arange(self.num_nodes + 1))
         parts, self.own = [shared], []
@@ -74,12 +75,12 @@ class Edges:
             entering = [self._entering(row, end, begin, primitive, into, first) for end in range(2)]
             parts += entering
             count = sum(len(part[0]) for part in entering)
-            self.own.append(np.arange(self.none, self.none + count))
-            self.none += count
+            self.own.append(np.arange(self.num_edges, self.num_edges + count))
+            self.num_edges += count
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
         self.begin, self.end, self.cost = (np.concatenate(column) for column in zip(*parts, nowhere, strict=True))
         away = kind.table.q[self.end[:-1], :2] - kind.table.q[self.begin[:-1], :2]
-        self.length = float(np.hypot(*away.T).max())
+        self.stride = float(np.hypot(*away.T).max())
 
     def _entering(
         self,
@@ -101,19 +102,19 @@ class Edges:
 
     @cached_property
     def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        """The shared edges that end in each node, filled up with ``none``."""
+        """The shared edges that end in each node, filled up with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end = self.end[order]
         rank = np.arange(len(end)) - np.searchsorted(end, end)
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
-        into = np.full((size, self.num_nodes), self.none)
+        into = np.full((size, self.num_nodes), self.num_edges)
         into[rank, end] = order
         return into
 
     def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """The edges of one robot that end in each node, filled up with ``none``."""
+        """The edges of one robot that end in each node, filled up with ``num_edges``."""
         into, own = self._into_nodes.copy(), self.own[row]
-        into[:, self.kind.cell[row]] = self.none
+        into[:, self.kind.cell[row]] = self.num_edges
         for node in self.kind.node[row]:
             edges = own[self.end[own] == node]
             into[1 : 1 + len(edges), node] = edges  # after the one that stays
@@ -161,10 +162,13 @@ class Edges:
 
     def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Cost of the cheapest motions from the starts of some robots to each node but their goals, likewise."""
+        return sparse_graphs.dijkstra(self._graph, indices=self.kind.node[rows, 0])
+
+    @cached_property
+    def _graph(self) -> csr_array:
+        """The cheapest shared edges."""
         edge = np.flatnonzero(self._cheapest)
-        shape = (self.num_nodes,) * 2
-        graph = csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=shape)
-        return sparse_graphs.dijkstra(graph, indices=self.kind.node[rows, 0])
+        return csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
 
 
 def kinds_of(joint: JointLattice) -> list[Kind]:
@@ -180,3 +184,13 @@ def kinds_of(joint: JointLattice) -> list[Kind]:
         robot, table = joint.problem.robots[alike[0]], joint.lattices[alike[0]].table
         kinds.append(Kind(robot, table, np.array(alike), node, cell, entry))
     return kinds
+
+
+def by_robot(kinds: Sequence[Kind], values: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+    """What is known of each kind's robots, as rows in the order of the team."""
+    rows = {
+        robot: row
+        for kind, of_kind in zip(kinds, values, strict=True)
+        for robot, row in zip(kind.members.tolist(), of_kind, strict=True)
+    }
+    return [rows[i] for i in range(len(rows))]

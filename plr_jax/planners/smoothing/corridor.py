@@ -12,9 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import run_members
 from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.broad_phase import Traffic, circles, within_reach
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.near import Traffic, circles, within_reach
 
 Path = Float[np.ndarray, "steps robots dof"]
 Corridor = Float[np.ndarray, "steps size dof"]
@@ -54,7 +55,10 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
-    """What is shortened together: every robot alone, and each two in the rows in which they touch."""
+    """What is shortened together: every robot alone, and each two in the rows in which they touch.
+
+    The path may change between one and the next.
+    """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -150,9 +154,9 @@ def _block(
     corridor: Corridor,
     test: JointMotionTest,
 ) -> None:
-    """Give all motions within a robot's corridor, but those it makes, a cost of ``inf`` that are not hopeful.
+    """Set the cost of motions within a robot's corridor to ``inf`` that are not hopeful, hit a wall, or hit a robot.
 
-    Or that hit a wall or a robot that keeps its motions.
+    Those that the robot makes keep theirs. ``robots`` are not tested against one another.
     """
     own = cost[:, 0, 0].copy()
     cost[~hopeful] = np.inf
@@ -161,8 +165,10 @@ def _block(
     begin, end = corridor[row, first], corridor[row + 1, last]
     free = np.ones(len(row), dtype=bool)
     free[tight] = test.of_walls[i](begin[tight], end[tight])
-    collides = test.collisions_with_others(i, begin[:, None], end[:, None], traffic, motion[row], but=robots)[0]
-    free[collides] = False
+    near, other = traffic.near(i, corridor[:-1], corridor[1:], motion, robots)
+    tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+    meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])
+    free[tested[meet]] = False
     cost[row[~free], first[~free], last[~free]] = np.inf
     cost[:, 0, 0] = own
 

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import runs
 from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.broad_phase import Traffic
 from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.near import Traffic
 from plr_jax.robots.motion import between
 
 Path = Float[np.ndarray, "steps robots dof"]
@@ -111,8 +111,9 @@ def _apart(
         edge, share = owner[now], count[owner[now], None, None]
         q0, q1 = traffic.path[begin[edge], i][:, None], traffic.path[end[edge], i][:, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
-        piece, _, _, other = test.collisions_with_others(i, first, last, traffic, motion[now])
-        apart[edge[piece]], in_way[other] = False, True
+        piece, other = traffic.near(i, first, last, motion[now])
+        meet = test.meet(i, first[piece, 0], last[piece, 0], traffic, motion[now[piece]], other)
+        apart[edge[piece[meet]]], in_way[other[meet]] = False, True
     return apart, in_way
 
 

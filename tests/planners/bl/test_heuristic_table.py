@@ -51,7 +51,7 @@ def test_tables_hold_what_the_heuristic_says(problem, weight):
 def test_terms_are_cost_and_weighted_estimate_of_the_child():
     joint = joint_lattice_of(MIXED, 1.0)
     estimate = heuristic_table(joint, straight_line(MIXED), 3.0)
-    for lattice, table, term in zip(joint.lattices, estimate.tables, estimate.terms, strict=True):
+    for lattice, table, term in zip(joint.lattices, estimate.tables, estimate.scores, strict=True):
         assert term.dtype == np.float32 and term.shape == lattice.child.shape
         np.testing.assert_array_equal(np.isinf(term), np.isinf(lattice.cost))
         node = len(table) // 2
@@ -77,7 +77,7 @@ def test_separable_children_are_not_rescored():
     joint = joint_lattice_of(MIXED, 2.0)
     estimate = heuristic_table(joint, straight_line(MIXED), 2.0)
     state = np.array([[lattice.start for lattice in joint.lattices]], np.int32)
-    children = best_successors(joint, estimate.terms, state, 50)
+    children = best_successors(joint, estimate.scores, state, 50)
     score, primitive = estimate.rescored(joint, state, children)
     assert score is children.score and primitive is children.primitive
 
@@ -128,7 +128,7 @@ def test_children_are_rescored_by_a_plain_function():
     state = np.array(
         [[lattice.start for lattice in joint.lattices], [lattice.goal for lattice in joint.lattices]], np.int32
     )
-    children = best_successors(joint, estimate.terms, state, 5000)
+    children = best_successors(joint, estimate.scores, state, 5000)
     score, primitive = estimate.rescored(joint, state, children)
     assert not np.array_equal(primitive, children.primitive)
     for row in range(2):

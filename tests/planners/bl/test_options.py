@@ -25,6 +25,8 @@ from plr_jax import BLOptions
         ({"time_limit": float("nan")}, "time_limit must be a positive"),
         ({"max_expansions": 0.0}, "max_expansions must be a positive"),
         ({"max_memory": 0.0}, "max_memory must be a positive"),
+        ({"searchers": ()}, "searchers must be some of"),
+        ({"searchers": "bl"}, "searchers must be some of"),
         ({"primitives": ()}, "primitives must be distinct offsets"),
         ({"primitives": ((1, 0, 0), (1, 0, 0))}, "primitives must be distinct"),
         ({"primitives": ((0, 0, 0), (1, 0, 0))}, r"none of them \(0, 0, 0\)"),
@@ -35,3 +37,9 @@ from plr_jax import BLOptions
 def test_options_that_make_no_sense(options, message):
     with pytest.raises(ValueError, match=message):
         BLOptions(**options)
+
+
+@pytest.mark.parametrize("searchers", [5, [[]], iter(["bl"]), None])
+def test_searchers_of_another_type_are_refused(searchers, unchecked_types):
+    with pytest.raises(ValueError, match="searchers must be some of"):
+        BLOptions(searchers=searchers)

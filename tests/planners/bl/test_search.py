@@ -7,6 +7,7 @@ import pytest
 import shapely
 from planner_helpers import (
     FOUR_NEIGHBORS,
+    ROOM,
     exact,
     graph_of,
     hallway,
@@ -18,7 +19,7 @@ from planner_helpers import (
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners import BLOptions, Status, straight_line, zero
-from plr_jax.planners.bl.search import BestFirstSearch, SearchTree
+from plr_jax.planners.bl.search import BestFirstSearch, SearchTree, bytes_of_tables, claimed_cells
 from plr_jax.planners.lattice.build import PRIMITIVES
 
 BLOCKS = Workspace(((0, 0), (8, 8)), [shapely.box(2, 0, 3, 6), shapely.box(5, 2, 6, 8), shapely.box(0, 6.0, 1, 7)])
@@ -35,8 +36,7 @@ MIXED = Problem(
 def search_of(problem, step, heuristic=None, weight=1.0, primitives=PRIMITIVES, limits=None, **options):
     joint = joint_lattice_of(problem, step, primitives)
     estimate = heuristic_table(joint, heuristic or straight_line(problem), weight)
-    cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
-    return BestFirstSearch(joint, estimate, cells, BLOptions(**{"batch": 1, **options}), limits or search_budget())
+    return BestFirstSearch(joint, estimate, BLOptions(**{"batch": 1, **options}), limits or search_budget())
 
 
 def run_on(search):
@@ -202,11 +202,24 @@ def test_larger_cells_are_claimed_once():
     cells = [
         np.unique(np.floor(lattice.q / 0.8), axis=0, return_inverse=True)[1].ravel() for lattice in joint.lattices
     ]
-    limits = search_budget(max_expansions=300)
-    search = BestFirstSearch(joint, heuristic_table(joint, zero(), 0.0), cells, BLOptions(), limits)
+    search = search_of(problem, 0.5, zero(), 0.0, cell_size=0.8, limits=search_budget(max_expansions=300))
     search.run(10_000)
     claimed = [tuple(cell[s] for cell, s in zip(cells, state, strict=True)) for state in search.state]
     assert len(set(claimed)) == len(claimed) > 40
+
+
+def test_claimed_cells():
+    problem = Problem(ROOM, [RectangleRobot(1.2, 0.5)], [(1, 1, 0)], [(8.3, 8.3, 1)])
+    (lattice,) = joint_lattice_of(problem, 1.0).lattices
+    np.testing.assert_array_equal(claimed_cells(lattice, 0.65, None), np.arange(len(lattice.q)))
+    cells = claimed_cells(lattice, 0.65, 2.0)
+    key = np.floor(lattice.q * (1, 1, 0.65) / 2.0)
+    for node in range(0, len(lattice.q), 37):
+        alike = (key == key[node]).all(axis=1)
+        alike[lattice.goal] = False
+        if node != lattice.goal:
+            np.testing.assert_array_equal(cells == cells[node], alike)
+    assert (cells == cells[lattice.goal]).sum() == 1
 
 
 # Limits, pauses and determinism
@@ -219,9 +232,9 @@ def test_limit_on_expansions():
 
 
 def test_limit_on_memory():
-    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, limits=search_budget(max_memory=200_000))
+    search = search_of(scenes.four_rooms(2), 0.4, zero(), 0.0, limits=search_budget(max_memory=400_000))
     assert search.run(10_000) is Status.MEMORY_LIMIT
-    assert search.budget.memory >= 200_000 and 1 < search.tree.size < 1000
+    assert search.budget.memory >= 400_000 and 1 < search.tree.size < 1000
 
 
 def test_limit_on_time():
@@ -233,7 +246,7 @@ def test_memory_counts_what_is_kept_and_forgets_what_is_used_up():
     search = search_of(CELL, 1.0)
     search.goal = np.full(2, -1)
     assert run_on(search) is Status.EXHAUSTED
-    per_node = search.budget.memory / (search.tree.size - 1)
+    per_node = (search.budget.memory - bytes_of_tables(search.joint)) / (search.tree.size - 1)
     assert per_node == int(per_node) and per_node > 100, "only nodes are left"
 
 

@@ -21,7 +21,7 @@ DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)
 
 
 def terms_of(joint):
-    return heuristic_table(joint, straight_line(joint.problem), 2.0).terms
+    return heuristic_table(joint, straight_line(joint.problem), 2.0).scores
 
 
 def free_states(joint, num, seed):

@@ -30,7 +30,7 @@ def test_moves_are_those_of_each_robot_best_first(name, seed):
     joint, moves_of = team_of(*PROBLEMS[name])
     state = wandered(joint, seed)
     moves = moves_of(state)
-    for kind, costs in zip(moves_of.kinds, moves_of.costs_to_go, strict=True):
+    for kind, costs in zip(moves_of.kinds, moves_of.heuristic, strict=True):
         for row, i in enumerate(kind.members.tolist()):
             lattice = joint.lattices[i]
             assert moves.child[i] == lattice.child[state[i]].tolist()

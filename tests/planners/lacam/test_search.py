@@ -63,7 +63,7 @@ def test_limits():
     assert search_of(scenes.door(20), 0.4, budget=search_budget(seconds=-1.0)).run(100) is Status.TIME_LIMIT
     budget = search_budget()
     search = search_of(scenes.door(20), 0.4, FOUR_NEIGHBORS, budget)
-    assert search.run(5) is None and budget.memory == search.memory > 0
+    assert search.run(5) is None and budget.memory == search.held.num_bytes > 0
 
 
 def test_a_team_at_its_goals_is_solved_from_the_start():

@@ -117,7 +117,7 @@ def test_edges_into_a_node_are_the_motions_of_each_robot(step):
                 (int(edges.begin[edge]), node, float(edges.cost[edge]))
                 for node in range(len(lattice.q))
                 for edge in into[:, node]
-                if edge != edges.none
+                if edge != edges.num_edges
             }
             begin, primitive = np.nonzero(np.isfinite(lattice.cost))
             expected = {

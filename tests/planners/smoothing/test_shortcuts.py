@@ -59,8 +59,7 @@ def straight(problem, steps):
 def found_on_lattice(problem, step):
     """A path of the planner before anything is shortened, by its search alone."""
     joint = joint_lattice_of(problem, step)
-    cells = [np.arange(len(lattice.q)) for lattice in joint.lattices]
-    search = BestFirstSearch(joint, heuristic_table(joint, exact(problem), 2.0), cells, BLOptions(), search_budget())
+    search = BestFirstSearch(joint, heuristic_table(joint, exact(problem), 2.0), BLOptions(), search_budget())
     while search.run(100_000) is None:
         pass
     return joint.configurations(search.branch)

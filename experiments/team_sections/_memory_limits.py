@@ -1,7 +1,8 @@
 """By how much a process grows under limits of memory: at its peak, over what it held at the call.
 
-Each call has a process of its own, in which a small plan was made before, and goes on until it is out of memory or
-time. A limit of memory bounds what lattices and searches hold; the process may grow by a fifth more.
+Each call has a process of its own, in which a small team was planned before in another workspace, so that neither its
+map nor its starts and goals are known, and goes on until it is out of memory or time. A limit of memory bounds what
+lattices and searches hold; the process may grow by a fifth more.
 """
 
 import json
@@ -29,7 +30,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     calls = [(scene, limit, kind) for scene in scenes for limit in limits for kind in ("lattice", "none")]
     rows = []
     for scene, limit, kind in tqdm(calls[: 1 if smoke else None], desc="memory limits", delay=3, disable=None):
-        command = [sys.executable, "-m", "experiments.planning._memory_limits", scene, str(limit), kind, str(seconds)]
+        command = [sys.executable, "-m", __name__, scene, str(limit), kind, str(seconds)]
         output = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, check=True).stdout
         rows.append({"scene": scene, "megabytes": limit, "heuristic": kind, **json.loads(output)})
     return {"rows": rows}
@@ -37,16 +38,16 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
 
 def grown(scene: str, megabytes: str, kind: str, seconds: str) -> dict[str, Any]:
     """What one call makes of this process."""
-    from experiments.planning._plans import timed
-    from experiments.planning._time_limits import SCENES as PROBLEMS
+    from experiments._planning import plan
+    from experiments.team_sections._time_limits import SCENES as PROBLEMS
     from plr_jax import BLOptions, zero
 
     problem, heuristic = PROBLEMS[scene](), zero() if kind == "none" else None
-    timed(PROBLEMS["four rooms 2"](), BLOptions(), heuristic)
+    plan(PROBLEMS["four rooms 2"](), heuristic, BLOptions())
     before = kilobytes("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the largest size begins anew
     options = BLOptions(cost_factor=1e-9, max_memory=1e6 * float(megabytes), time_limit=float(seconds))
-    solution, taken = timed(problem, options, heuristic)
+    solution, taken = plan(problem, heuristic, options)
     return {
         "growth": round((kilobytes("VmHWM") - before) * 1024 / 1e6, 1),
         "status": solution.status.name,
@@ -62,13 +63,13 @@ def kilobytes(name: str) -> int:
 
 
 def table(results: dict[str, Any]) -> str:
-    rows = [["scene", "heuristic", "status", "path", "limit MB", "grown MB", "share"]]
+    rows = [["scene", "heuristic", "status", "path", "limit MB", "grown MB", "share", f"within {MOST_GROWTH:g}"]]
     for row in results["rows"]:
         share = row["growth"] / row["megabytes"]
-        path = "yes" if row["solved"] else "no"
+        path, within = "yes" if row["solved"] else "no", "yes" if share <= MOST_GROWTH else "NO"
         numbers = f"{row['megabytes']:,}", f"{row['growth']:,.0f}", f"{share:.2f}"
-        rows.append([row["scene"], row["heuristic"], row["status"], path, *numbers])
-    return aligned(rows, 3) + results.get("skipped", "")
+        rows.append([row["scene"], row["heuristic"], row["status"], path, *numbers, within])
+    return aligned(rows, 4) + results.get("skipped", "")
 
 
 if __name__ == "__main__":

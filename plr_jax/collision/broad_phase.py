@@ -48,9 +48,9 @@ class Traffic:
         begin: Float[np.ndarray, "n k dof"],
         end: Float[np.ndarray, "n l dof"],
         motion: Int[np.ndarray, "n"],
-        but: Sequence[int] = (),
+        excluded: Sequence[int] = (),
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Whom robot ``i`` may meet, of the others but some, while these make a motion of the path.
+        """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
 
         In each of ``n`` rows it goes from any of ``k`` configurations to any of ``l``.
 
@@ -60,7 +60,7 @@ class Traffic:
         x, y, radius = circles(begin, end)
         dx, dy = self._x[motion] - x[:, None], self._y[motion] - y[:, None]
         reach = self._radius[motion] + (radius + self._size[i])[:, None]
-        reach[:, [i, *but]] = 0.0
+        reach[:, [i, *excluded]] = 0.0
         row, other = np.nonzero(dx * dx + dy * dy < reach * reach)
         return row, other
 

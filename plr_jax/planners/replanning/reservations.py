@@ -1,21 +1,19 @@
-"""The paths of a team on its lattices, planned anew robot by robot among the others, which keep their motions."""
+"""A table of reservations: when the paths of a team block which edges, and a robot's cheapest path in between."""
 
-import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from plr_jax.planners.lacam.conflicts import Conflicts
+from plr_jax.planners._budget import HeldMemory, SearchBudget
 from plr_jax.planners.lattice.edges import Kind
+from plr_jax.planners.replanning.conflicts import Conflicts
 
 _ROUNDING = 1e-9
-_GAIN = 1e-2  # share of the cost below which another round is not worth its time
-_GROUP = 5
 _EDGE_BYTES, _NODE_BYTES = 2, 8  # what an edge takes, and a node while a robot is replanned, a step
 
 
-class Timetable:
+class ReservationTable:
     """Who is where at each step, and which edges that blocks for others.
 
     Robots wait at no cost. So there are more steps than a path needs, which gives them time to wait.
@@ -24,9 +22,13 @@ class Timetable:
         state: The nodes of each robot, ``(steps + 1, robots)``.
         cost: What the paths of the robots cost.
         least: What they would cost if each were alone.
+        held: Memory that it holds.
 
     Raises:
-        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes before it is drawn up.
+        TimeoutError: If time or memory is spent before all paths are reserved.
+
+    References:
+        Silver, "Cooperative pathfinding", 2005.
     """
 
     def __init__(
@@ -35,21 +37,26 @@ class Timetable:
         costs_to_go: Sequence[Float[np.ndarray, "_ _"]],
         state: Int[np.ndarray, "rows robots"],
         tolerance: float,
-        deadline: float,
+        budget: SearchBudget,
     ):
-        self.kinds, self.costs_to_go, self.state, self.deadline = kinds, costs_to_go, state.copy(), deadline
-        self.costs_to_come = [kind.edges.costs_to_come(np.arange(len(kind.members))) for kind in kinds]
-        self.conflicts = Conflicts(kinds, tolerance)
+        self.kinds, self.costs_to_go, self.state, self.budget = kinds, costs_to_go, state.copy(), budget
+        self.held = HeldMemory(budget)
+        self.held.add(num_bytes_of_table(kinds, len(state)))
+        self._costs_to_come: dict[int, Float[np.ndarray, _]] = {}
+        self.conflicts = Conflicts(kinds, tolerance, self.held)
         self.place = {int(i): (k, row) for k, kind in enumerate(kinds) for row, i in enumerate(kind.members)}
         size, dtype = len(state) - 1, np.min_scalar_type(state.shape[1])
-        self.blocked = [np.zeros((size, kind.edges.none + 1), dtype) for kind in kinds]
+        self.blocked = [np.zeros((size, kind.edges.num_edges + 1), dtype) for kind in kinds]
         self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
         for i, (k, row) in self.place.items():
-            if time.perf_counter() > deadline:
-                raise TimeoutError("The deadline passed before the timetable was drawn up.")
             self.least[i] = costs_to_go[k][row, kinds[k].node[row, 0]]
             self.cost[i] = kinds[k].edges.cost[self._motions(i)].sum()
-            self.enter(i)
+        try:
+            for i in self.place:
+                self.reserve(i)
+        except TimeoutError:
+            self.held.release()
+            raise
 
     @property
     def num_robots(self) -> int:
@@ -67,25 +74,28 @@ class Timetable:
     def _positions(self, i: int) -> Float[np.ndarray, "rows 2"]:
         return self.kinds[self.place[i][0]].table.q[self.state[:, i], :2]
 
-    def enter(self, i: int) -> None:
-        """Block what collides with the path of a robot."""
+    def reserve(self, i: int) -> None:
+        """Block what collides with the path of a robot; ``TimeoutError`` if time or memory is spent before."""
         for blocked, where in self._collisions(i):
             blocked[where] += 1
 
-    def leave(self, i: int) -> None:
+    def release(self, i: int) -> None:
         """Free what collides with the path of a robot, before that is planned anew."""
         for blocked, where in self._collisions(i):
             blocked[where] -= 1
 
     def replan(self, i: int, most: float) -> bool:
-        """Give a robot that has left its cheapest path among the others; whether one costs no more than ``most``.
+        """Give a robot whose path is released its cheapest one among the others; whether that costs at most ``most``.
 
-        If there is none, or the deadline passes, it keeps its path.
+        If it does not, or time is up, the robot keeps its path.
         """
         k, row = self.place[i]
         edges, blocked = self.kinds[k].edges, self.blocked[k]
         start, goal = self.kinds[k].node[row].tolist()
-        least = self.costs_to_come[k][row] + self.costs_to_go[k][row]
+        if i not in self._costs_to_come:
+            self._costs_to_come[i] = self.kinds[k].edges.costs_to_come(np.array([row]))[0]
+            self.held.add(self._costs_to_come[i].nbytes)
+        least = self._costs_to_come[i] + self.costs_to_go[k][row]
         least[[start, goal]] = 0.0
         nodes = np.flatnonzero(least <= most * (1 + _ROUNDING))
         index = np.full(len(least), len(nodes))
@@ -98,7 +108,7 @@ class Timetable:
         for step in range(len(blocked)):
             arriving = np.where(blocked[step][into], np.inf, reached[step][begin] + cost)
             arriving.min(axis=0, out=reached[step + 1, :-1])
-            if time.perf_counter() > self.deadline:
+            if self.budget.spent():
                 return False
         at = index[goal]
         if not reached[-1, at] <= most * (1 + _ROUNDING):
@@ -125,63 +135,8 @@ class Timetable:
         return self.kinds[self.place[i][0]].edges.along(self.state[:, i])
 
 
-def num_bytes_of_timetable(kinds: Sequence[Kind], num_rows: int) -> int:
-    """About what a timetable takes."""
-    num_edges = sum(kind.edges.none for kind in kinds)
+def num_bytes_of_table(kinds: Sequence[Kind], num_rows: int) -> int:
+    """About what a table of reservations takes, without the conflicts."""
+    num_edges = sum(kind.edges.num_edges for kind in kinds)
     num_nodes = max(len(kind.table.q) for kind in kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
-
-
-def replan_each(timetable: Timetable) -> None:
-    """Replan each robot in turn, those first that lose most, until that gains little."""
-    while True:
-        before = timetable.cost.sum()
-        for i in np.argsort(timetable.least - timetable.cost).tolist():
-            if time.perf_counter() > timetable.deadline:
-                return
-            if timetable.cost[i] > timetable.least[i] * (1 + _ROUNDING):
-                timetable.leave(i)
-                timetable.replan(i, float(timetable.cost[i]))
-                timetable.enter(i)
-        if before - timetable.cost.sum() <= _GAIN * before:
-            return
-
-
-def replan_together(timetable: Timetable, robots: Sequence[int]) -> bool:
-    """Replan robots one after the other, as if those to come were not there; whether that costs less.
-
-    If it costs more, all keep their paths.
-    """
-    robots = list(robots)
-    state, cost = timetable.state[:, robots].copy(), timetable.cost[robots].copy()
-    for i in robots:
-        timetable.leave(i)
-    for done, i in enumerate(robots):
-        spent, needed = timetable.cost[robots[:done]].sum(), timetable.least[robots[done + 1 :]].sum()
-        if not timetable.replan(i, cost.sum() - spent - needed):
-            break
-        timetable.enter(i)
-    else:
-        return bool(timetable.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
-    for i in robots[:done]:
-        timetable.leave(i)
-    timetable.state[:, robots], timetable.cost[robots] = state, cost
-    for i in robots:
-        timetable.enter(i)
-    return False
-
-
-def replan_neighbors(timetable: Timetable, num_groups: int, rng: np.random.Generator) -> None:
-    """Replan groups of robots that come near to one another, about one that loses, chosen at random.
-
-    References:
-        Li et al., "Anytime multi-agent path finding via large neighborhood search", 2021.
-    """
-    for _ in range(num_groups):
-        loss = np.maximum(timetable.cost - timetable.least, 0.0)
-        if time.perf_counter() > timetable.deadline or loss.sum() <= _ROUNDING * timetable.least.sum():
-            return
-        i = int(rng.choice(timetable.num_robots, p=loss / loss.sum()))
-        gap = timetable.gaps(i) * rng.uniform(1, 2, timetable.num_robots)
-        group = np.argsort(gap, kind="stable")[:_GROUP]
-        replan_together(timetable, rng.permutation(group).tolist())

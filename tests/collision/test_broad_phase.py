@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING
 
-from plr_jax.collision.near import Traffic, circles, within_reach
+from plr_jax.collision.broad_phase import Traffic, circles, within_reach
 from plr_jax.collision.pairs import motions_apart
 
 TEAM = [DISC, BAR, POINT, WING, PEBBLE, DISC]

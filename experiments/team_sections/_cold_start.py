@@ -1,6 +1,7 @@
 """From the start of a process: import, the first plan, a second one with other starts and goals; the command line.
 
-Medians of several processes.
+Medians of several processes, in which nothing is planned before: neither map nor starts and goals are known. The
+second plan is in a workspace of its own, so that it knows no map either.
 """
 
 import subprocess

@@ -1,0 +1,124 @@
+"""Two searches on the same lattices, which take turns."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from tqdm import tqdm
+
+from plr_jax._types import HeuristicFn, SeparableHeuristic
+from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._heuristics import estimates, straight_line
+from plr_jax.planners._solution import Status
+from plr_jax.planners.bl.heuristic_table import HeuristicTable, heuristic_table, tabulate
+from plr_jax.planners.bl.options import BLOptions
+from plr_jax.planners.bl.search import BestFirstSearch, bytes_of_tables
+from plr_jax.planners.lacam.moves import TeamMoves
+from plr_jax.planners.lacam.search import LaCAM
+from plr_jax.planners.lattice.edges import by_robot
+from plr_jax.planners.lattice.joint import State
+from plr_jax.planners.level import LatticeLevel
+
+# The first turn of each search: idle steps of LaCAM a robot, and expansions of best-first search over the robots.
+_IDLE_STEPS, _EXPANSIONS = 8, 1024
+_LONGER = 1.5  # growth of turns
+
+
+class Searches:
+    """LaCAM and best-first search, or one of them, on the lattices of a level.
+
+    Both go by the heuristic if it has terms, and by the costs-to-go along the lattices if there is none. A heuristic
+    without terms leads best-first search, beside straight lines; LaCAM then goes by the costs-to-go.
+
+    Args:
+        level: The lattices.
+        heuristic: As given to the planner.
+        weight: Of the heuristic in best-first search.
+        options: Those of the planner.
+        budget: What it may still do.
+
+    Raises:
+        TimeoutError: If the deadline passes before the heuristic is known.
+    """
+
+    def __init__(
+        self,
+        level: LatticeLevel,
+        heuristic: HeuristicFn | None,
+        weight: float,
+        options: BLOptions,
+        budget: SearchBudget,
+    ):
+        self.level, self.weight, self.options, self.budget = level, weight, options, budget
+        self.held = HeldMemory(budget)
+        self.held.add(level.num_bytes)
+        self.plain: HeuristicFn | None = None
+        terms = by_robot(level.kinds, level.costs_to_go)
+        self.tables: Sequence[Float[np.ndarray, _]] = terms
+        if isinstance(heuristic, SeparableHeuristic):
+            self.tables = terms = tabulate(level.joint, heuristic, budget.deadline)
+        elif heuristic is not None:
+            problem = level.joint.problem
+            estimates(heuristic, problem.starts[None].copy())  # whether it is one
+            self.plain, self.tables = heuristic, tabulate(level.joint, straight_line(problem), budget.deadline)
+        self.lacam: LaCAM | None = None
+        if "lacam" in options.searchers:
+            by_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in level.kinds]
+            moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance)
+            self.lacam = LaCAM(level.joint, moves, budget)
+        self.best_first: BestFirstSearch | None = None
+        self.turn = 1.0  # length of the next one, in first ones
+
+    def run(self, bar: tqdm) -> Status | None:
+        """Let each search go on for a turn, which is half as long again as the one before.
+
+        Returns:
+            SOLVED, or the limit that is reached; EXHAUSTED if no path along the lattices is left; None for a pause.
+        """
+        num_robots, status = len(self.level.joint.lattices), None
+        if self.lacam is not None:
+            status = self.lacam.run(int(self.turn * _IDLE_STEPS * num_robots), bar)
+        if self.lacam is None and not self._has_room:
+            return Status.MEMORY_LIMIT
+        if status is None and "bl" in self.options.searchers and self._has_room:
+            if self.best_first is None:
+                self.best_first = BestFirstSearch(self.level.joint, self._table, self.options, self.budget)
+            status = self.best_first.run(max(1, int(self.turn * _EXPANSIONS / num_robots)), bar)
+            # Cells that are larger than a configuration may hide a path.
+            if status is Status.EXHAUSTED and self.options.cell_size is not None and self.lacam is not None:
+                status = None
+        self.turn *= _LONGER
+        return status
+
+    def release(self) -> None:
+        """Stop counting what the lattices and the searches hold."""
+        for each in (self, self.lacam, self.best_first):
+            if each is not None:
+                each.held.release()
+
+    @property
+    def found(self) -> tuple[str, State]:
+        """The search that has reached the goals, and its states from the starts to them."""
+        for name, search in (("lacam", self.lacam), ("bl", self.best_first)):
+            if search is not None and search.found is not None:
+                return name, search.branch
+        raise AssertionError("No search has reached the goals.")
+
+    @property
+    def state(self) -> State:
+        """The nodes of the search that has more of them, or the starts before there is one."""
+        states = [search.state for search in (self.lacam, self.best_first) if search is not None]
+        return max(states, key=len, default=np.array([[lattice.start for lattice in self.level.joint.lattices]]))
+
+    @property
+    def num_bytes_needed(self) -> int:
+        """What best-first search needs to begin, beside what is held."""
+        return bytes_of_tables(self.level.joint) if self.best_first is None else 0
+
+    @property
+    def _has_room(self) -> bool:
+        return self.budget.memory + self.num_bytes_needed < self.options.max_memory or self.best_first is not None
+
+    @property
+    def _table(self) -> HeuristicTable:
+        return heuristic_table(self.level.joint, self.tables, self.weight, self.plain)

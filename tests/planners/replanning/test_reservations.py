@@ -1,0 +1,86 @@
+"""Robots planned anew among others: against NetworkX over time, and by the independent check."""
+
+import time
+
+import networkx as nx
+import numpy as np
+import pytest
+from reservation_helpers import TEAMS, blocked_from_scratch, table_of
+
+from plr_jax.collision.pairs import motions_apart
+from plr_jax.planners.replanning.neighborhoods import replan_each, replan_neighborhoods, replan_together
+from plr_jax.planners.replanning.reservations import num_bytes_of_table
+
+
+def cheapest_by_networkx(joint, table, i):
+    """The cost of robot ``i``'s cheapest path through time, each motion tested against the others' one by one."""
+    lattice, state = joint.lattices[i], table.state
+    others = [j for j in range(len(joint.lattices)) if j != i]
+    graph = nx.DiGraph()
+    reached = {lattice.start}
+    for step in range(len(state) - 1):
+        begin = np.repeat(sorted(reached), lattice.num_primitives)
+        primitive = np.tile(np.arange(lattice.num_primitives), len(reached))
+        free = np.isfinite(lattice.cost[begin, primitive])
+        begin, primitive = begin[free], primitive[free]
+        end = lattice.child[begin, primitive]
+        clear = np.ones(len(begin), dtype=bool)
+        robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
+        for j in others:
+            q = joint.lattices[j].q[state[step : step + 2, j]]
+            a0, a1 = lattice.q[begin], lattice.q[end]
+            clear &= motions_apart(robots[i], a0, a1, robots[j], q[[0] * len(begin)], q[[1] * len(begin)], tolerance)
+        cost = lattice.cost[begin, primitive]
+        for b, e, c in zip(begin[clear].tolist(), end[clear].tolist(), cost[clear].tolist(), strict=True):
+            known = graph.get_edge_data((step, b), (step + 1, e), {"cost": np.inf})["cost"]
+            graph.add_edge((step, b), (step + 1, e), cost=min(c, known))
+        reached = set(end[clear].tolist())
+    return nx.dijkstra_path_length(graph, (0, lattice.start), (len(state) - 1, lattice.goal), "cost")
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_a_robot_gets_the_cheapest_path_among_the_others(name):
+    joint, table = table_of(name)
+    for i in range(min(4, table.num_robots)):
+        expected = cheapest_by_networkx(joint, table, i)
+        before = table.cost[i]
+        table.release(i)
+        assert table.replan(i, before) and table.cost[i] == pytest.approx(expected, rel=1e-12)
+        table.reserve(i)
+        assert table.cost[i] <= before * (1 + 1e-12)
+
+
+def test_a_table_that_is_late_is_not_drawn_up():
+    with pytest.raises(TimeoutError, match="before all collisions were found"):
+        table_of("crowd", seconds=-1.0)
+
+
+def test_memory_counts_what_the_table_and_its_conflicts_take():
+    _, table = table_of("crowd")
+    said = num_bytes_of_table(table.kinds, len(table.state))
+    taken = sum(blocked.nbytes for blocked in table.blocked)
+    assert taken / 2 <= said <= 4 * taken
+    known = [edges for of_pair in table.conflicts._known.values() for edges in of_pair.values()]
+    assert table.budget.memory == table.held.num_bytes >= said + sum(edges.nbytes for edges in known)
+    assert all(edges.base is None for edges in known)
+    table.held.release()
+    assert table.budget.memory == 0
+
+
+def test_after_the_deadline_paths_stay_as_they_are():
+    _, table = table_of("crowd")
+    state = table.state.copy()
+    table.budget.deadline = time.perf_counter() - 1
+    replan_each(table)
+    replan_neighborhoods(table, 5, np.random.default_rng(0))
+    assert not replan_together(table, [0, 1, 2])
+    np.testing.assert_array_equal(table.state, state)
+    for blocked, fresh in zip(table.blocked, blocked_from_scratch(table), strict=True):
+        np.testing.assert_array_equal(blocked, fresh)
+
+
+def test_apart_is_what_the_joint_motion_test_says():
+    joint, table = table_of("mixed")
+    replan_each(table)
+    q = joint.configurations(table.state)
+    assert joint.test(q[:-1], q[1:]).all()
