@@ -85,12 +85,12 @@ def is_free(first: int, last: int, scene: int) -> bool:
         True if all robots stay clear of walls and of one another along the whole motion. Touching is clear.
     """
     free = is_motion_free(_configurations(first, scene), _configurations(last, scene), scene)
-    count(free, scene)
+    count_motion(free, scene)
     return free
 
 
 @njit(cache=True)
-def count(free: bool, scene: int):
+def count_motion(free: bool, scene: int):
     """Count a motion, and whether it was free."""
     header = carray(pointer(scene), (_HEADER,), np.float64)
     header[_CHECKED] += 1
@@ -274,7 +274,7 @@ def _configurations(state, scene):
 
 
 @njit(cache=True)
-def parts_of(state: int, count: int):
+def parts_of(state: int, num_parts: int):
     """Addresses of the parts of a compound state, given its ``id`` and how many to read."""
     # A nanobind instance holds, after its 16-byte Python header, where its C++ object is, as a distance to it or
     # to a pointer to it; bit 2 of the flags that follow says which. An OMPL state has its data after one
@@ -283,7 +283,7 @@ def parts_of(state: int, count: int):
     parts = state + offset
     if not flags & 4:
         parts = word(parts)
-    return carray(pointer(word(parts + 8)), (count,), np.int64)
+    return carray(pointer(word(parts + 8)), (num_parts,), np.int64)
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Prioritized planning with the Open Motion Planning Library, which is how its users plan for crowds."""
+"""Prioritized planning with the Open Motion Planning Library: for one robot after the other, in space and time."""
 
 from experiments.baselines.ompl import task_of, trial
 from plr_jax._problem import Problem
@@ -23,7 +23,7 @@ def ompl_prioritized(
 
     From then on, robots are planned for again, each among all others, and their paths simplified, while that helps;
     then another order begins. Replanned robots depart and arrive at random times and rest before and after, where
-    they can: without that, all are on their way all the time, which costs small crowds about 1 %.
+    they can: without that, all would be on their way, and in each other's, all the time.
 
     OMPL's distance in space and time, infinite where a robot would be too slow, guides RRT-Connect, with motions of
     at most a fifth of the bounds' longer side; paths are simplified in the product of the plane and the time, with

@@ -5,7 +5,7 @@ The task comes in and messages go out as with ``ompl_worker``.
 
 import itertools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,29 +16,18 @@ from ompl import base, geometric
 from experiments.baselines.ompl import Done, Found, Ready, Task
 from experiments.baselines.ompl_motions import Scene
 from experiments.baselines.ompl_tracks import Track, Traffic, is_free, is_motion_free_among, row_of
-from experiments.baselines.ompl_worker import Send, is_news, plane_of, require_same, serve
+from experiments.baselines.ompl_worker import Send, information_of, is_news, plane_of, require_same, serve
 
 # Seconds for each robot in the first attempt at an order, and their growth from one attempt that fails to the next.
 _SECONDS, _SECONDS_GROWTH = 0.05, 1.5
-# When all robots arrive, as a multiple of half the bounds' perimeter: one of these after the other. The longer it is,
-# the more room there is in time, and the more to search.
-_HORIZONS = (1.5, 3.0, 6.0)
+# When all robots arrive, as a multiple of the bounds' perimeter: one of these after the other. The longer it is, the
+# more room there is in time, and the more to search.
+_HORIZONS = (0.75, 1.5, 3.0)
 _RANGE = 0.2  # mean of the length and the duration of motions that extend a tree, as a share of the longer side
 _LEISURE = 1.5  # least time for a path, as a multiple of its length: near full speed, RRT-Connect hardly finds any
 _MOST_DRAWS = 10  # of times at which to depart and arrive
 _WORTHWHILE = 0.003  # share by which a round must have shortened the paths if there is to be another
 _TIME_WEIGHT = 1e-3  # of time in the metric by which OMPL shortens paths; with 0, it would be none
-
-
-class _Motions(base.MotionValidator):
-    """Whole motions tested by one compiled call, in place of states at a resolution."""
-
-    def __init__(self, information: Any, test: Callable[[Any, Any], bool]):
-        super().__init__(information)
-        self._test = test
-
-    def checkMotion(self, first: Any, last: Any) -> bool:
-        return self._test(first, last)
 
 
 class _Planner:
@@ -48,14 +37,16 @@ class _Planner:
         self._task, self._scenes, self.horizon = task, scenes, horizon
         timed = base.SpaceTimeStateSpace(plane_of(task), 1.0)
         timed.setTimeBounds(0.0, horizon)
-        self._timed = self._information(timed)
+        self._addresses = [0, 0]  # of what stands and of what moves, as turn_to says
+        self._timed = information_of(timed, is_free, self._addresses)
         self._planner = geometric.RRTConnect(self._timed)
         self._planner.setRange(_RANGE * float((task.hi - task.lo).max()))
         # OMPL's distance in space and time is infinite where a robot would be too slow. That makes trees grow where
         # they can, but the simplifier does less in spaces that are not metric.
         times = base.TimeStateSpace()
         times.setBounds(0.0, horizon)
-        self._metric = self._information(base.CompoundStateSpace([plane_of(task), times], [1.0, _TIME_WEIGHT]))
+        metric = base.CompoundStateSpace([plane_of(task), times], [1.0, _TIME_WEIGHT])
+        self._metric = information_of(metric, is_free, self._addresses)
         self._simplifier = geometric.PathSimplifier(self._metric)
 
     def turn_to(self, robot: int, tracks: Mapping[int, Track]) -> None:
@@ -64,7 +55,7 @@ class _Planner:
         reaches = [radii[robot] + radii[other] - self._task.tolerance for other in others]
         self._start, self._goal = self._task.starts[robot, :2], self._task.goals[robot, :2]
         self._traffic = Traffic([tracks[other] for other in others], reaches)
-        self._addresses = self._scenes[robot].address, self._traffic.address
+        self._addresses[:] = self._scenes[robot].address, self._traffic.address
 
     def plan(self, departure: float, arrival: float, seconds: float) -> Track | None:
         """A path that leaves the start and arrives at the goal at given times."""
@@ -117,17 +108,6 @@ class _Planner:
     def _is_track_free(self, track: Track) -> bool:
         return all(is_motion_free_among(*motion, *self._addresses) for motion in itertools.pairwise(track))
 
-    def _is_free(self, first: Any, last: Any) -> bool:
-        return is_free(id(first), id(last), *self._addresses)
-
-    def _information(self, space: Any) -> Any:
-        space.setup()
-        information = base.SpaceInformation(space)
-        information.setStateValidityChecker(lambda state: self._is_free(state, state))
-        information.setMotionValidator(_Motions(information, self._is_free))
-        information.setup()
-        return information
-
 
 @dataclass
 class _Trial:
@@ -170,27 +150,29 @@ def run(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
     begin = time.perf_counter()
     scenes = [Scene(size[None], task.walls, task.tolerance) for size in task.sizes]
-    _Planner(task, scenes, 1.0).check()
+    perimeter = 2 * float((task.hi - task.lo).sum())
+    planners = [_Planner(task, scenes, horizon * perimeter) for horizon in _HORIZONS]
+    for planner in planners:
+        planner.check()
     send(Ready(time.perf_counter() - begin))
     trial = _Trial(task, send)
-    _search(trial, scenes)
+    _search(trial, planners)
     checked, free = sum(scene.num_checked for scene in scenes), sum(scene.num_free for scene in scenes)
     return Done(trial.is_solved, trial.seconds, np.zeros((0, *task.starts.shape)), checked, free)
 
 
-def _search(trial: _Trial, scenes: list[Scene]) -> None:
+def _search(trial: _Trial, planners: list[_Planner]) -> None:
     """Plan in one order after the other: a robot that has failed comes first in the next."""
-    task, rng = trial.task, np.random.default_rng(trial.task.seed)
-    order, attempt = rng.permutation(len(scenes)).tolist(), 0
+    rng, num_robots = np.random.default_rng(trial.task.seed), len(trial.task.sizes)
+    order, attempt = rng.permutation(num_robots).tolist(), 0
     while not trial.is_over:
-        horizon = _HORIZONS[attempt % len(_HORIZONS)] * float((task.hi - task.lo).sum())
-        planner = _Planner(task, scenes, horizon)
+        planner = planners[attempt % len(planners)]
         # On the shortest paths, robots are slow and crowd at doors; on others, they need more of the open space.
         tracks, failed = _plan_in_order(planner, order, _SECONDS * _SECONDS_GROWTH**attempt, attempt % 2 == 0, trial)
         if failed is None:
             trial.report(tracks)
             _improve(planner, tracks, trial, rng)
-            order, attempt = rng.permutation(len(scenes)).tolist(), 0
+            order, attempt = rng.permutation(num_robots).tolist(), 0
         else:
             order.remove(failed)
             order.insert(0, failed)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numba import njit
 from numba.np.numpy_support import carray
 
-from experiments.baselines.ompl_motions import count, is_motion_free, parts_of, point_distance, pointer, word
+from experiments.baselines.ompl_motions import count_motion, is_motion_free, parts_of, point_distance, pointer, word
 
 Track: TypeAlias = Float[np.ndarray, "rows 3"]
 
@@ -60,7 +60,7 @@ def is_free(first: int, last: int, scene: int, traffic: int) -> bool:
         True if it does not lead back in time, is not too fast, and stays clear of walls and of the others.
     """
     free = is_motion_free_among(_row(first), _row(last), scene, traffic)
-    count(free, scene)
+    count_motion(free, scene)
     return free
 
 

@@ -9,7 +9,7 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -29,12 +29,12 @@ _LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one repor
 class _Motions(base.MotionValidator):
     """Whole motions tested by one compiled call, in place of states at a resolution."""
 
-    def __init__(self, information: Any, scene: Scene):
+    def __init__(self, information: Any, kernel: Callable[..., bool], addresses: Sequence[int]):
         super().__init__(information)
-        self._scene = scene.address
+        self._kernel, self._addresses = kernel, addresses
 
     def checkMotion(self, first: Any, last: Any) -> bool:
-        return is_free(id(first), id(last), self._scene)
+        return self._kernel(id(first), id(last), *self._addresses)
 
 
 class _Length(base.OptimizationObjective):
@@ -221,16 +221,12 @@ _PLANS: dict[str, Callable[[_Setup, Report, float], bool]] = {
 def _setup(task: Task) -> _Setup:
     """The problem in OMPL's terms, everything compiled."""
     scene, space = Scene(task.sizes, task.walls, task.tolerance), _space(task)
-    information = base.SpaceInformation(space)
-    address = scene.address
-    information.setStateValidityChecker(lambda state: is_free(id(state), id(state), address))
-    information.setMotionValidator(_Motions(information, scene))
-    information.setup()
+    information = information_of(space, is_free, [scene.address])
     ends = [_state(space, task, q) for q in (task.starts, task.goals)]
     for state, q in zip(ends, (task.starts, task.goals), strict=True):
         require_same(np.exp(1j * configurations_of(state, scene)), np.exp(1j * q))
         information.isValid(state)  # compiles, and so does the next line
-        is_motion_free(q, q, address)
+        is_motion_free(q, q, scene.address)
     definition = base.ProblemDefinition(information)
     definition.setStartAndGoalStates(*ends)
     objective = _OBJECTIVES[task.planner](information)
@@ -242,6 +238,24 @@ def _setup(task: Task) -> _Setup:
         planner.setRange(min(longest, 0.2 * space.getMaximumExtent()))
     planner.setup()
     return _Setup(task, scene, information, definition, planner, objective)
+
+
+def information_of(space: Any, kernel: Callable[..., bool], addresses: Sequence[int]) -> Any:
+    """A space with compiled tests.
+
+    Args:
+        space: OMPL's state space.
+        kernel: Tells of the ``id``s of two states, and addresses, whether the motion is free.
+        addresses: Looked up anew for each test.
+
+    Returns:
+        OMPL's information on the space.
+    """
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: kernel(id(state), id(state), *addresses))
+    information.setMotionValidator(_Motions(information, kernel, addresses))
+    information.setup()
+    return information
 
 
 def require_same(read: Any, written: Any) -> None:
