@@ -58,10 +58,16 @@ class Traffic:
             Rows, and the other robots that may come within reach in them, row by row.
         """
         x, y, radius = circles(begin, end)
-        dx, dy = self._x[motion] - x[:, None], self._y[motion] - y[:, None]
-        reach = self._radius[motion] + (radius + self._size[i])[:, None]
+        # In place, as these arrays are large.
+        squared, along_y, reach = self._x[motion], self._y[motion], self._radius[motion]
+        for difference, own in ((squared, x), (along_y, y)):
+            difference -= own[:, None]
+            difference *= difference
+        squared += along_y
+        reach += (radius + self._size[i])[:, None]
         reach[:, [i, *excluded]] = 0.0
-        row, other = np.nonzero(dx * dx + dy * dy < reach * reach)
+        reach *= reach
+        row, other = np.divmod(np.flatnonzero(squared < reach), len(self._size))
         return row, other
 
 
