@@ -12,7 +12,7 @@ from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners._budget import HeldMemory
 from plr_jax.planners.lattice.edges import Kind
 
-_CHUNK, _PAIRS = 256, 1 << 16  # edges, and pairs of them, at a time, between two looks at the clock
+_CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
 _ENTRY_BYTES = 200  # what an edge takes, besides those that collide with it
 
 
