@@ -16,7 +16,7 @@ from experiments import _gradient_tables as gradients
 from experiments import _proof_tables as proof_tables
 from experiments import _short_tables as short
 from experiments._results import RESULTS, read
-from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, or_dash, spread
+from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
 
 README = Path(__file__).parent.parent / "README.md"
 ALL_RESULTS = Path(__file__).parent / "README.md"
@@ -209,21 +209,33 @@ def race(results: dict[str, Any]) -> str:
 def teams(results: dict[str, Any]) -> str:
     """Teams: the first path, what the call returns, and what half a minute makes of it."""
     rows = [["team", "robots", "no path", "first path s", "its cost / bound", "s", "cost / bound"]]
-    forms = {"first": ".3f", "first_ratio": ".3f", "seconds": ".2f", "ratio": ".4f"}
     for section in ("first", "half_a_minute", "den520d", "dbcbs_16", "unseen"):
         limit = results[section].get("time_limit")
         for row in results[section]["rows"]:
             name = f"{row['scene']}, improved for {limit:g} s" if limit else row["scene"]
-            numbers = [or_dash(row[key], form) for key, form in forms.items()]
+            numbers = [cell(row, key, form) for key, form in FORMS.items()]
             rows.append([name, f"{row['robots']}", f"{row['failures']}/{row['runs']}", *numbers])
     return markdown(rows, numbers=6) + (
-        "\nMedians where there are several calls; no path: calls that found none. Bound: the sum of the robots' "
-        "exact distances, each alone; of den520d those of points.\n"
+        "\nMedians where there are several teams, and in brackets the largest; no path: calls that found none. Bound: the "
+        "sum of the robots' exact distances, each alone; of den520d those of points.\n"
     )
 
 
 def results_of(name: str) -> dict[str, Any]:
-    return read(RESULTS, name)["results"]
+    """The results of an experiment; ``ValueError`` if a path among them is not valid."""
+    results = read(RESULTS, name)["results"]
+    if name in ("table2", "race", "teams"):
+        require_valid(name, results)
+    return results
+
+
+def require_valid(where: str, results: Any) -> None:
+    """Refuse results that say of any path that it is not valid."""
+    parts = results.items() if isinstance(results, dict) else enumerate(results) if isinstance(results, list) else ()
+    for key, part in parts:
+        if part is False and "valid" in where.split(".")[-1] + str(key):
+            raise ValueError(f"{where}.{key}: a path is not valid.")
+        require_valid(f"{where}.{key}", part)
 
 
 TABLES: dict[str, Callable[[], str]] = {

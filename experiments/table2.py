@@ -3,9 +3,9 @@
 A run is of one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
 Under a heuristic, best-first search goes alone; "lattice" is ``bl_plan(problem)``, both of its searches by the costs
 along the lattices. Before a scene's runs, another variant of it is planned under each heuristic, so that everything
-is compiled, and the map is known, but no starts and goals. Nodes, costs and paths depend on the seeds alone, but for
-runs that a limit ended; seconds do not. Every path is checked by ``validate``, but for those of the seconds within a
-factor of the bound. The race with other planners is ``experiments.race``.
+is compiled, and the map is known; of each variant, "lattice" comes first, to which its starts and goals are new.
+Nodes, costs and paths depend on the seeds alone, but for runs that a limit ended; seconds do not. Every path is
+checked by ``validate``. The race with other planners is ``experiments.race``.
 """
 
 import os
@@ -34,16 +34,14 @@ from experiments._planning import (
 )
 from experiments._results import run
 from experiments._tables import aligned, nodes_of, num_solved, spread
-from plr_jax import BLOptions, Problem, Solution, Status, scenes
+from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS = 20
 TIME_LIMIT = 60.0
 # Without a heuristic teams are out of reach: a few starts and seconds show it.
 NUM_STARTS_NONE, TIME_LIMIT_NONE = 3, 20.0
-TIME_LIMIT_WITHIN = 3.0
 SEARCHERS = (("bl",), ("lacam", "bl"))  # under a heuristic, and by the planner's own choice
 PHASES = ("lattice", "heuristic", "search", "replan", "shorten")
-COST_FACTORS = (1.05,)
 RATE_EXPANSIONS, RATE_RUNS, JOINT_CHILDREN = 2_000, 5, 9**4
 
 PAPER: dict[str, dict[str, Any]] = {
@@ -68,12 +66,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         "teams_without_heuristic": {"starts": len(seeds_none), "seconds": limit_none},
         "paper": PAPER,
         "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none, plr_bytes)],
-        "within": [
-            within(name, factor, seeds, plr_bytes)
-            for name in names
-            if len(SCENES[name]().robots) > 1
-            for factor in COST_FACTORS
-        ],
         "cold": [
             {"scene": name, "heuristic": heuristic, **cold_seconds(name, heuristic)}
             for name in tqdm(names[:1] if smoke else names, desc="cold", delay=3, disable=None)
@@ -98,7 +90,7 @@ def measure_scene(
     name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float, plr_bytes: int
 ) -> list[dict[str, Any]]:
     """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
-    runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (*HEURISTICS, LATTICE)}
+    runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS)}
     scene = SCENES[name]()
     alone = len(scene.robots) == 1
     limits = {heuristic: limit_none if heuristic == NONE and not alone else TIME_LIMIT for heuristic in runs}
@@ -123,21 +115,6 @@ def measure_scene(
         }
         for heuristic, entries in runs.items()
     ]
-
-
-def within(name: str, factor: float, seeds: Sequence[int], plr_bytes: int) -> dict[str, Any]:
-    """Warm seconds to a path within a factor of the lower bound, under PLRs."""
-    seconds, ratios = [], []
-    for seed in tqdm(seeds, desc=f"{name} within {factor}", delay=3, disable=None):
-        problem = scenes.perturbed(SCENES[name](), seed)
-        bound = lower_bound(problem)
-        heuristic = build(problem, PLR, plr_bytes).heuristic
-        options = BLOptions(searchers=("bl",), cost_factor=factor, lower_bound=bound, time_limit=TIME_LIMIT_WITHIN)
-        plan(problem, heuristic, options)
-        solution, took = plan(problem, heuristic, options)
-        seconds.append(round(took, 5) if solution.status is Status.SOLVED else None)
-        ratios.append(round(solution.cost / bound, 5))
-    return {"scene": name, "factor": factor, "seed": list(seeds), "seconds": seconds, "cost_over_bound": ratios}
 
 
 def measure(problem: Problem, built: Built, bound: float, options: BLOptions) -> dict[str, Any]:
@@ -240,9 +217,6 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     tables = {
         "BL over perturbed starts and goals: medians (worst)": main_table(results),
         "Nodes: medians over perturbed starts and goals": nodes_table(results),
-        "Seconds to a path within a factor of the lower bound, with PLRs: medians (worst)": within_table(
-            results["within"]
-        ),
         "Seconds of the first plan in a new process": cold_table(results["cold"]),
         "Joint children of 4 discs in four rooms, millions a second of search": rate_table(results["children_rate"]),
         "Problems of db-CBS, holonomic": dbcbs_table(results["dbcbs"]) if results["dbcbs"] else "left out\n",
@@ -285,15 +259,6 @@ def nodes_table(results: dict[str, Any]) -> str:
         found = {row["heuristic"]: nodes_of(row) for row in results["rows"] if row["scene"] == name}
         rows.append([name, *(found[heuristic] for heuristic in HEURISTICS)])
     return aligned(rows, numbers=len(HEURISTICS))
-
-
-def within_table(entries: list[dict[str, Any]]) -> str:
-    rows = [["scene", "factor", "reached", "s", "cost / bound"]]
-    for entry in entries:
-        num_reached = sum(seconds is not None for seconds in entry["seconds"])
-        cells = [f"{num_reached}/{len(entry['seed'])}", spread(entry["seconds"], ".3f")]
-        rows.append([entry["scene"], f"{entry['factor']:.2f}", *cells, spread(entry["cost_over_bound"], ".3f")])
-    return aligned(rows, numbers=4)
 
 
 def cold_table(entries: list[dict[str, Any]]) -> str:
