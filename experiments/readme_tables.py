@@ -216,8 +216,8 @@ def teams(results: dict[str, Any]) -> str:
             numbers = [cell(row, key, form) for key, form in FORMS.items()]
             rows.append([name, f"{row['robots']}", f"{row['failures']}/{row['runs']}", *numbers])
     return markdown(rows, numbers=6) + (
-        "\nMedians where there are several teams, and in brackets the largest; no path: calls that found none. Bound: the "
-        "sum of the robots' exact distances, each alone; of den520d those of points.\n"
+        "\nMedians where there are several teams, and in brackets the largest; no path: calls that found none. "
+        "Bound: the sum of the robots' exact distances, each alone; of den520d those of points.\n"
     )
 
 
