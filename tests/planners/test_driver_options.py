@@ -116,3 +116,14 @@ def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cos
     problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
     solution = bl_plan(problem, options=BLOptions(step=1.0))
     assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf
+
+
+def test_options_in_the_place_of_the_heuristic_are_refused():
+    with pytest.raises(ValueError, match=r"bl_plan\(problem, options=BLOptions"):
+        bl_plan(scenes.single_door(), BLOptions())
+
+
+def test_distance_functions_alone_are_no_heuristic():
+    problem = scenes.four_rooms(2)
+    with pytest.raises(ValueError, match=r"sum_of_distances\(distance_fns\)"):
+        bl_plan(problem, robot_distance_fns(problem))

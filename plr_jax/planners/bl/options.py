@@ -38,7 +38,9 @@ class BLOptions:
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
         cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
-            costs more, the search goes on with smaller weights and steps, until a limit.
+            costs more, the search goes on with smaller weights and steps, until a limit. 1: to the limit, as a rule.
+            The bound is that of straight lines unless something better is given: ``lower_bound``, or a heuristic
+            that is one, such as the exact distances.
         lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
             straight lines and what the heuristic proves.
         time_limit: Seconds.
