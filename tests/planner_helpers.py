@@ -12,6 +12,7 @@ from robot_helpers import along, shapes
 from plr_jax import (
     BLOptions,
     DiscRobot,
+    PointRobot,
     Problem,
     RectangleRobot,
     Workspace,
@@ -31,6 +32,13 @@ from plr_jax.planners.lattice.joint import JointLattice
 TRANSLATIONS = PRIMITIVES[:8]
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
+TIGHT = Workspace(((0, 0), (3, 3)), [shapely.box(1.4, 1.4, 1.6, 1.6)])
+TIGHT_TEAM = Problem(
+    TIGHT,
+    [DiscRobot(0.3), RectangleRobot(0.8, 0.3), PointRobot()],
+    [(0.5, 0.5, 1), (2.5, 2.5, 0.1), (0.5, 2.5, 2)],
+    [(2.5, 2.5, 0), (0.6, 0.6, 0), (2.5, 0.5, 0)],
+)
 
 
 def hallway(length):
@@ -101,6 +109,17 @@ def apart(joint, state, primitive):
             motions += [robots[k], lattice.q[state[:, k]], lattice.q[lattice.child[state[:, k], primitive[:, k]]]]
         clear &= motions_apart(*motions, tolerance)
     return clear
+
+
+def free_states(joint, num, seed):
+    """Random joint configurations in which no two robots overlap, some of them close together."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < num:
+        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
+        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
+            found.append(state[0])
+    return np.array(found, dtype=np.int32)
 
 
 def reachable(joint):
