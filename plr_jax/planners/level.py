@@ -1,6 +1,7 @@
 """The lattices of a team that have one step, and the costs along them."""
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,24 +68,25 @@ def build_level(
 
 def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
     """About what the lattices of a step take if all is free, so that those too large are not begun."""
-    tables = sum(num_configurations(problem.workspace, robot, step) for robot in _kinds(problem))
-    columns = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
-    return _MOTION_BYTES * (1 + num_primitives) * tables + _COLUMN_BYTES * columns
+    total = 0.0
+    for (robot, _), count in _kinds(problem).items():
+        nodes = num_configurations(problem.workspace, robot, step) + 2 * count
+        total += nodes * (_MOTION_BYTES * (1 + num_primitives) + _COLUMN_BYTES * count)
+    return total
 
 
 def work(problem: Problem, step: float, num_primitives: int) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
     each = (
         (_TURNING if robot.dof == 3 else 1) * num_configurations(problem.workspace, robot, step)
-        for robot in _kinds(problem)
+        for robot, _ in _kinds(problem)
     )
     return (1 + num_primitives) * sum(each)
 
 
-def _kinds(problem: Problem) -> list[Robot]:
-    """One robot of each kind."""
-    kinds = dict.fromkeys(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
-    return [robot for robot, _ in kinds]
+def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
+    """The robots that share a table, with the weight of their turns, and how many there are."""
+    return Counter(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
 
 
 def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes"]:

@@ -89,6 +89,13 @@ def test_larger_cells_of_a_team():
     assert coarse < fine
 
 
+def test_a_nudge_among_as_many_primitives_as_there_may_be():
+    bar = Problem(Workspace(((0, 0), (2, 2))), [RectangleRobot(0.2, 0.1)], [(1.03, 1.03, 0.1)], [(1.13, 1.13, 0.1)])
+    primitives = (*FOUR_NEIGHBORS, *((0, 0, turn) for turn in range(1, 251)))
+    solution = planned(bar, searchers=("bl",), step=0.5, primitives=primitives)
+    assert solution.cost == pytest.approx(np.hypot(0.1, 0.1))
+
+
 @pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
 def test_other_options_solve_too(options):
     planned(scenes.four_rooms(2), step=0.5, **options)

@@ -85,12 +85,12 @@ class BLOptions:
 
 
 def _require_primitives(primitives: Sequence[Primitive]) -> None:
-    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 255"
+    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 254"
     try:
         offsets = np.array(primitives)
     except (TypeError, ValueError):
         raise ValueError(f"{message}, got {primitives!r}.") from None
-    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 255:
+    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 254:
         raise ValueError(f"{message}, got {primitives!r}.")
     if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
         raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")
