@@ -152,18 +152,18 @@ class Motions(NamedTuple):
         return cost
 
     def _motion_costs(
-        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"]
+        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"], deadline: float = math.inf
     ) -> Float[np.ndarray, "n"]:
         """Cost of straight motions, ``inf`` for those that are not free."""
-        return np.where(self.test(begin, end), straight_costs(begin, end, self.rotation_weight), np.inf)
+        return np.where(self.test(begin, end, deadline), straight_costs(begin, end, self.rotation_weight), np.inf)
 
-    def connect(self, cells: Int[np.ndarray, "n"]) -> None:
-        """Test the motions that begin in some cells, in place."""
+    def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
+        """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
         child, exists = self.grid.neighbors(cells, self.offsets)
         exists &= self.free[cells, None] & self.free[child]
         exists[:, 0] = False
         cost = np.full(child.shape, np.inf)
-        cost[exists] = self._motion_costs(self.q[cells[np.nonzero(exists)[0]]], self.q[child[exists]])
+        cost[exists] = self._motion_costs(self.q[cells[np.nonzero(exists)[0]]], self.q[child[exists]], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -224,16 +224,16 @@ def _shared_motions(recipe: _Recipe) -> Motions:
 
 
 def _motions(recipe: _Recipe, grid: Grid) -> Motions:
-    dof, q, test = len(grid.shape), grid.centers(), motion_test(recipe.workspace, recipe.robot)
+    dof, q, test = len(grid.shape), grid.centers(), motion_test(recipe.workspace, recipe.robot, recipe.deadline)
     offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
     motions = Motions(
         grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
     )
     for cells in _chunks(grid, recipe.deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells], recipe.deadline)
     for cells in _chunks(grid, recipe.deadline):
-        motions.connect(np.arange(cells.start, cells.stop))
+        motions.connect(np.arange(cells.start, cells.stop), recipe.deadline)
     return motions
 
 
@@ -273,18 +273,18 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
 
 
 def _representatives(
-    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"]
+    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"], deadline: float
 ) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
     """A configuration of every cell, and whether it is free."""
     q = centers.copy()
-    free = test(q, q)
+    free = test(q, q, deadline)
     per_position = int(np.prod(grid.shape[2:]))
     clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
     blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
     samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
-    room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
+    room, open_ = np.full(len(samples), -np.inf), test(samples, samples, deadline)
     room[open_] = test.workspace.clearance(samples[open_, :2])
     best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
     q[blocked], free[blocked] = samples[best], open_[best]
