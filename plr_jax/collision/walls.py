@@ -25,7 +25,7 @@ from plr_jax.robots.robot import Robot
 
 # At a time, between two looks at the clock: motions; pieces of them and edges near; cells of the grid.
 _CHUNK, _PAIRS, _CENTERS = 1 << 14, 1 << 17, 1 << 13
-_OF_POINT = 32  # edges that count for a point, which is tested against all
+_OF_POINT = 128  # edges that count for a point, which is tested against all
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128
 
