@@ -133,7 +133,8 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
         _require_time(deadline)
-        collars: Any = [*shapely.polygons(strips[begin : begin + _COLLARS])]
+        collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
+        collars = collars.tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             vertex = boundary.edges[edge, 0]
             before = arriving[int(boundary.sector_end[edge]), int(vertex)]
