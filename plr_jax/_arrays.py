@@ -9,6 +9,7 @@ import reprlib
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -143,6 +144,12 @@ def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int
     """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
+    """Items in a row whose counts sum up to about ``most``, or one alone, together all of them."""
+    ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
+    return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
 def run_members(

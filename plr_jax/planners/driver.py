@@ -111,7 +111,7 @@ class _Run:
     def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
         self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
-        self.test = JointMotionTest(problem.workspace, problem.robots)
+        self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
         self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
         self.enough = math.inf
         self.incumbent = Incumbent(problem, began)
@@ -214,6 +214,8 @@ class _Run:
         try:
             with self.incumbent.phase("search"):
                 status = searches.run(self.progress)
+        except TimeoutError:
+            status = Status.TIME_LIMIT
         finally:
             self.samples = searches.level.joint.configurations(searches.state)
         if status is Status.MEMORY_LIMIT:

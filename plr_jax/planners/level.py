@@ -18,7 +18,8 @@ from plr_jax.robots.robot import Robot
 _MOTION_BYTES = 80  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _TURNING = 4  # times as long as a round robot's motion one takes to test that turns
-_GOALS = 8  # costs-to-go at a time, between two looks at the clock
+_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
+_SECONDS = 3e-7  # what an edge takes to be found, or a node to be reached; neither is begun if these are not left
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,9 @@ def build_level(
     """
     joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, deadline)), test)
     kinds = kinds_of(joint)
+    for kind in kinds:
+        _require_time(_SECONDS * kind.table.child.size, deadline)
+        _ = kind.edges  # found when first asked for
     costs = [_costs_to_go(kind, deadline) for kind in kinds]
     level = LatticeLevel(step, joint, kinds, costs, int(num_bytes(problem, step, len(primitives))))
     return level if np.isfinite(level.least_cost) else None
@@ -90,9 +94,15 @@ def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
 
 
 def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes"]:
-    rows, costs = np.arange(len(kind.members)), []
-    for begin in range(0, len(rows), _GOALS):
-        if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before the costs-to-go were known.")
-        costs.append(kind.edges.costs_to_go(rows[begin : begin + _GOALS]))
+    rows, costs, num_nodes = np.arange(len(kind.members)), [], len(kind.table.q)
+    size = int(np.clip(_NODES // num_nodes, 1, _GOALS))
+    for begin in range(0, len(rows), size):
+        _require_time(_SECONDS * num_nodes, deadline)
+        costs.append(kind.edges.costs_to_go(rows[begin : begin + size]))
     return np.concatenate(costs)
+
+
+def _require_time(seconds: float, deadline: float) -> None:
+    """Raise ``TimeoutError`` if so many seconds are not left for what cannot be cut short."""
+    if time.perf_counter() + seconds > deadline:
+        raise TimeoutError("The deadline passed before the costs-to-go were known.")

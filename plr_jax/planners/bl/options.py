@@ -43,7 +43,8 @@ class BLOptions:
             that is one, such as the exact distances.
         lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
             straight lines and what the heuristic proves.
-        time_limit: Seconds.
+        time_limit: Seconds. A call of Shapely or of the heuristic, and a search of a lattice for costs-to-go, are not
+            cut short.
         max_expansions: Most expansions; deterministic, unlike the time limit.
         max_memory: Most bytes of the lattices and of the search's nodes.
     """

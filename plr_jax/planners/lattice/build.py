@@ -167,17 +167,19 @@ class Motions(NamedTuple):
         possible: Bool[np.ndarray, "n primitives"],
         begin: Float[np.ndarray, "n #primitives dof"],
         end: Float[np.ndarray, "n #primitives dof"],
+        deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
         """Costs of straight motions, ``inf`` for those that are not possible or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
-        cost[possible] = np.where(self.test(begin, end), straight_costs(begin, end, self.rotation_weight), np.inf)
+        free = self.test(begin, end, deadline)
+        cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
-    def connect(self, cells: Int[np.ndarray, "n"]) -> None:
-        """Test the motions that begin in some cells, in place."""
+    def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
+        """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
         child, leads = self._neighbors(cells, self.offsets)
-        cost = self._costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child])
+        cost = self._costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -225,7 +227,8 @@ def build_lattices(
 
 @lru_cache(maxsize=8)
 def _motions(recipe: _Recipe) -> Motions:
-    grid, test = _grid(recipe.workspace, recipe.robot, recipe.step), motion_test(recipe.workspace, recipe.robot)
+    grid = _grid(recipe.workspace, recipe.robot, recipe.step)
+    test = motion_test(recipe.workspace, recipe.robot, recipe.deadline)
     dof, q = len(grid.shape), grid.centers()
     offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
@@ -233,9 +236,9 @@ def _motions(recipe: _Recipe) -> Motions:
         grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
     )
     for cells in _chunks(grid, recipe.deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells], recipe.deadline)
     for cells in _chunks(grid, recipe.deadline):
-        motions.connect(np.arange(cells.start, cells.stop))
+        motions.connect(np.arange(cells.start, cells.stop), recipe.deadline)
     return motions
 
 
@@ -263,18 +266,18 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
 
 
 def _representatives(
-    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"]
+    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"], deadline: float
 ) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
     """A configuration of every cell, and whether it is free."""
     q = centers.copy()
-    free = test(q, q)
+    free = test(q, q, deadline)
     per_position = int(np.prod(grid.shape[2:]))
     clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
     blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
     samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
-    room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
+    room, open_ = np.full(len(samples), -np.inf), test(samples, samples, deadline)
     room[open_] = test.workspace.clearance(samples[open_, :2])
     best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
     q[blocked], free[blocked] = samples[best], open_[best]
