@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     import typer
 
 INTERRUPTED_EXIT, TERMINATED_EXIT = 130, 143
+_SOON = 0.01  # seconds, in which a callback ends
 
 
 def main() -> None:
@@ -21,6 +23,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # Ctrl-C means no job in the background
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
+    sys.unraisablehook = _send_again
     try:
         load_app()()
     except KeyboardInterrupt:
@@ -40,6 +43,15 @@ def _stop(number: int, frame: FrameType | None) -> None:
             os._exit(INTERRUPTED_EXIT if interrupted else TERMINATED_EXIT)
         frame = frame.f_back
     raise KeyboardInterrupt if interrupted else SystemExit(TERMINATED_EXIT)
+
+
+def _send_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again whose exception went nowhere, as from a callback of the garbage collector; JAX has one."""
+    number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
+    if number is None:
+        sys.__unraisablehook__(lost)
+    else:
+        threading.Timer(_SOON, os.kill, (os.getpid(), number)).start()
 
 
 def load_app() -> "typer.Typer":

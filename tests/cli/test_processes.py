@@ -37,6 +37,23 @@ def test_no_import_within_a_command_swallows_a_signal(tmp_path, swallow, end, co
     assert (done.returncode, done.stdout, done.stderr) == (code, "", said)
 
 
+@pytest.mark.parametrize(("end", "code"), [(INTERRUPT, 130), (TERMINATE, 143)])
+def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost(end, code):
+    command = f"""
+import gc, time
+def callback(*_):
+    gc.callbacks.remove(callback)
+    {end}
+def command():
+    gc.callbacks.append(callback)
+    gc.collect()
+    time.sleep(60)
+cli.load_app = lambda: command
+"""
+    done = script(IN_FRONT + command + "cli.main()")
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
 def test_an_interrupt_after_all_imports_is_an_exception():
     command = f"def command():\n try: {INTERRUPT}\n finally: print('cleaned up')\ncli.load_app = lambda: command\n"
     done = script(IN_FRONT + command + "cli.main()")
