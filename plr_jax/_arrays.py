@@ -51,14 +51,20 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """An array of any shape as one of float64; ``expected`` says in an error what it must be."""
+    """An array of any shape as one of float64; ``expected`` says in an error what it must be.
+
+    Masked entries are refused: what lies under a mask is no number that anyone gave.
+    """
     try:
         numbers = np.asarray(value)
         if numbers.dtype.kind in "cUSMm":  # NumPy would drop imaginary parts, and read texts and dates as numbers
             raise TypeError
-        return np.asarray(numbers, dtype=np.float64)
+        numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {expected}, got {shortened(value)}.") from None
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} must be {expected}, and some are masked.")
+    return numbers
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
