@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,7 @@ from plr_jax import (
     validate,
     zero,
 )
+from plr_jax.planners._incumbent import Incumbent
 
 PLR_BYTES, SMOKE_BYTES = 4_096, 512
 
@@ -82,6 +84,24 @@ def plan(problem: Problem, heuristic: HeuristicFn | None, options: BLOptions) ->
 def is_valid(problem: Problem, solution: Solution) -> bool | None:
     """Whether a solution's path is valid; None if it has none."""
     return None if solution.path is None else validate(problem, solution.path).valid
+
+
+def plan_and_check(
+    problem: Problem, heuristic: HeuristicFn | None, options: BLOptions
+) -> tuple[Solution, float, bool | None]:
+    """A plan, and whether its first path and its last one are valid; None if there is none."""
+    first: list[Float[np.ndarray, "steps robots dof"]] = []
+    offer = Incumbent.offer
+
+    def kept(self: Incumbent, path: Float[np.ndarray, "steps robots dof"], found_by: str, factor: float) -> None:
+        if not first:
+            first.append(path)
+        offer(self, path, found_by, factor)
+
+    with mock.patch.object(Incumbent, "offer", kept):
+        solution, seconds = plan(problem, heuristic, options)
+    checks = [validate(problem, path).valid for path in first] + [is_valid(problem, solution)]
+    return solution, seconds, None if solution.path is None else all(checks)
 
 
 def solve(

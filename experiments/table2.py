@@ -1,9 +1,11 @@
 """Table II of the paper: BL under heuristics from none to the exact distances, over perturbed starts and goals.
 
 A run is of one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
-It is made twice in a row: the second is the warm one. A run that a limit ended is made once. Nodes, costs and paths
-depend on the seeds alone, but for runs that a limit ended; seconds do not. Every path is checked by ``validate``,
-but for those of the seconds within a factor of the bound. The race with other planners is ``experiments.race``.
+Under a heuristic, best-first search goes alone; "lattice" is ``bl_plan(problem)``, both of its searches by the costs
+along the lattices. Before a scene's runs, another variant of it is planned under each heuristic, so that everything
+is compiled, and the map is known; of each variant, "lattice" comes first, to which its starts and goals are new.
+Nodes, costs and paths depend on the seeds alone, but for runs that a limit ended; seconds do not. Every path is
+checked by ``validate``. The race with other planners is ``experiments.race``.
 """
 
 import os
@@ -18,12 +20,12 @@ from experiments._cold import cold_seconds
 from experiments._planning import (
     EXACT,
     HEURISTICS,
+    LATTICE,
     NONE,
     PLR,
     PLR_BYTES,
     SCENES,
     SMOKE_BYTES,
-    STRAIGHT,
     Built,
     build,
     is_valid,
@@ -32,14 +34,14 @@ from experiments._planning import (
 )
 from experiments._results import run
 from experiments._tables import aligned, nodes_of, num_solved, spread
-from plr_jax import BLOptions, Problem, Solution, Status, scenes
+from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS = 20
 TIME_LIMIT = 60.0
 # Without a heuristic teams are out of reach: a few starts and seconds show it.
 NUM_STARTS_NONE, TIME_LIMIT_NONE = 3, 20.0
-TIME_LIMIT_WITHIN = 3.0
-COST_FACTORS = (1.05,)
+SEARCHERS = (("bl",), ("lacam", "bl"))  # under a heuristic, and by the planner's own choice
+PHASES = ("lattice", "heuristic", "search", "replan", "shorten")
 RATE_EXPANSIONS, RATE_RUNS, JOINT_CHILDREN = 2_000, 5, 9**4
 
 PAPER: dict[str, dict[str, Any]] = {
@@ -64,19 +66,13 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         "teams_without_heuristic": {"starts": len(seeds_none), "seconds": limit_none},
         "paper": PAPER,
         "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none, plr_bytes)],
-        "within": [
-            within(name, factor, seeds, plr_bytes)
-            for name in names
-            if len(SCENES[name]().robots) > 1
-            for factor in COST_FACTORS
-        ],
         "cold": [
             {"scene": name, "heuristic": heuristic, **cold_seconds(name, heuristic)}
             for name in tqdm(names[:1] if smoke else names, desc="cold", delay=3, disable=None)
-            for heuristic in ((PLR,) if smoke else (STRAIGHT, PLR, EXACT))
+            for heuristic in ((LATTICE,) if smoke else (LATTICE, PLR, EXACT))
         ],
         "children_rate": children_rates(20 if smoke else RATE_EXPANSIONS, 1 if smoke else RATE_RUNS, plr_bytes),
-        "dbcbs": dbcbs(smoke, plr_bytes),
+        "dbcbs": dbcbs(smoke),
     }
 
 
@@ -94,17 +90,21 @@ def measure_scene(
     name: str, seeds: Sequence[int], seeds_none: Sequence[int], limit_none: float, plr_bytes: int
 ) -> list[dict[str, Any]]:
     """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
-    runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in HEURISTICS}
-    alone = len(SCENES[name]().robots) == 1
-    limits = {heuristic: limit_none if heuristic == NONE and not alone else TIME_LIMIT for heuristic in HEURISTICS}
-    # What compiles, compiles here, so that the seconds of the first PLRs are like those of the others.
-    build(SCENES[name](), PLR, plr_bytes)
+    runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS)}
+    scene = SCENES[name]()
+    alone = len(scene.robots) == 1
+    limits = {heuristic: limit_none if heuristic == NONE and not alone else TIME_LIMIT for heuristic in runs}
+    known = scenes.perturbed(scene, 1000 + seeds[0])
+    for heuristic in runs:
+        options = BLOptions(searchers=SEARCHERS[heuristic == LATTICE], time_limit=1.0)
+        plan(known, build(known, heuristic, plr_bytes).heuristic, options)
     for seed in tqdm(seeds, desc=name, delay=3, disable=None):
-        problem = scenes.perturbed(SCENES[name](), seed)
+        problem = scenes.perturbed(scene, seed)
         bound = lower_bound(problem)
-        for heuristic in HEURISTICS:
+        for heuristic in runs:
             if heuristic != NONE or alone or seed in seeds_none:
-                measured = measure(problem, build(problem, heuristic, plr_bytes), bound, limits[heuristic])
+                options = BLOptions(searchers=SEARCHERS[heuristic == LATTICE], time_limit=limits[heuristic])
+                measured = measure(problem, build(problem, heuristic, plr_bytes), bound, options)
                 runs[heuristic].append({"seed": seed, **measured})
     return [
         {
@@ -117,32 +117,12 @@ def measure_scene(
     ]
 
 
-def within(name: str, factor: float, seeds: Sequence[int], plr_bytes: int) -> dict[str, Any]:
-    """Warm seconds to a path within a factor of the lower bound, under PLRs."""
-    seconds, ratios = [], []
-    for seed in tqdm(seeds, desc=f"{name} within {factor}", delay=3, disable=None):
-        problem = scenes.perturbed(SCENES[name](), seed)
-        bound = lower_bound(problem)
-        heuristic = build(problem, PLR, plr_bytes).heuristic
-        options = BLOptions(searchers=("bl",), cost_factor=factor, lower_bound=bound, time_limit=TIME_LIMIT_WITHIN)
-        plan(problem, heuristic, options)
-        solution, took = plan(problem, heuristic, options)
-        seconds.append(round(took, 5) if solution.status is Status.SOLVED else None)
-        ratios.append(round(solution.cost / bound, 5))
-    return {"scene": name, "factor": factor, "seed": list(seeds), "seconds": seconds, "cost_over_bound": ratios}
-
-
-def measure(problem: Problem, built: Built, bound: float, time_limit: float) -> dict[str, Any]:
-    """A run and its repetition."""
-    options = BLOptions(searchers=("bl",), time_limit=time_limit)
-    solution, first = plan(problem, built.heuristic, options)
-    warm = first
-    if solution.solved:
-        solution, warm = plan(problem, built.heuristic, options)
+def measure(problem: Problem, built: Built, bound: float, options: BLOptions) -> dict[str, Any]:
+    """A run."""
+    solution, seconds = plan(problem, built.heuristic, options)
     return {
         **outcome(problem, solution, bound),
-        "seconds": round(warm, 5),
-        "seconds_first_run": round(first, 5),
+        "seconds": round(seconds, 5),
         "seconds_oracle": round(built.oracle_seconds, 4),
         "seconds_plr": round(built.plr_seconds, 4),
         **{f"seconds_{phase}": round(value, 5) for phase, value in with_phases(solution).items()},
@@ -155,6 +135,7 @@ def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any
     first_seconds, first_cost = stats.history[0] if stats.history else (None, None)
     return {
         "status": solution.status.name,
+        "found_by": stats.found_by,
         "valid": is_valid(problem, solution),
         "nodes": stats.num_nodes,
         "expansions": stats.num_expansions,
@@ -170,7 +151,7 @@ def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any
 
 def with_phases(solution: Solution) -> dict[str, float]:
     """Seconds of every phase of BL, 0 of one that was not reached."""
-    return {phase: solution.stats.seconds.get(phase, 0.0) for phase in ("lattice", "heuristic", "search", "shorten")}
+    return {phase: solution.stats.seconds.get(phase, 0.0) for phase in PHASES}
 
 
 def children_rates(num_expansions: int, num_runs: int, plr_bytes: int) -> list[dict[str, Any]]:
@@ -211,26 +192,23 @@ def children_rates(num_expansions: int, num_runs: int, plr_bytes: int) -> list[d
     return rows
 
 
-def dbcbs(smoke: bool, plr_bytes: int) -> list[dict[str, Any]] | None:
+def dbcbs(smoke: bool) -> list[dict[str, Any]] | None:
     """The problems of db-CBS, their robots holonomic; None where their folder is not there."""
     folder = os.environ.get("PLR_JAX_DATA")
     files = sorted((Path(folder) / "dbcbs").glob("*.yaml")) if folder else []
     if not files:
         print("The problems of db-CBS are left out: PLR_JAX_DATA names no folder that holds them.")
         return None
-    return [
-        dbcbs_row(file, plr_bytes)
-        for file in tqdm(files[:1] if smoke else files, desc="db-CBS", delay=3, disable=None)
-    ]
+    return [dbcbs_row(file) for file in tqdm(files[:1] if smoke else files, desc="db-CBS", delay=3, disable=None)]
 
 
-def dbcbs_row(file: Path, plr_bytes: int) -> dict[str, Any]:
-    """One problem of db-CBS under PLRs, or why it is refused."""
+def dbcbs_row(file: Path) -> dict[str, Any]:
+    """One problem of db-CBS as the planner takes it, or why it is refused."""
     try:
         problem = scenes.read_dbcbs(file)
     except ValueError as refusal:
         return {"problem": file.stem, "refused": str(refusal).removeprefix(f"{file}: ")}
-    measured = measure(problem, build(problem, PLR, plr_bytes), lower_bound(problem), TIME_LIMIT)
+    measured = measure(problem, build(problem, LATTICE), lower_bound(problem), BLOptions(time_limit=TIME_LIMIT))
     return {"problem": file.stem, "robots": len(problem.robots), **measured}
 
 
@@ -239,14 +217,9 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     tables = {
         "BL over perturbed starts and goals: medians (worst)": main_table(results),
         "Nodes: medians over perturbed starts and goals": nodes_table(results),
-        "Seconds to a path within a factor of the lower bound, with PLRs: medians (worst)": within_table(
-            results["within"]
-        ),
         "Seconds of the first plan in a new process": cold_table(results["cold"]),
         "Joint children of 4 discs in four rooms, millions a second of search": rate_table(results["children_rate"]),
-        "Problems of db-CBS, holonomic, with PLRs": dbcbs_table(results["dbcbs"])
-        if results["dbcbs"]
-        else "left out\n",
+        "Problems of db-CBS, holonomic": dbcbs_table(results["dbcbs"]) if results["dbcbs"] else "left out\n",
     }
     text = "\n".join(f"{title}\n\n{table}" for title, table in tables.items())
     num_paths, num_invalid = count_paths(results)
@@ -288,15 +261,6 @@ def nodes_table(results: dict[str, Any]) -> str:
     return aligned(rows, numbers=len(HEURISTICS))
 
 
-def within_table(entries: list[dict[str, Any]]) -> str:
-    rows = [["scene", "factor", "reached", "s", "cost / bound"]]
-    for entry in entries:
-        num_reached = sum(seconds is not None for seconds in entry["seconds"])
-        cells = [f"{num_reached}/{len(entry['seed'])}", spread(entry["seconds"], ".3f")]
-        rows.append([entry["scene"], f"{entry['factor']:.2f}", *cells, spread(entry["cost_over_bound"], ".3f")])
-    return aligned(rows, numbers=4)
-
-
 def cold_table(entries: list[dict[str, Any]]) -> str:
     phases = ["import", "oracle", "plr", "plan", "process"]
     rows = [["scene", "heuristic", *phases]]
@@ -314,17 +278,17 @@ def rate_table(entries: list[dict[str, Any]]) -> str:
 
 
 def dbcbs_table(entries: list[dict[str, Any]]) -> str:
-    rows = [["problem", "robots", "nodes", "s", "cost / bound", "PLR s", "path"]]
+    rows = [["problem", "robots", "nodes", "s", "cost / bound", "found by", "path"]]
     for entry in entries:
         if "refused" in entry:
             rows.append([entry["problem"], *["-"] * 5, "refused"])
             continue
         path = {None: entry["status"], True: "valid", False: "NOT VALID"}[entry["valid"]]
         ratio = f"{entry['cost_over_bound']:.3f}" if entry["cost_over_bound"] else "-"
-        numbers = [f"{entry['nodes']:,}", f"{entry['seconds']:.3f}", ratio, f"{entry['seconds_plr']:.2f}"]
-        rows.append([entry["problem"], f"{entry['robots']}", *numbers, path])
+        numbers = [f"{entry['nodes']:,}", f"{entry['seconds']:.3f}", ratio]
+        rows.append([entry["problem"], f"{entry['robots']}", *numbers, entry["found_by"], path])
     refusals = "".join(f"{entry['problem']}: {entry['refused']}\n" for entry in entries if "refused" in entry)
-    return aligned(rows, numbers=6) + refusals
+    return aligned([[*row[:1], *row[5:], *row[1:5]] for row in rows], numbers=4) + refusals
 
 
 def count_paths(results: dict[str, Any]) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import reprlib
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -50,14 +51,20 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """An array of any shape as one of float64; ``expected`` says in an error what it must be."""
+    """An array of any shape as one of float64; ``expected`` says in an error what it must be.
+
+    Masked entries are refused: what lies under a mask is no number that anyone gave.
+    """
     try:
         numbers = np.asarray(value)
         if numbers.dtype.kind in "cUSMm":  # NumPy would drop imaginary parts, and read texts and dates as numbers
             raise TypeError
-        return np.asarray(numbers, dtype=np.float64)
+        numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {expected}, got {shortened(value)}.") from None
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} must be {expected}, and some are masked.")
+    return numbers
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
@@ -143,6 +150,12 @@ def runs(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int
     """Of runs of some lengths, one after the other: the run that each item is of, and its place there, from 0."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
+    """Items in a row whose counts sum up to about ``most``, or one alone, together all of them."""
+    ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
+    return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
 def run_members(

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax._arrays import as_finite, as_numbers, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.motion import footprint, shorter_turn, team_dof
+from plr_jax.robots.motion import footprint, smaller_angle, team_dof
 from plr_jax.robots.robot import Robot, check_body
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
@@ -106,7 +106,7 @@ def straight_costs(
     """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
-        cost = cost + rotation_weight * np.abs(shorter_turn(q0[..., 2], q1[..., 2]))
+        cost = cost + rotation_weight * smaller_angle(q0[..., 2], q1[..., 2])
     return cost
 
 

@@ -1,6 +1,7 @@
 """An independent check of a path. It shares no code with the collision tests that planners call.
 
-There is one exception: whether a point squeezes between obstacles that touch, the workspace is asked.
+There are two exceptions. Whether a point squeezes between obstacles that touch, the workspace is asked; and which way
+a robot turns is no finding but part of what a path means, so that all have it from one function.
 
 Bodies are Shapely geometries. A motion in which nothing turns sweeps a convex hull, whose distance is exact.
 Others are bisected in time: a clearance changes by at most as much as the bodies move, so the clearance in the
@@ -20,6 +21,7 @@ from jaxtyping import Float, Int
 from plr_jax._problem import Problem, as_path, path_cost, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.motion import shorter_turn
 from plr_jax.robots.robot import Robot
 
 _TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
@@ -56,7 +58,7 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
     The path must begin at the starts and end at the goals exactly (but for headings of robots that have none), be
     finite, and keep every robot clear of obstacles, the bounds and the other robots all along its motions:
-    straight, at constant rates, turning by the shorter way. Touching is allowed.
+    straight, at constant rates, turning by the shorter way, counterclockwise by half a turn. Touching is allowed.
 
     Args:
         problem: What the path should solve.
@@ -270,9 +272,8 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> F
 
 
 def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """Signed shorter turns; half a turn goes counterclockwise."""
-    turn = np.remainder(np.diff(path[:, 2]), 2 * np.pi)
-    return np.where(turn > np.pi, turn - 2 * np.pi, turn)
+    """The turn of each motion."""
+    return shorter_turn(path[:-1, 2], path[1:, 2])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:

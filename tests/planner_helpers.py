@@ -12,6 +12,7 @@ from robot_helpers import along, shapes
 from plr_jax import (
     BLOptions,
     DiscRobot,
+    PointRobot,
     Problem,
     RectangleRobot,
     Workspace,
@@ -31,12 +32,41 @@ from plr_jax.planners.lattice.joint import JointLattice
 TRANSLATIONS = PRIMITIVES[:8]
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
+TIGHT = Workspace(((0, 0), (3, 3)), [shapely.box(1.4, 1.4, 1.6, 1.6)])
+TIGHT_TEAM = Problem(
+    TIGHT,
+    [DiscRobot(0.3), RectangleRobot(0.8, 0.3), PointRobot()],
+    [(0.5, 0.5, 1), (2.5, 2.5, 0.1), (0.5, 2.5, 2)],
+    [(2.5, 2.5, 0), (0.6, 0.6, 0), (2.5, 0.5, 0)],
+)
+SLIT = Workspace(((0, 0), (6, 5)), [shapely.box(2.45, 1, 2.55, 2.9)])
 
 
 def hallway(length):
     """Two discs that would have to pass one another where there is no room for it."""
     ends = [(0.5, 0.5), (length - 0.5, 0.5)]
     return Problem(Workspace(((0, 0), (length, 1))), [DiscRobot(0.4)] * 2, ends, ends[::-1])
+
+
+def nudged_team(robot):
+    """Equal robots that meet in few cells of side 1, some with their goal in the cell of their start.
+
+    One cell holds both ends of a robot, the start of another and the goal of a third; one holds a wall between the
+    ends of a robot; one robot is at its goal.
+    """
+    x, y = np.array([(0.7, 0.6), (3.2, 3.3), (0.3, 0.2), (5.5, 1.5), (2.2, 2.2), (4.1, 0.9)]).T
+    to_x, to_y = np.array([(0.3, 0.4), (3.2, 3.3), (5.5, 0.5), (0.75, 0.85), (2.8, 2.3), (4.1, 0.9)]).T
+    heading = np.array([0.1, 2.0, 3.0, -1.0, 1.6, 6.2])
+    turn = np.array([0.2, 4 * np.pi, 1.0, 2.0, -0.1, -2 * np.pi - 0.1])
+    starts, goals = np.stack([x, y, heading], axis=1), np.stack([to_x, to_y, heading + turn], axis=1)
+    return Problem(SLIT, [robot] * len(x), starts[:, : robot.dof], goals[:, : robot.dof])
+
+
+def nudged_discs(num_rows):
+    """A square of discs in the open, the goal of each a little beside its start."""
+    starts = np.array(list(product(2 * np.arange(num_rows) + 1.03, repeat=2)))
+    room = Workspace(((0, 0), (2 * num_rows, 2 * num_rows)))
+    return Problem(room, [DiscRobot(0.2)] * len(starts), starts, starts + 0.1)
 
 
 def exact(problem):
@@ -101,6 +131,17 @@ def apart(joint, state, primitive):
             motions += [robots[k], lattice.q[state[:, k]], lattice.q[lattice.child[state[:, k], primitive[:, k]]]]
         clear &= motions_apart(*motions, tolerance)
     return clear
+
+
+def free_states(joint, num, seed):
+    """Random joint configurations in which no two robots overlap, some of them close together."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < num:
+        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
+        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
+            found.append(state[0])
+    return np.array(found, dtype=np.int32)
 
 
 def reachable(joint):

@@ -6,6 +6,7 @@ from plr_jax._arrays import (
     as_finite,
     as_finite_point,
     as_number,
+    as_numbers,
     as_point,
     as_points,
     as_values,
@@ -105,6 +106,14 @@ def test_arrays_are_filled_up_with_a_row():
     assert padded(rows, 3).tolist() == [[1, 2], [3, 4], [0, 0]]
     assert padded(np.zeros((0, 2, 2)), 1, 7.0).tolist() == [[[7, 7], [7, 7]]]
     assert padded(rows, 2).tolist() == rows.tolist() and padded(rows, 2) is not rows
+
+
+def test_masked_entries_are_refused_and_a_mask_of_none_is_not():
+    with pytest.raises(ValueError, match=r"x must be numbers of shape \(n, 2\), and some are masked"):
+        as_points("x", np.ma.masked_array([[1.0, 2.0]], [[False, True]]), 2)
+    with pytest.raises(ValueError, match="x must be a number, and some are masked"):
+        as_numbers("x", np.ma.masked, "a number")
+    assert as_points("x", np.ma.masked_array([[1.0, 2.0]], False), 2).tolist() == [[1, 2]]
 
 
 def test_values_may_be_anything_but_masked_ones_are_infinite():

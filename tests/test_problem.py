@@ -52,6 +52,8 @@ def test_boundaries_are_free():
         ([(0.1, 0.1)], [(-1e-6, 0.1)], "Robot 0 has its goal outside the bounds"),
         ([(0.1, np.nan)], [(0.9, 0.1)], "starts must be finite.*robot 0"),
         ([(0.1, 0.1)], [(np.inf, 0.1)], "goals must be finite.*robot 0"),
+        (np.ma.masked_array([(0.1, 0.1)], [(0, 1)]), [(0.9, 0.1)], "starts must be numbers .* and some are masked"),
+        ([(0.1, 0.1)], np.ma.masked_array([(0.9, 0.1)], [(0, 1)]), "goals must be numbers .* and some are masked"),
         ((0.1, 0.1), [(0.9, 0.1)], r"starts must have shape \(robots, dof\) = \(1, 2\), got \(2,\)"),
         ([(0.1, 0.1)], [(0.9, 0.1, 0.0)], r"goals must have shape .*\(1, 2\), got \(1, 3\)"),
         ([(0.1, 0.1)], [(0.9, 0.1)] * 2, r"goals must have shape .*\(1, 2\), got \(2, 2\)"),

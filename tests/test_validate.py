@@ -157,7 +157,18 @@ def test_ends_must_be_exact_but_for_headings_of_round_robots():
     assert validate(SOLVED, turned).valid
 
 
-@pytest.mark.parametrize("path", [np.zeros((0, 2, 3)), PATH[0], PATH[:, :1], PATH[..., :2], "path", [[1], [1, 2]]])
+@pytest.mark.parametrize(
+    "path",
+    [
+        np.zeros((0, 2, 3)),
+        PATH[0],
+        PATH[:, :1],
+        PATH[..., :2],
+        "path",
+        [[1], [1, 2]],
+        np.ma.masked_array(PATH, mask=True),
+    ],
+)
 def test_what_is_no_path_is_reported(path):
     result = validate(SOLVED, path)
     assert not result.valid

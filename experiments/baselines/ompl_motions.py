@@ -10,6 +10,7 @@ whose gap is as large as what they move in half a piece stay clear throughout th
 Numba is imported with this module, which only a worker process, a benchmark and tests import.
 """
 
+import inspect
 import math
 from typing import Any
 
@@ -19,6 +20,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
+
+from plr_jax.robots.motion import shorter_turn
 
 # Share of a rectangle's half diagonal: a motion that turns one may be refused if it comes this near to contact.
 _FINEST = 1e-4
@@ -211,11 +214,7 @@ def _gap_to_round(x, y, theta, size):
     return math.hypot(max(along, 0.0), max(across, 0.0)) + min(max(along, across), 0.0)
 
 
-@njit(cache=True)
-def _turn(theta0, theta1):
-    """The shorter turn; half a turn goes counterclockwise."""
-    turns = (theta1 - theta0) / (2 * math.pi)
-    return 2 * math.pi * (turns - math.ceil(turns - 0.5))
+_turn = njit(cache=True)(inspect.unwrap(shorter_turn))  # without the checks of shapes that tests put around it
 
 
 @njit(cache=True)

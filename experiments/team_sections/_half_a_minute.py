@@ -1,7 +1,7 @@
 """What half a minute makes of the paths of large teams.
 
-Before each team, another one of its size is planned to its first path in the same workspace: the motions of the map
-are known on the lattices of that plan, and built on finer ones; starts and goals are not known.
+Before each team, it is planned from its goals to its starts, to the first path: the motions of the map are known on
+the lattices of that plan, and built on finer ones; starts and goals are not known.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
-"""Starts and goals that no call has seen: from call to path, heuristics and all, medians of ten problems.
+"""Starts and goals that no call has seen: from call to path, heuristics and all, medians and worst of ten.
 
-Before them, another problem of the same workspace is planned: the map is known, starts and goals are not.
+Before them, the team is planned on its way back: the map is known, starts and goals are not.
 """
 
 from typing import Any

@@ -107,7 +107,7 @@ def plan(
 ) -> None:
     """Plan for all robots of a SCENE at once, check the path, and report.
 
-    PLRs of the robots' distances are built on the way. Exit code 1: no path was found.
+    Exit code 1: no path was found.
     """
     began = time.perf_counter()
     require_writable(output, (".json",))

@@ -14,6 +14,8 @@ from plr_jax.robots.robot import Robot
 
 Column = Float[np.ndarray, "n"]
 
+_CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache
+
 
 class Traffic:
     """A path of a team, whose robots can be given other motions, and a circle around each of its motions.
@@ -58,10 +60,20 @@ class Traffic:
             Rows, and the other robots that may come within reach in them, row by row.
         """
         x, y, radius = circles(begin, end)
-        dx, dy = self._x[motion] - x[:, None], self._y[motion] - y[:, None]
-        reach = self._radius[motion] + (radius + self._size[i])[:, None]
-        reach[:, [i, *excluded]] = 0.0
-        row, other = np.nonzero(dx * dx + dy * dy < reach * reach)
+        radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
+        found, size = [], max(1, _CHUNK // num_robots)
+        for first in range(0, max(1, len(motion)), size):
+            rows = slice(first, first + size)
+            squared, along_y, reach = (of[motion[rows]] for of in (self._x, self._y, self._radius))
+            for difference, own in ((squared, x), (along_y, y)):
+                difference -= own[rows, None]
+                difference *= difference
+            squared += along_y
+            reach += radius[rows, None]
+            reach[:, apart] = 0.0
+            reach *= reach
+            found.append(first * num_robots + np.flatnonzero(squared < reach))
+        row, other = np.divmod(np.concatenate(found), num_robots)
         return row, other
 
 

@@ -6,8 +6,11 @@ from jaxtyping import Bool, Float
 from plr_jax.collision.moving import Column, MovingBodies, across_motion, riding_bulges
 from plr_jax.geometry.vectors import nearest_on_segment
 
+Sides = Float[np.ndarray, "sides n"]
 Corners = Float[np.ndarray, "2 _ n"]
 Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
+
+_FEW = 24  # corners up to which the lowest is sought among all
 
 
 def judge_convex(
@@ -49,14 +52,32 @@ def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, 
     return placed[0], placed[1]
 
 
-def _side_gaps(p: Corners, q: Corners) -> Float[np.ndarray, "sides n"]:
+def _side_gaps(p: Corners, q: Corners) -> Sides:
     """Gap between two bodies along the normal of each side of the first; a single corner has no sides."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
     nx, ny = dy / length, -dx / length
-    nearest = (nx[:, None] * q[0] + ny[:, None] * q[1]).min(axis=1)
-    return nearest - nx * p[0, :sides] - ny * p[1, :sides]
+    return _lowest(q, nx, ny) - nx * p[0, :sides] - ny * p[1, :sides]
+
+
+def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
+    """How far the corners of a body reach down along some directions: the least of their products with each."""
+    num_corners, n = q.shape[1:]
+    stride = 1 << ((num_corners - 1) // _FEW).bit_length()
+    heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
+    if stride == 1:
+        return heights.min(axis=1)
+    # Around a convex body heights fall and rise once: the lowest is less than a stride from the lowest of every few.
+    corner, (x, y) = stride * heights.argmin(axis=1), q.reshape(2, -1)
+    while stride > 1:
+        stride //= 2
+        near = np.stack([corner, corner - stride, corner + stride]) % num_corners
+        at = near * n + np.arange(n)
+        best = (nx * x[at] + ny * y[at]).argmin(axis=0)[None]
+        corner = np.take_along_axis(near, best, axis=0)[0]
+    at = corner * n + np.arange(n)
+    return nx * x[at] + ny * y[at]
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:

@@ -3,6 +3,7 @@
 Along a path, only robots near one another are tested exactly, those of one kind in one batch.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,15 +21,19 @@ from plr_jax.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots."""
+    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots.
+
+    Past the deadline, on the clock of ``time.perf_counter``, tests raise ``TimeoutError``.
+    """
 
     workspace: Workspace
     robots: Sequence[Robot]
+    deadline: float = math.inf
 
     @cached_property
     def of_walls(self) -> tuple[MotionTest, ...]:
         """Each robot's own motion test."""
-        return tuple(motion_test(self.workspace, robot) for robot in self.robots)
+        return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
 
     @cached_property
     def first_equal(self) -> Int[np.ndarray, "robots"]:
@@ -42,7 +47,7 @@ class JointMotionTest:
         """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
         left = np.arange(len(q0))
         for i, test in enumerate(self.of_walls):
-            left = left[test(q0[left, i], q1[left, i])]
+            left = left[test(q0[left, i], q1[left, i], self.deadline)]
         for i, j in combinations(range(len(self.robots)), 2):
             left = left[self.apart(i, q0[left, i], q1[left, i], j, q0[left, j], q1[left, j])]
         free = np.zeros(len(q0), dtype=bool)
@@ -59,7 +64,7 @@ class JointMotionTest:
         b1: Float[np.ndarray, "*#batch dof_b"],
     ) -> Bool[np.ndarray, "*batch"]:
         """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
-        return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance)
+        return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
         self,

@@ -10,6 +10,8 @@ each bisection, and vanish for bodies that only translate, whose answer is there
 uncertain at the last bisection counts as a collision.
 """
 
+import math
+import time
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
@@ -20,6 +22,7 @@ from plr_jax.robots.motion import shorter_turn
 from plr_jax.robots.robot import Robot
 
 _MAX_BISECTIONS = 12
+_CORNERS = 1 << 16  # of bodies at a time, between two looks at the clock, which bounds the temporaries as well
 
 Column: TypeAlias = Float[np.ndarray, "n"]
 
@@ -35,8 +38,13 @@ class MovingBodies(NamedTuple):
     dy: Column
     turn: Column
 
-    def take(self, columns: np.ndarray) -> "MovingBodies":
-        """The bodies of some columns, by index or mask."""
+    @property
+    def num_corners(self) -> int:
+        """Corners of each, or the numbers that its size holds."""
+        return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
+
+    def take(self, columns: np.ndarray | slice) -> "MovingBodies":
+        """The bodies of some columns, by index, mask or slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
     def sized(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
@@ -63,22 +71,38 @@ Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], tuple[Bool[np.n
 """A kernel: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not."""
 
 
-def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float) -> Bool[np.ndarray, "n"]:
+def bisect(
+    judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
+) -> Bool[np.ndarray, "n"]:
     """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
 
-    Below 0, ``reach`` is a depth to which they may overlap.
+    Below 0, ``reach`` is a depth to which they may overlap. A few are judged at a time, their halves before the
+    others, so that memory stays small however many corners they have and however long they are in doubt.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    apart, owner = np.ones(len(a.x), dtype=bool), np.arange(len(a.x))
-    for bisections in range(_MAX_BISECTIONS + 1):
+    k, m = a.num_corners, b.num_corners
+    # Where a distance is to be kept, every corner meets every other.
+    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))
+    apart = np.ones(len(a.x), dtype=bool)
+    waiting = [(a, b, np.arange(len(a.x)), 0)]
+    while waiting:
+        a, b, owner, bisections = waiting.pop()
+        if len(owner) > size:
+            parts = [slice(begin, begin + size) for begin in range(0, len(owner), size)]
+            waiting += [(a.take(part), b.take(part), owner[part], bisections) for part in parts]
+            continue
+        if time.perf_counter() > deadline:
+            raise TimeoutError("The deadline passed before all motions were tested.")
         clear, hit = judge(a, b, reach)
         apart[owner[hit]] = False
         unsure = ~clear & apart[owner]
-        if not unsure.any():
-            break
         if bisections == _MAX_BISECTIONS:
             apart[owner[unsure]] = False
-            break
-        a, b, owner = a.take(unsure).bisected(), b.take(unsure).bisected(), np.repeat(owner[unsure], 2)
+        elif unsure.any():
+            halves = a.take(unsure).bisected(), b.take(unsure).bisected()
+            waiting.append((*halves, np.repeat(owner[unsure], 2), bisections + 1))
     return apart
 
 

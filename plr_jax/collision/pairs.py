@@ -1,5 +1,8 @@
 """Collision of two robots along simultaneous straight motions, by the kernel that fits what both are."""
 
+import math
+import time
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -9,7 +12,7 @@ from plr_jax.collision.moving import Judge, bisect, moving
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.robots.robot import Robot
 
-_CHUNK = 1 << 13  # pairs of motions at a time, whose temporaries stay in cache
+_MOST, _CHUNK = 1 << 18, 1 << 13  # pairs of motions at a time: whose circles are compared, that are gathered
 
 
 def motions_apart(
@@ -20,6 +23,7 @@ def motions_apart(
     b0: Float[np.ndarray, "*#batch dof_b"],
     b1: Float[np.ndarray, "*#batch dof_b"],
     tolerance: float,
+    deadline: float = math.inf,
 ) -> Bool[np.ndarray, "*batch"]:
     """Whether two robots stay clear of one another while both move, from ``a0`` to ``a1`` and from ``b0`` to ``b1``.
 
@@ -30,7 +34,21 @@ def motions_apart(
         True where they at most touch. Exact for two round robots, and where nothing turns; else a motion that
         comes within about 1e-7 of a turning robot's size to a collision may be refused, and one that collides
         never passes.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
+    if time.perf_counter() > deadline:
+        raise TimeoutError("The deadline passed before all motions were tested.")
+    motions = a0, a1, b0, b1
+    batch = np.broadcast(*(q[..., 0] for q in motions))
+    if batch.size > _MOST and batch.shape[0] > 1:
+        size, apart = max(1, _MOST * batch.shape[0] // batch.size), np.empty(batch.shape, dtype=bool)
+        for begin in range(0, batch.shape[0], size):
+            rows = slice(begin, begin + size)
+            a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
+            apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
+        return apart
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
     distance = np.asarray(distance_to_segment(x, y, dx, dy))  # of the reference points, where it is least
@@ -46,7 +64,7 @@ def motions_apart(
         rows = tuple(index[begin : begin + _CHUNK] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
-        apart[rows] = bisect(judge, a, b, reach)
+        apart[rows] = bisect(judge, a, b, reach, deadline)
     return apart
 
 

@@ -5,7 +5,9 @@ most motions at once: it changes by at most as much as one moves. The others are
 their cell.
 """
 
-from dataclasses import dataclass
+import math
+import time
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -13,7 +15,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import run_members, runs
+from plr_jax._arrays import parts, run_members, runs
 from plr_jax.collision.boxes import judge_boxes
 from plr_jax.collision.convex import judge_convex
 from plr_jax.collision.moving import MovingBodies, bisect, moving
@@ -21,7 +23,9 @@ from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
-_CHUNK = 1 << 14  # motions at a time, whose temporaries stay in cache
+# At a time, between two looks at the clock: motions; pieces of them and edges near; cells of the grid.
+_CHUNK, _PAIRS, _CENTERS = 1 << 14, 1 << 17, 1 << 13
+_OF_POINT = 128  # edges that count for a point, which is tested against all
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128
 
@@ -32,6 +36,9 @@ class MotionTest:
 
     The robot goes from one configuration to another at constant velocity, turning at a constant rate by
     the shorter turn. Touching is free. Configurations of a wrong shape, or not finite, raise ``ValueError``.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
 
     workspace: Workspace
@@ -43,27 +50,36 @@ class MotionTest:
     _edge: Int[np.ndarray, "m"]
     _longest: float
 
-    def __init__(self, workspace: Workspace, robot: Robot):
+    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         cell, shape, centers = _grid(workspace, robot)
         # A point's walls are looked up by the workspace, whatever the length of its motion.
         size = robot.circumscribed_radius
         longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + longest / 2 + cell if size > 0 else 0.0
-        first, edge = _edges_near(workspace, centers, reach)
+        first, edge = _edges_near(workspace, centers, reach, deadline)
+        clearance = np.empty(len(centers))
+        for begin in range(0, len(centers), _CENTERS):
+            _look_at_clock(deadline)
+            clearance[begin : begin + _CENTERS] = workspace.clearance(centers[begin : begin + _CENTERS])
         vars(self).update(workspace=workspace, robot=robot, _cell=cell, _shape=shape, _longest=longest)
-        vars(self).update(_clearance=workspace.clearance(centers), _first=first, _edge=edge)
+        vars(self).update(_clearance=clearance, _first=first, _edge=edge)
 
-    def __call__(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+    def __call__(
+        self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"], deadline: float = math.inf
+    ) -> Bool[np.ndarray, "n"]:
         """Whether motions from ``q0`` to ``q1`` are free all along, to ``workspace.tolerance``.
 
         The heading of a robot that has none may be there or not. Exact for points and discs, and where nothing turns;
         a robot that turns may be refused within about 1e-7 of its size from a wall, and is never passed through one.
+
+        Raises:
+            TimeoutError: If the deadline passes first.
         """
         _check(self.robot, q0, q1)
         free = np.empty(len(q0), dtype=bool)
         for begin in range(0, len(q0), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
-            free[rows] = self._test(q0[rows], q1[rows])
+            free[rows] = self._test(q0[rows], q1[rows], deadline)
         return free
 
     def has_room(
@@ -73,7 +89,9 @@ class MotionTest:
         cell, away = self._locate(x, y)
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
-    def _test(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+    def _test(
+        self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"], deadline: float
+    ) -> Bool[np.ndarray, "n"]:
         pieces, owner = _pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
@@ -82,7 +100,7 @@ class MotionTest:
         clear = clearance - away - half >= self.robot.circumscribed_radius
         unsure = ~clear & (clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance)
         unsure = np.flatnonzero(unsure)
-        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure])
+        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
         # Bodies that no wall cuts are wholly within free space or wholly outside: look where one of their points is,
         # not the reference point, which may touch a wall from either side.
         lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
@@ -106,11 +124,24 @@ class MotionTest:
         dx, dy = x - lo[0] - (column + 0.5) * self._cell, y - lo[1] - (row + 0.5) * self._cell
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
-    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Bool[np.ndarray, "n"]:
         """Whether pieces of motions keep off the walls near their cells."""
-        if self.robot.circumscribed_radius == 0:
-            a = np.stack([pieces.x, pieces.y], axis=1)
-            return self.workspace.is_visible(a, a + np.stack([pieces.dx, pieces.dy], axis=1))
+        is_point = self.robot.circumscribed_radius == 0
+        work = np.full(len(cell), _OF_POINT) if is_point else self._first[cell + 1] - self._first[cell]
+        clear = np.empty(len(cell), dtype=bool)
+        for part in parts(work, _PAIRS):
+            _look_at_clock(deadline)
+            some = pieces.take(part)
+            clear[part] = self._sees(some) if is_point else self._test_edges(some, cell[part], deadline)
+        return clear
+
+    def _sees(self, pieces: MovingBodies) -> Bool[np.ndarray, "n"]:
+        """Whether the ends of a point's motions see one another."""
+        a = np.stack([pieces.x, pieces.y], axis=1)
+        return self.workspace.is_visible(a, a + np.stack([pieces.dx, pieces.dy], axis=1))
+
+    def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Bool[np.ndarray, "n"]:
+        """Whether pieces of motions keep off the edges near their cells."""
         index, piece = run_members(self._first, cell)
         edge = self._edge[index]
         distance = _distance_to_edges(pieces.take(piece), self.workspace.boundary.segments[edge])
@@ -118,22 +149,43 @@ class MotionTest:
         clear[piece[distance < self.robot.inscribed_radius - self.workspace.tolerance]] = False
         if self.robot.inscribed_radius < self.robot.circumscribed_radius:
             near = np.flatnonzero((distance < self.robot.circumscribed_radius) & clear[piece])
-            keeps_off = self._keep_off(pieces.take(piece[near]), self.workspace.boundary.segments[edge[near]])
+            segments = self.workspace.boundary.segments[edge[near]]
+            keeps_off = self._keep_off(pieces.take(piece[near]), segments, deadline)
             clear[piece[near][~keeps_off]] = False
         return clear
 
-    def _keep_off(self, pieces: MovingBodies, edges: Float[np.ndarray, "n 2 2"]) -> Bool[np.ndarray, "n"]:
+    def _keep_off(
+        self, pieces: MovingBodies, edges: Float[np.ndarray, "n 2 2"], deadline: float
+    ) -> Bool[np.ndarray, "n"]:
         """Whether pieces of motions keep off one edge each."""
         reach, half = self.robot.rounding - self.workspace.tolerance, self.robot.half_sides
         if half is not None and reach <= 0:
-            return bisect(judge_boxes, pieces.sized(half), _flat_boxes(edges), reach)
-        return bisect(judge_convex, pieces.sized(self.robot.core.T), _flat_bodies(edges), reach)
+            return bisect(judge_boxes, pieces.sized(half), _flat_boxes(edges), reach, deadline)
+        return bisect(judge_convex, pieces.sized(self.robot.core.T), _flat_bodies(edges), reach, deadline)
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a motion test is kept under; when to give up makes no difference to it."""
+
+    workspace: Workspace
+    robot: Robot
+    deadline: float = field(compare=False)
+
+
+def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
+    """The motion test of a robot in a workspace, kept for the next call; ``TimeoutError`` as for the class."""
+    return _kept(_Key(workspace, robot, deadline))
 
 
 @lru_cache(maxsize=16)
-def motion_test(workspace: Workspace, robot: Robot) -> MotionTest:
-    """The motion test of a robot in a workspace, kept for the next call."""
-    return MotionTest(workspace, robot)
+def _kept(key: _Key) -> MotionTest:
+    return MotionTest(key.workspace, key.robot, key.deadline)
+
+
+def _look_at_clock(deadline: float) -> None:
+    if time.perf_counter() > deadline:
+        raise TimeoutError("The deadline passed before all motions were tested.")
 
 
 def _grid(workspace: Workspace, robot: Robot) -> tuple[float, tuple[int, int], Float[np.ndarray, "cells 2"]]:
@@ -148,15 +200,19 @@ def _grid(workspace: Workspace, robot: Robot) -> tuple[float, tuple[int, int], F
 
 
 def _edges_near(
-    workspace: Workspace, centers: Float[np.ndarray, "cells 2"], reach: float
+    workspace: Workspace, centers: Float[np.ndarray, "cells 2"], reach: float, deadline: float
 ) -> tuple[Int[np.ndarray, "cells_and_1"], Int[np.ndarray, "m"]]:
     """Edges within reach of each center: those of cell ``i`` are ``edge[first[i]:first[i + 1]]``."""
     segments: Any = shapely.linestrings(workspace.boundary.segments)
     tree = shapely.STRtree(segments)
-    cell, edge = tree.query(shapely.points(centers), predicate="dwithin", distance=reach)
-    order = np.argsort(cell, kind="stable")
-    first = np.searchsorted(cell[order], np.arange(len(centers) + 1))
-    return first, edge[order]
+    counts, edges = [], []
+    for begin in range(0, len(centers), _CENTERS):
+        _look_at_clock(deadline)
+        some: Any = shapely.points(centers[begin : begin + _CENTERS])
+        cell, edge = tree.query(some, predicate="dwithin", distance=reach)
+        edges.append(edge[np.argsort(cell, kind="stable")].astype(np.int32))
+        counts.append(np.bincount(cell, minlength=len(some)))
+    return np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
 
 
 def _pieces(

@@ -54,7 +54,8 @@ def robot_distance_fns(
         if radius in first:
             distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
             continue
-        workspace = problem.workspace.inflate(radius) if radius > 0 else problem.workspace
+        time_left = max(_AT_ONCE, deadline - time.perf_counter())
+        workspace = problem.workspace.inflate(radius, time_limit=time_left) if radius > 0 else problem.workspace
         time_left = max(_AT_ONCE, deadline - time.perf_counter())
         first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace), time_limit=time_left)
         distance_fns.append(first[radius])

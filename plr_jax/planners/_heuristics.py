@@ -129,7 +129,10 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 def require_heuristic(heuristic: object) -> None:
     """Raise ``ValueError`` if a heuristic is none, or a function of this module that makes one."""
     if not callable(heuristic):
-        raise ValueError(f"heuristic must be a function of joint configurations, got {shortened(heuristic)}.")
+        message = f"heuristic must be a function of joint configurations, got {shortened(heuristic)}."
+        if isinstance(heuristic, list | tuple) and heuristic and all(map(callable, heuristic)):
+            message += " For one distance function a robot: sum_of_distances(distance_fns)."
+        raise ValueError(message)
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             call = f"{factory.__name__}({arguments})"

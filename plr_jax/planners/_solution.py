@@ -130,7 +130,7 @@ class Solution:
             at the makespan the goals, to the bit; at the time of a row in between, that row.
 
         Raises:
-            ValueError: If there is no path, or a time is NaN or no number.
+            ValueError: If there is no path, or a time is NaN, masked or no number.
         """
         if self.path is None or self.times is None:
             raise ValueError(f"There is no path to follow, the planner ended because: {self.status}.")

@@ -66,7 +66,8 @@ def bl_plan(
             them, by both searches, which is much faster than a plain function, by which best-first search goes alone.
             One that says it is a lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the
             starts. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the best
-            choice where a plan is all that is asked for.
+            choice where a plan is all that is asked for. A poor one, such as straight lines among walls, may well
+            find nothing.
         options: How to search, and when to stop.
 
     Returns:
@@ -84,6 +85,8 @@ def bl_plan(
         of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
         "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
+    if isinstance(heuristic, BLOptions):
+        raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:
         require_heuristic(heuristic)
     if not isinstance(options, BLOptions):
@@ -108,7 +111,7 @@ class _Run:
     def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
         self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
-        self.test = JointMotionTest(problem.workspace, problem.robots)
+        self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
         self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
         self.enough = math.inf
         self.incumbent = Incumbent(problem, began)
@@ -211,6 +214,8 @@ class _Run:
         try:
             with self.incumbent.phase("search"):
                 status = searches.run(self.progress)
+        except TimeoutError:
+            status = Status.TIME_LIMIT
         finally:
             self.samples = searches.level.joint.configurations(searches.state)
         if status is Status.MEMORY_LIMIT:

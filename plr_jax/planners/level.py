@@ -1,6 +1,7 @@
 """The lattices of a team that have one step, and the costs along them."""
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,8 @@ from plr_jax.robots.robot import Robot
 _MOTION_BYTES = 80  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _TURNING = 4  # times as long as a round robot's motion one takes to test that turns
-_GOALS = 8  # costs-to-go at a time, between two looks at the clock
+_GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
+_SECONDS = 3e-7  # what an edge takes to be found, or a node to be reached; neither is begun if these are not left
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,9 @@ def build_level(
     """
     joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, deadline)), test)
     kinds = kinds_of(joint)
+    for kind in kinds:
+        _require_time(_SECONDS * kind.table.child.size, deadline)
+        _ = kind.edges  # found when first asked for
     costs = [_costs_to_go(kind, deadline) for kind in kinds]
     level = LatticeLevel(step, joint, kinds, costs, int(num_bytes(problem, step, len(primitives))))
     return level if np.isfinite(level.least_cost) else None
@@ -67,30 +72,37 @@ def build_level(
 
 def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
     """About what the lattices of a step take if all is free, so that those too large are not begun."""
-    tables = sum(num_configurations(problem.workspace, robot, step) for robot in _kinds(problem))
-    columns = sum(num_configurations(problem.workspace, robot, step) for robot in problem.robots)
-    return _MOTION_BYTES * (1 + num_primitives) * tables + _COLUMN_BYTES * columns
+    total = 0.0
+    for (robot, _), count in _kinds(problem).items():
+        nodes = num_configurations(problem.workspace, robot, step) + 2 * count
+        total += nodes * (_MOTION_BYTES * (1 + num_primitives) + _COLUMN_BYTES * count)
+    return total
 
 
 def work(problem: Problem, step: float, num_primitives: int) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
     each = (
         (_TURNING if robot.dof == 3 else 1) * num_configurations(problem.workspace, robot, step)
-        for robot in _kinds(problem)
+        for robot, _ in _kinds(problem)
     )
     return (1 + num_primitives) * sum(each)
 
 
-def _kinds(problem: Problem) -> list[Robot]:
-    """One robot of each kind."""
-    kinds = dict.fromkeys(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
-    return [robot for robot, _ in kinds]
+def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
+    """The robots that share a table, with the weight of their turns, and how many there are."""
+    return Counter(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
 
 
 def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes"]:
-    rows, costs = np.arange(len(kind.members)), []
-    for begin in range(0, len(rows), _GOALS):
-        if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before the costs-to-go were known.")
-        costs.append(kind.edges.costs_to_go(rows[begin : begin + _GOALS]))
+    rows, costs, num_nodes = np.arange(len(kind.members)), [], len(kind.table.q)
+    size = int(np.clip(_NODES // num_nodes, 1, _GOALS))
+    for begin in range(0, len(rows), size):
+        _require_time(_SECONDS * num_nodes, deadline)
+        costs.append(kind.edges.costs_to_go(rows[begin : begin + size]))
     return np.concatenate(costs)
+
+
+def _require_time(seconds: float, deadline: float) -> None:
+    """Raise ``TimeoutError`` if so many seconds are not left for what cannot be cut short."""
+    if time.perf_counter() + seconds > deadline:
+        raise TimeoutError("The deadline passed before the costs-to-go were known.")

@@ -64,7 +64,7 @@ class Searches:
         self.lacam: LaCAM | None = None
         if "lacam" in options.searchers:
             by_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in level.kinds]
-            moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance)
+            moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance, budget.deadline)
             self.lacam = LaCAM(level.joint, moves, budget)
         self.best_first: BestFirstSearch | None = None
         self.turn = 1.0  # length of the next one, in first ones
@@ -74,6 +74,9 @@ class Searches:
 
         Returns:
             SOLVED, or the limit that is reached; EXHAUSTED if no path along the lattices is left; None for a pause.
+
+        Raises:
+            TimeoutError: If the deadline passes within a step.
         """
         num_robots, status = len(self.level.joint.lattices), None
         if self.lacam is not None:
@@ -121,4 +124,4 @@ class Searches:
 
     @property
     def _table(self) -> HeuristicTable:
-        return heuristic_table(self.level.joint, self.tables, self.weight, self.plain)
+        return heuristic_table(self.level.joint, self.tables, self.weight, self.plain, self.budget.deadline)

@@ -8,6 +8,8 @@ from jaxtyping import Float, Int
 
 from plr_jax.robots.robot import Robot
 
+_HALF_TURN = 0.5 + 1e-10  # of a full turn: what headings as large as 1e5 lose by rounding leaves it half a turn
+
 
 def team_dof(robots: Sequence[Robot]) -> int:
     """Numbers in a robot's configuration: 2 if none has a heading, else 3, where that of the others is ignored."""
@@ -17,12 +19,24 @@ def team_dof(robots: Sequence[Robot]) -> int:
 def shorter_turn(
     theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
 ) -> Float[np.ndarray, "*batch"]:
-    """Signed shorter turns in (-pi, pi] from one heading to another, counterclockwise positive.
+    """Signed shorter turns from one heading to another, counterclockwise positive: nothing else says which way it is.
 
-    Half a turn goes counterclockwise.
+    Half a turn goes counterclockwise, and so does one that falls short of it by at most 1e-10 of a full turn: where
+    headings were rounded, or wrapped into another range, the way is the same. So turns are at most 6.3e-10 above pi.
     """
     turns = (theta1 - theta0) / (2 * np.pi)
-    return 2 * np.pi * (turns - np.ceil(turns - 0.5))
+    return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
+
+
+def smaller_angle(
+    theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
+) -> Float[np.ndarray, "*batch"]:
+    """Angles between headings, from 0 to pi: what the shorter turn costs, whichever way half a turn goes.
+
+    Unlike the turn, the angle is a metric, so that a detour is never cheaper.
+    """
+    turns = (theta1 - theta0) / (2 * np.pi)
+    return 2 * np.pi * np.abs(turns - np.rint(turns))
 
 
 def between(

@@ -8,6 +8,7 @@ from experiments.baselines.ompl import task_of
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.collision.pairs import motions_apart
 from plr_jax.collision.walls import MotionTest
+from plr_jax.robots.motion import shorter_turn
 
 base = pytest.importorskip("ompl.base", reason="OMPL baselines: pip install 'plr-jax[baselines]'")
 kernels = pytest.importorskip("experiments.baselines.ompl_motions", reason="OMPL baselines need numba")
@@ -97,6 +98,15 @@ def test_a_rectangle_turns_the_shorter_way():
     upright, flat = (np.array([[1.62, 2.5, heading]]) for heading in (math.pi / 2, 0.0))
     assert kernels.is_motion_free(upright, upright, scene.address)
     assert not kernels.is_motion_free(upright, flat, scene.address)
+
+
+def test_turns_are_those_of_the_package_to_the_bit():
+    rng = np.random.default_rng(5)
+    first = rng.uniform(-10, 10, 400)
+    last = np.concatenate([rng.uniform(-10, 10, 200), first[200:] + rng.choice([-1, 1], 200) * math.pi])
+    turns = [kernels._turn(*pair) for pair in zip(first, last, strict=True)]
+    np.testing.assert_array_equal(turns, shorter_turn(first, last))
+    np.testing.assert_allclose(turns[200:], math.pi)
 
 
 @pytest.mark.parametrize("problem", [scenes.four_rooms(3), scenes.tangle(), problem_of(TEAMS["mixed"])])

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -6,6 +7,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from plr_jax.geometry import boundary as boundaries
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 
@@ -151,6 +153,20 @@ def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radi
 def test_inflating_keeps_the_choice_of_squeezing():
     assert Workspace(TEN, DIAGONAL, squeeze=True).inflate(0.1).squeeze
     assert BLOCK.inflate(0.0) is BLOCK
+
+
+def test_obstacles_are_grown_in_parts_until_the_time_limit(monkeypatch):
+    whole = [random_workspace(seed).inflate(0.3).free_space for seed in range(5)]
+    monkeypatch.setattr(boundaries, "_COLLARS", 3)
+    monkeypatch.setattr(boundaries, "_REGIONS", 2)
+    for seed, free in enumerate(whole):
+        in_parts = random_workspace(seed).inflate(0.3, time_limit=60).free_space
+        assert in_parts.symmetric_difference(free).area < 1e-9
+    clock = itertools.count()
+    monkeypatch.setattr(boundaries.time, "perf_counter", lambda: next(clock))
+    with pytest.raises(TimeoutError, match="before the obstacles were grown"):
+        BLOCK.inflate(0.5, time_limit=3)
+    assert next(clock) <= 6
 
 
 def random_workspace(seed):

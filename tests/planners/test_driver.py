@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import ROOM, TRANSLATIONS, exact, hallway, planned
+from planner_helpers import ROOM, TRANSLATIONS, exact, hallway, nudged_discs, nudged_team, planned
 
 from plr_jax import (
     BLOptions,
@@ -14,6 +14,7 @@ from plr_jax import (
     Workspace,
     bl_plan,
     scenes,
+    validate,
 )
 from plr_jax.planners import Status, straight_line, zero
 
@@ -103,6 +104,21 @@ def test_a_goal_that_is_the_start_but_for_a_whole_turn(start):
     problem = Problem(ROOM, [RectangleRobot(1, 0.5)], [(5, 5, start)], [(5, 5, start + 2 * np.pi)])
     solution = planned(problem, straight_line(problem), time_limit=20)
     assert solution.cost == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("searcher", ["lacam", "bl"])
+@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
+def test_a_team_with_goals_in_the_cells_of_starts(robot, searcher):
+    planned(nudged_team(robot), searchers=(searcher,), step=1.0)
+
+
+def test_many_robots_that_are_only_nudged_go_straight():
+    problem = nudged_discs(8)
+    solution = bl_plan(problem)
+    assert solution.solved and validate(problem, solution.path).valid
+    assert solution.cost == pytest.approx(64 * np.hypot(0.1, 0.1))
+    # 6,400 cells: one table of their motions, and a column of costs for each robot.
+    assert solution.stats.num_bytes < 2e7
 
 
 @pytest.mark.parametrize("robot", [PointRobot(), DiscRobot(0.3), RectangleRobot(1, 0.4)])

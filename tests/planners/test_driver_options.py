@@ -89,6 +89,13 @@ def test_larger_cells_of_a_team():
     assert coarse < fine
 
 
+def test_a_nudge_among_as_many_primitives_as_there_may_be():
+    bar = Problem(Workspace(((0, 0), (2, 2))), [RectangleRobot(0.2, 0.1)], [(1.03, 1.03, 0.1)], [(1.13, 1.13, 0.1)])
+    primitives = (*FOUR_NEIGHBORS, *((0, 0, turn) for turn in range(1, 251)))
+    solution = planned(bar, searchers=("bl",), step=0.5, primitives=primitives)
+    assert solution.cost == pytest.approx(np.hypot(0.1, 0.1))
+
+
 @pytest.mark.parametrize("options", [{"primitives": FOUR_NEIGHBORS}, {"branching": 20}, {"batch": 1}, {"width": 9}])
 def test_other_options_solve_too(options):
     planned(scenes.four_rooms(2), step=0.5, **options)
@@ -116,3 +123,14 @@ def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cos
     problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
     solution = bl_plan(problem, options=BLOptions(step=1.0))
     assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf
+
+
+def test_options_in_the_place_of_the_heuristic_are_refused():
+    with pytest.raises(ValueError, match=r"bl_plan\(problem, options=BLOptions"):
+        bl_plan(scenes.single_door(), BLOptions())
+
+
+def test_distance_functions_alone_are_no_heuristic():
+    problem = scenes.four_rooms(2)
+    with pytest.raises(ValueError, match=r"sum_of_distances\(distance_fns\)"):
+        bl_plan(problem, robot_distance_fns(problem))

@@ -125,6 +125,7 @@ def test_robots_that_stay_where_they_are(path):
         ([0.0, np.nan], "times must not be NaN"),
         ("soon", "times must be numbers, such as an array"),
         ([1j], "times must be numbers"),
+        (np.ma.masked_greater([1.0, 2.0], 1.5), "times must be numbers, such as .* and some are masked"),
         (None, "times must not be NaN|times must be numbers"),
     ],
 )

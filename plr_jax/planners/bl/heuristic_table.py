@@ -14,6 +14,7 @@ from plr_jax.planners.bl.successors import Successors
 from plr_jax.planners.lattice.joint import JointLattice, State
 
 _CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
+_TOO_LATE = "The deadline passed before the heuristic was known."
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 
 Table = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
@@ -67,31 +68,38 @@ def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    size = max(len(lattice.q) for lattice in joint.lattices)
+    size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column a robot, so that a team's PLRs answer in one call; shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
-    for begin in range(0, size, _CHUNK):
+    for begin in range(0, size, chunk):
         if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before the heuristic was known.")
-        q = joint.configurations(state[begin : begin + _CHUNK])
-        values[begin : begin + _CHUNK] = require_estimates(heuristic.per_robot(q), q.shape[:2])
+            raise TimeoutError(_TOO_LATE)
+        q = joint.configurations(state[begin : begin + chunk])
+        values[begin : begin + chunk] = require_estimates(heuristic.per_robot(q), q.shape[:2])
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 
 def heuristic_table(
-    joint: JointLattice, values: Sequence[Float[np.ndarray, "_"]], weight: float, plain: HeuristicFn | None = None
+    joint: JointLattice,
+    values: Sequence[Float[np.ndarray, "_"]],
+    weight: float,
+    plain: HeuristicFn | None = None,
+    deadline: float = math.inf,
 ) -> HeuristicTable:
     """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
 
     An infinite estimate never prunes: it counts as farther than all finite ones.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    tables = tuple(_finite(column) for column in values)
-    scores = tuple(
-        (lattice.cost + weight * table[lattice.child]).astype(np.float32)
-        for lattice, table in zip(joint.lattices, tables, strict=True)
-    )
-    return HeuristicTable(weight, tables, scores, plain, float(2 * sum(table.max() for table in tables)))
+    tables, scores = tuple(_finite(column) for column in values), []
+    for lattice, table in zip(joint.lattices, tables, strict=True):
+        if time.perf_counter() > deadline:
+            raise TimeoutError(_TOO_LATE)
+        scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
+    return HeuristicTable(weight, tables, tuple(scores), plain, float(2 * sum(table.max() for table in tables)))
 
 
 def _finite(values: Table) -> Table:

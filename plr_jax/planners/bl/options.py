@@ -38,10 +38,13 @@ class BLOptions:
         branching: Children that a node adds at a time.
         width: Joint children held while a product of primitives is assembled. A larger product is cut to the best.
         cost_factor: Largest cost of a path to be content with, as a multiple of the lower bound. While the best path
-            costs more, the search goes on with smaller weights and steps, until a limit.
+            costs more, the search goes on with smaller weights and steps, until a limit. 1: to the limit, as a rule.
+            The bound is that of straight lines unless something better is given: ``lower_bound``, or a heuristic
+            that is one, such as the exact distances.
         lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
             straight lines and what the heuristic proves.
-        time_limit: Seconds.
+        time_limit: Seconds. A call of Shapely or of the heuristic, and a search of a lattice for costs-to-go, are not
+            cut short.
         max_expansions: Most expansions; deterministic, unlike the time limit.
         max_memory: Most bytes of the lattices and of the search's nodes.
     """
@@ -83,12 +86,12 @@ class BLOptions:
 
 
 def _require_primitives(primitives: Sequence[Primitive]) -> None:
-    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 255"
+    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 254"
     try:
         offsets = np.array(primitives)
     except (TypeError, ValueError):
         raise ValueError(f"{message}, got {primitives!r}.") from None
-    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 255:
+    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 254:
         raise ValueError(f"{message}, got {primitives!r}.")
     if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
         raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")

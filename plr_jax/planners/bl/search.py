@@ -21,6 +21,7 @@ _MOTION_BYTES = 16  # what a motion takes in the table of a robot
 _KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
+_PRODUCTS = 1 << 20  # of a robot's primitives and what others do, at a time, which bounds the temporaries
 
 
 @dataclass
@@ -110,7 +111,7 @@ class BestFirstSearch:
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search on until the goals are reached, the frontier is empty, or a limit is reached, and say which.
 
-        None for a pause: after so many expansions more.
+        None for a pause: after so many expansions more. ``TimeoutError`` if the deadline passes within one.
         """
         last = self.num_expansions + max_expansions
         while self.found is None and self.frontier and self.num_expansions < last:
@@ -147,10 +148,14 @@ class BestFirstSearch:
         for node in nodes:
             if node not in self.successors:
                 by_width.setdefault(self.wider.get(node, self.options.width), []).append(node)
+        most = max(lattice.num_primitives for lattice in self.joint.lattices)
         for width, alike in by_width.items():
-            self._find_successors(alike, width)
-            self.num_expansions += len(alike)
-            self.budget.num_expansions += len(alike)
+            size = max(1, _PRODUCTS // (width * most))
+            for begin in range(0, len(alike), size):
+                some = alike[begin : begin + size]
+                self._find_successors(some, width)
+                self.num_expansions += len(some)
+                self.budget.num_expansions += len(some)
 
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""

@@ -1,5 +1,6 @@
 """What the robots of a team may do next from a joint configuration, and which of their motions collide."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
@@ -13,6 +14,7 @@ Bits: TypeAlias = int
 """A set of primitives: bit ``p`` for primitive ``p``."""
 
 _WORD = 62  # bits of a NumPy integer that are safe to use
+_MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
 
 
 class Moves(NamedTuple):
@@ -37,10 +39,17 @@ class TeamMoves:
         kinds: The robots.
         heuristic: Estimated costs-to-go of each kind's robots, by node, ``inf`` where unknown.
         tolerance: That of the workspace.
+        deadline: On the clock of ``time.perf_counter``; a call that passes it raises ``TimeoutError``.
     """
 
-    def __init__(self, kinds: Sequence[Kind], heuristic: Sequence[Float[np.ndarray, "_ _"]], tolerance: float):
-        self.kinds, self.heuristic, self.tolerance = kinds, heuristic, tolerance
+    def __init__(
+        self,
+        kinds: Sequence[Kind],
+        heuristic: Sequence[Float[np.ndarray, "_ _"]],
+        tolerance: float,
+        deadline: float = math.inf,
+    ):
+        self.kinds, self.heuristic, self.tolerance, self.deadline = kinds, heuristic, tolerance, deadline
         self.num_robots = sum(len(kind.members) for kind in kinds)
         self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
         for k, kind in enumerate(kinds):
@@ -65,15 +74,11 @@ class TeamMoves:
             places.append(kind.table.q[node])
             ends.append(kind.table.q[target])
             position[kind.members] = places[-1][:, :2]
-        first, second = self._near(position)
-        pairs = self.kind[first] * len(self.kinds) + self.kind[second]
-        for pair in np.unique(pairs).tolist():
-            i, j = first[pairs == pair], second[pairs == pair]
-            a, b = divmod(pair, len(self.kinds))
+        for a, b, i, j in self._near(position):
             motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
             motions_b = places[b][self.row[j]][:, None, None], ends[b][self.row[j]][:, None]
             robots = self.kinds[a].robot, self.kinds[b].robot
-            collide = ~motions_apart(robots[0], *motions_a, robots[1], *motions_b, self.tolerance)
+            collide = ~motions_apart(robots[0], *motions_a, robots[1], *motions_b, self.tolerance, self.deadline)
             meet = collide.any(axis=(1, 2))
             bits = _bits(collide[meet]), _bits(collide[meet].swapaxes(1, 2))
             for robot, other, ours, theirs in zip(i[meet].tolist(), j[meet].tolist(), *bits, strict=True):
@@ -88,16 +93,29 @@ class TeamMoves:
             values[kind.members] = estimate[np.arange(len(kind.members)), state[kind.members]]
         return values
 
-    def _near(self, position: Float[np.ndarray, "robots 2"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Pairs of robots that primitives may bring together, in the order of their kinds."""
+    def _near(
+        self, position: Float[np.ndarray, "robots 2"]
+    ) -> list[tuple[int, int, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
+        """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
         first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
-        return first, second
+        pairs = self.kind[first] * len(self.kinds) + self.kind[second]
+        found = []
+        for pair in np.unique(pairs).tolist():
+            a, b = divmod(pair, len(self.kinds))
+            size = max(1, _MOST // (self.kinds[a].table.child.shape[1] * self.kinds[b].table.child.shape[1]))
+            alike = np.flatnonzero(pairs == pair)
+            for begin in range(0, len(alike), size):
+                some = alike[begin : begin + size]
+                found.append((a, b, first[some], second[some]))
+        return found
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
     """Rows of flags as sets."""
-    dtype = np.dtype(np.int64 if flags.shape[2] <= _WORD else object)
-    return np.dot(flags.astype(dtype), np.array([1 << q for q in range(flags.shape[2])], dtype)).tolist()
+    if flags.shape[2] <= _WORD:
+        return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
+    packed = np.packbits(flags, axis=2, bitorder="little")
+    return [[int.from_bytes(row, "little") for row in rows] for rows in packed]

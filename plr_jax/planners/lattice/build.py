@@ -4,6 +4,7 @@ Every cell that holds a free configuration has one representative: its center wh
 sample that lies farthest from obstacles, so that a passage narrower than a cell is still found. Headings are
 periodic. Robots of one kind share a table of the motions between representatives. For each of them, its own start and
 goal represent their cells, which makes the ends of every path exact: they are nodes of the table beside the others.
+Where both lie in one cell, one more primitive leads from each to the other, and motions to the cell lead to the goal.
 """
 
 import math
@@ -20,8 +21,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.planners.lattice.motions import End, Lattice, MotionTable
-from plr_jax.robots.motion import shorter_turn
+from plr_jax.planners.lattice.motions import Ends, Lattice, MotionTable
 from plr_jax.robots.robot import Robot
 
 Primitive: TypeAlias = tuple[int, int, int]
@@ -85,26 +85,17 @@ class Motions(NamedTuple):
         self, starts: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "robots dof"]
     ) -> list[Lattice]:
         """The lattices of robots of this kind."""
-        ends = np.concatenate([starts, goals])
+        ends, differ = np.concatenate([starts, goals]), straight_costs(starts, goals, 1.0) > 0
         motions, cells = self._with_representatives(ends), self.grid.cells_of(ends)
-        index, num_cells = np.cumsum(motions.free) - 1, int(motions.free.sum())
-        nodes = num_cells + np.arange(len(ends))
-        child = np.where(np.isfinite(motions.cost), index[motions.child], index[:, None])[motions.free]
-        away, leaving = motions._motions_from(ends)
-        away = np.where(np.isfinite(leaving), index[away], nodes[:, None])
-        leaving[:, 0] = 0.0
-        table = MotionTable(
-            np.concatenate([motions.q[motions.free], ends]),
-            np.concatenate([child, away], dtype=np.int32),
-            np.concatenate([motions.cost[motions.free], leaving]),
-            num_cells,
-        )
-        others = np.concatenate([goals, starts])
-        entry = np.stack([motions._motions_to(ends), motions._motions_between(others, ends)], axis=1)
+        if (differ & (cells[: len(starts)] == cells[len(starts) :])).any():
+            motions = motions._with_primitive_within_cells()
+        table = motions._table(ends)
+        nodes = table.num_cells + np.arange(len(ends))
         # A goal that is the start, but for whole turns, is the same node.
-        nodes[: len(starts)][straight_costs(starts, goals, 1.0) == 0] += len(starts)
-        both = [End(*end) for end in zip(nodes.tolist(), index[cells].tolist(), entry, strict=True)]
-        return [Lattice(table, pair) for pair in zip(both[: len(starts)], both[len(starts) :], strict=True)]
+        nodes[: len(starts)][~differ] += len(starts)
+        columns = nodes, motions._nodes[cells], *motions._entries(ends, nodes)
+        by_robot = (np.stack(np.split(column, 2), axis=1) for column in columns)
+        return [Lattice(table, Ends(*of_robot)) for of_robot in zip(*by_robot, strict=True)]
 
     def _with_representatives(self, q: Float[np.ndarray, "n dof"]) -> "Motions":
         """The motions with one of some configurations for each of their cells that has no representative."""
@@ -120,50 +111,75 @@ class Motions(NamedTuple):
         motions.connect(np.unique(around[exists]))
         return motions
 
-    def _motions_from(
-        self, q: Float[np.ndarray, "n dof"]
-    ) -> tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]:
-        """The cells that primitives lead to from configurations, and the costs, ``inf`` where they are not free."""
-        cells, exists = self.grid.neighbors(self.grid.cells_of(q), self.offsets)
-        row, primitive = np.nonzero(exists & self.free[cells])
-        cost = np.full(cells.shape, np.inf)
-        cost[row, primitive] = self._motion_costs(q[row], self.q[cells[row, primitive]])
-        cost[:, 0] = np.inf
-        return cells, cost
+    def _with_primitive_within_cells(self) -> "Motions":
+        """The motions with one more primitive: from a start to a goal in its cell, and back."""
+        nowhere = np.arange(len(self.q))[:, None]
+        offsets = np.append(self.offsets, np.zeros_like(self.offsets[:1]), axis=0)
+        cost = np.append(self.cost, np.full(nowhere.shape, np.inf), axis=1)
+        return self._replace(offsets=offsets, child=np.append(self.child, nowhere, axis=1), cost=cost)
 
-    def _motions_to(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n primitives"]:
-        """Costs of the motions to configurations by the primitives that lead from representatives to their cells."""
-        cells, exists = self.grid.neighbors(self.grid.cells_of(q), -self.offsets)
-        row, primitive = np.nonzero(exists & self.free[cells])
-        cost = np.full(cells.shape, np.inf)
-        cost[row, primitive] = self._motion_costs(self.q[cells[row, primitive]], q[row])
-        cost[:, 0] = np.inf
-        return cost
+    @property
+    def _nodes(self) -> Int[np.ndarray, "cells"]:
+        """The node of each cell's representative, where it has one."""
+        return np.cumsum(self.free) - 1
 
-    def _motions_between(
-        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"]
+    def _table(self, ends: Float[np.ndarray, "ends dof"]) -> MotionTable:
+        """The motions that begin at representatives, then those at starts and goals."""
+        nodes, num_cells = self._nodes, int(self.free.sum())
+        child = np.where(np.isfinite(self.cost), nodes[self.child], nodes[:, None])[self.free]
+        cells, leads = self._neighbors(self.grid.cells_of(ends), self.offsets)
+        cost = self._costs(leads, ends[:, None], self.q[cells])
+        away = np.where(np.isfinite(cost), nodes[cells], num_cells + np.arange(len(ends))[:, None])
+        cost[:, 0] = 0.0
+        return MotionTable(
+            np.concatenate([self.q[self.free], ends]),
+            np.concatenate([child, away], dtype=np.int32),
+            np.concatenate([self.cost[self.free], cost]),
+            num_cells,
+        )
+
+    def _entries(
+        self, ends: Float[np.ndarray, "ends dof"], nodes: Int[np.ndarray, "ends"]
+    ) -> tuple[Int[np.ndarray, "ends 2 primitives"], Float[np.ndarray, "ends 2 primitives"]]:
+        """Where motions to starts, then goals, begin, and what they cost, as in :class:`Ends`."""
+        num_robots, cells = len(ends) // 2, self.grid.cells_of(ends)
+        others, others_nodes, others_cells = (np.roll(column, num_robots, axis=0) for column in (ends, nodes, cells))
+        same_cell = cells == others_cells
+        by, enters = self._neighbors(cells, -self.offsets)
+        crosses = enters & (by == others_cells[:, None])
+        crosses[:, -1] |= same_cell & (nodes != others_nodes)
+        cost = [self._costs(enters, self.q[by], ends[:, None]), self._costs(crosses, others[:, None], ends[:, None])]
+        # Into the cell of both, motions lead to the goal, and to the start only where the way to the goal is blocked.
+        to_goal = np.isfinite(cost[0][num_robots:])
+        enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
+        begin = np.where(enters, self._nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
+        return np.stack(begin, axis=1), np.stack(cost, axis=1)
+
+    def _neighbors(
+        self, cells: Int[np.ndarray, "n"], offsets: Int[np.ndarray, "primitives dof"]
+    ) -> tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]:
+        """The cells some offsets away, and whether they are others that have a representative."""
+        target, exists = self.grid.neighbors(cells, offsets)
+        return target, exists & self.free[target] & (target != cells[:, None])
+
+    def _costs(
+        self,
+        possible: Bool[np.ndarray, "n primitives"],
+        begin: Float[np.ndarray, "n #primitives dof"],
+        end: Float[np.ndarray, "n #primitives dof"],
+        deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Costs of the motions from configurations to others by each primitive that leads from cell to cell."""
-        cells, exists = self.grid.neighbors(self.grid.cells_of(begin), self.offsets)
-        row, primitive = np.nonzero(exists & (cells == self.grid.cells_of(end)[:, None]))
-        cost = np.full(cells.shape, np.inf)
-        cost[row, primitive] = self._motion_costs(begin[row], end[row])
-        cost[:, 0] = np.inf
+        """Costs of straight motions, ``inf`` for those that are not possible or not free."""
+        begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
+        cost = np.full(possible.shape, np.inf)
+        free = self.test(begin, end, deadline)
+        cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
-    def _motion_costs(
-        self, begin: Float[np.ndarray, "n dof"], end: Float[np.ndarray, "n dof"]
-    ) -> Float[np.ndarray, "n"]:
-        """Cost of straight motions, ``inf`` for those that are not free."""
-        return np.where(self.test(begin, end), straight_costs(begin, end, self.rotation_weight), np.inf)
-
-    def connect(self, cells: Int[np.ndarray, "n"]) -> None:
-        """Test the motions that begin in some cells, in place."""
-        child, exists = self.grid.neighbors(cells, self.offsets)
-        exists &= self.free[cells, None] & self.free[child]
-        exists[:, 0] = False
-        cost = np.full(child.shape, np.inf)
-        cost[exists] = self._motion_costs(self.q[cells[np.nonzero(exists)[0]]], self.q[child[exists]])
+    def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
+        """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
+        child, leads = self._neighbors(cells, self.offsets)
+        cost = self._costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -205,35 +221,24 @@ def build_lattices(
     for (robot, weight), alike in kinds.items():
         recipe = _Recipe(problem.workspace, robot, weight, step, primitives, deadline)
         starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
-        motions = _shared_motions(recipe)
-        cells = motions.grid.cells_of(starts), motions.grid.cells_of(goals)
-        split = (cells[0] == cells[1]) & (straight_costs(starts, goals, 1.0) > 0)
-        for k in np.flatnonzero(split).tolist():
-            grid = _split_between(motions.grid, np.stack([starts[k], goals[k]]))
-            (lattices[alike[k]],) = _motions(recipe, grid).with_ends(starts[[k]], goals[[k]])
-        shared = np.flatnonzero(~split)
-        if len(shared):
-            ours = motions.with_ends(starts[shared], goals[shared])
-            lattices.update(zip(np.array(alike)[shared].tolist(), ours, strict=True))
+        lattices.update(zip(alike, _motions(recipe).with_ends(starts, goals), strict=True))
     return [lattices[i] for i in range(len(problem.robots))]
 
 
 @lru_cache(maxsize=8)
-def _shared_motions(recipe: _Recipe) -> Motions:
-    return _motions(recipe, _grid(recipe.workspace, recipe.robot, recipe.step))
-
-
-def _motions(recipe: _Recipe, grid: Grid) -> Motions:
-    dof, q, test = len(grid.shape), grid.centers(), motion_test(recipe.workspace, recipe.robot)
+def _motions(recipe: _Recipe) -> Motions:
+    grid = _grid(recipe.workspace, recipe.robot, recipe.step)
+    test = motion_test(recipe.workspace, recipe.robot, recipe.deadline)
+    dof, q = len(grid.shape), grid.centers()
     offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
     motions = Motions(
         grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
     )
     for cells in _chunks(grid, recipe.deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells])
+        q[cells], motions.free[cells] = _representatives(test, grid, q[cells], recipe.deadline)
     for cells in _chunks(grid, recipe.deadline):
-        motions.connect(np.arange(cells.start, cells.stop))
+        motions.connect(np.arange(cells.start, cells.stop), recipe.deadline)
     return motions
 
 
@@ -250,18 +255,6 @@ def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
     return Grid(lo, tuple(shape.tolist()), side)
 
 
-def _split_between(grid: Grid, ends: Float[np.ndarray, "2 dof"]) -> Grid:
-    """The grid shifted until a face lies between a start and a goal that share a cell."""
-    difference = ends[1] - ends[0]
-    difference[2:] = shorter_turn(ends[0, 2:], ends[1, 2:])
-    axis = int(np.argmax(np.abs(difference) / grid.side))
-    middle = ends[0, axis] + difference[axis] / 2
-    lo, shape = grid.lo.copy(), list(grid.shape)
-    lo[axis] = middle - np.ceil((middle - lo[axis]) / grid.side[axis]) * grid.side[axis]
-    shape[axis] += axis < 2  # headings are periodic
-    return Grid(lo, tuple(shape), grid.side)
-
-
 def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
     """All cells, some at a time, whole positions together, until the deadline."""
     num_cells, per_position = math.prod(grid.shape), math.prod(grid.shape[2:])
@@ -273,18 +266,18 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
 
 
 def _representatives(
-    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"]
+    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"], deadline: float
 ) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
     """A configuration of every cell, and whether it is free."""
     q = centers.copy()
-    free = test(q, q)
+    free = test(q, q, deadline)
     per_position = int(np.prod(grid.shape[2:]))
     clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
     blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
     samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
-    room, open_ = np.full(len(samples), -np.inf), test(samples, samples)
+    room, open_ = np.full(len(samples), -np.inf), test(samples, samples, deadline)
     room[open_] = test.workspace.clearance(samples[open_, :2])
     best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
     q[blocked], free[blocked] = samples[best], open_[best]

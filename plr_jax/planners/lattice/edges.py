@@ -10,7 +10,7 @@ from scipy.sparse import csgraph as sparse_graphs
 from scipy.sparse import csr_array
 
 from plr_jax.planners.lattice.joint import JointLattice
-from plr_jax.planners.lattice.motions import MotionTable
+from plr_jax.planners.lattice.motions import Ends, MotionTable, motions_with_ends
 from plr_jax.robots.robot import Robot
 
 
@@ -22,31 +22,19 @@ class Kind:
         robot: What they are.
         table: Their motions.
         members: Which robots of the team they are.
-        node: The nodes of their starts and goals.
-        cell: The representatives that these replace.
-        entry: Costs of the motions to starts and goals, by what they begin at and by primitive, as in
-            :class:`plr_jax.planners.lattice.motions.End`.
+        ends: Their starts and goals.
     """
 
     robot: Robot
     table: MotionTable
     members: Int[np.ndarray, "robots"]
-    node: Int[np.ndarray, "robots 2"]
-    cell: Int[np.ndarray, "robots 2"]
-    entry: Float[np.ndarray, "robots 2 2 primitives"]
+    ends: Ends
 
     def motions(
         self, node: Int[np.ndarray, "robots"]
     ) -> tuple[Int[np.ndarray, "robots primitives"], Float[np.ndarray, "robots primitives"]]:
         """Where the primitives of each robot lead from its node, and what they cost."""
-        child, cost = self.table.child[node], self.table.cost[node]
-        rows, from_end = np.arange(len(node)), (node >= self.table.num_cells).astype(np.intp)
-        for end in range(2):
-            enters = (child == self.cell[:, [end]]) & (child != node[:, None])
-            entry = self.entry[rows, end, from_end]
-            cost = np.where(enters, entry, cost)
-            child = np.where(enters, np.where(np.isfinite(entry), self.node[:, [end]], node[:, None]), child)
-        return child, cost
+        return motions_with_ends(self.table, self.ends, node)
 
     @cached_property
     def edges(self) -> "Edges":
@@ -67,38 +55,18 @@ class Edges:
         self.kind, self.num_nodes = kind, len(kind.table.q)
         begin, primitive = np.nonzero(np.isfinite(kind.table.cost))
         shared = begin, kind.table.child[begin, primitive], kind.table.cost[begin, primitive]
-        self.num_shared = self.num_edges = len(begin)
-        into = np.argsort(shared[1], kind="stable")
-        first = np.searchsorted(shared[1][into], np.arange(self.num_nodes + 1))
-        parts, self.own = [shared], []
-        for row in range(len(kind.members)):
-            entering = [self._entering(row, end, begin, primitive, into, first) for end in range(2)]
-            parts += entering
-            count = sum(len(part[0]) for part in entering)
-            self.own.append(np.arange(self.num_edges, self.num_edges + count))
-            self.num_edges += count
+        self.num_shared = len(begin)
+        ends = kind.ends
+        own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
+        into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
+        self.num_edges = self.num_shared + len(own[0])
+        first = np.searchsorted(own[0], np.arange(1, len(kind.members)))
+        self.own = np.split(np.arange(self.num_shared, self.num_edges), first)
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
-        self.begin, self.end, self.cost = (np.concatenate(column) for column in zip(*parts, nowhere, strict=True))
+        columns = zip(shared, into_ends, nowhere, strict=True)
+        self.begin, self.end, self.cost = (np.concatenate(column) for column in columns)
         away = kind.table.q[self.end[:-1], :2] - kind.table.q[self.begin[:-1], :2]
         self.stride = float(np.hypot(*away.T).max())
-
-    def _entering(
-        self,
-        row: int,
-        end: int,
-        begin: Int[np.ndarray, "m"],
-        primitive: Int[np.ndarray, "m"],
-        into: Int[np.ndarray, "m"],
-        first: Int[np.ndarray, "nodes_and_1"],
-    ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-        """The edges of one robot into an end: from the representatives about it, and from the robot's other end."""
-        kind, cell = self.kind, self.kind.cell[row, end]
-        edge = into[first[cell] : first[cell + 1]]
-        edge = edge[begin[edge] != cell]
-        from_end = begin[edge] >= kind.table.num_cells
-        cost = kind.entry[row, end, from_end.astype(np.intp), primitive[edge]]
-        ours = np.isfinite(cost) & (~from_end | (begin[edge] == kind.node[row, 1 - end]))
-        return begin[edge[ours]], np.full(int(ours.sum()), kind.node[row, end]), cost[ours]
 
     @cached_property
     def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
@@ -114,8 +82,8 @@ class Edges:
     def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
         """The edges of one robot that end in each node, filled up with ``num_edges``."""
         into, own = self._into_nodes.copy(), self.own[row]
-        into[:, self.kind.cell[row]] = self.num_edges
-        for node in self.kind.node[row]:
+        into[:, self.kind.ends.cell[row]] = self.num_edges
+        for node in self.kind.ends.node[row]:
             edges = own[self.end[own] == node]
             into[1 : 1 + len(edges), node] = edges  # after the one that stays
         return into
@@ -150,19 +118,19 @@ class Edges:
         begin, end, cost = [self.end[edge]], [self.begin[edge]], [self.cost[edge]]
         # Backward, each search begins at a node of its own, from which the edges into the goal lead.
         for i, row in enumerate(rows.tolist()):
-            own = self.own[row][self.end[self.own[row]] == self.kind.node[row, 1]]
+            own = self.own[row][self.end[self.own[row]] == self.kind.ends.node[row, 1]]
             begin.append(np.full(len(own), num_nodes + i))
             end.append(self.begin[own])
             cost.append(self.cost[own])
         edges = np.concatenate(cost), (np.concatenate(begin), np.concatenate(end))
         graph = csr_array(edges, shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + np.arange(len(rows)))[:, :num_nodes]
-        costs[np.arange(len(rows)), self.kind.node[rows, 1]] = 0.0
+        costs[np.arange(len(rows)), self.kind.ends.node[rows, 1]] = 0.0
         return costs
 
     def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Cost of the cheapest motions from the starts of some robots to each node but their goals, likewise."""
-        return sparse_graphs.dijkstra(self._graph, indices=self.kind.node[rows, 0])
+        return sparse_graphs.dijkstra(self._graph, indices=self.kind.ends.node[rows, 0])
 
     @cached_property
     def _graph(self) -> csr_array:
@@ -178,11 +146,9 @@ def kinds_of(joint: JointLattice) -> list[Kind]:
         members.setdefault(id(lattice.table), []).append(i)
     kinds = []
     for alike in members.values():
-        ends = [joint.lattices[i].ends for i in alike]
-        node, cell = (np.array([[getattr(end, name) for end in pair] for pair in ends]) for name in ("node", "cell"))
-        entry = np.array([[end.entry for end in pair] for pair in ends])
+        ends = Ends(*map(np.stack, zip(*(joint.lattices[i].ends for i in alike), strict=True)))
         robot, table = joint.problem.robots[alike[0]], joint.lattices[alike[0]].table
-        kinds.append(Kind(robot, table, np.array(alike), node, cell, entry))
+        kinds.append(Kind(robot, table, np.array(alike), ends))
     return kinds
 
 

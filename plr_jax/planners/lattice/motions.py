@@ -23,19 +23,38 @@ class MotionTable:
     num_cells: int
 
 
-class End(NamedTuple):
-    """A robot's start or goal, which stands for its cell.
+class Ends(NamedTuple):
+    """The start and the goal of a robot, or of each of several, which stand for their cells.
 
     Args:
-        node: Its node.
-        cell: The node of its cell's representative, which the robot never visits.
-        entry: Cost of the motion to it by each primitive that leads to its cell, ``inf`` where it is not free: first
-            from representatives, then from the robot's other end.
+        node: Their nodes.
+        cell: The nodes of their cells' representatives, which the robot never visits.
+        begin: Where the motions to them by each primitive begin, -1 where none does: first the motions from
+            representatives, then those from the robot's other end. No motion leads to both.
+        cost: What these motions cost, ``inf`` where they are not free.
     """
 
-    node: int
-    cell: int
-    entry: Float[np.ndarray, "2 primitives"]
+    node: Int[np.ndarray, "*robots 2"]
+    cell: Int[np.ndarray, "*robots 2"]
+    begin: Int[np.ndarray, "*robots 2 2 primitives"]
+    cost: Float[np.ndarray, "*robots 2 2 primitives"]
+
+
+def motions_with_ends(
+    table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]:
+    """Where the primitives of nodes lead one robot, or each its own of several, and what they cost.
+
+    Motions to a start or a goal take the place of those to its cell.
+    """
+    child, cost = table.child[node], table.cost[node]
+    enters = ends.begin == node[:, None, None, None]
+    row, *_, primitive = np.nonzero(enters)
+    entry = np.broadcast_to(ends.cost, enters.shape)[enters]
+    end = np.broadcast_to(ends.node[..., None, None], enters.shape)[enters]
+    child[row, primitive] = np.where(np.isfinite(entry), end, node[row])
+    cost[row, primitive] = entry
+    return child, cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +62,7 @@ class Lattice:
     """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells."""
 
     table: MotionTable
-    ends: tuple[End, End]
+    ends: Ends
 
     @property
     def q(self) -> Float[np.ndarray, "nodes dof"]:
@@ -53,39 +72,31 @@ class Lattice:
     @property
     def start(self) -> int:
         """The node of the start."""
-        return self.ends[0].node
+        return int(self.ends.node[0])
 
     @property
     def goal(self) -> int:
         """The node of the goal."""
-        return self.ends[1].node
+        return int(self.ends.node[1])
 
     @property
     def num_primitives(self) -> int:
         """Primitives, staying among them."""
         return self.table.child.shape[1]
 
-    def motions(
-        self, node: Int[np.ndarray, "*batch"]
-    ) -> tuple[Int[np.ndarray, "*batch primitives"], Float[np.ndarray, "*batch primitives"]]:
-        """Where the primitives of some nodes lead, and what they cost."""
-        child, cost = self.table.child[node], self.table.cost[node]
-        from_end = (node >= self.table.num_cells).astype(int)
-        for end in self.ends:
-            enters, entry = (child == end.cell) & (child != node[..., None]), end.entry[from_end]
-            cost = np.where(enters, entry, cost)
-            child = np.where(enters, np.where(np.isfinite(entry), end.node, node[..., None]), child).astype(np.int32)
-        return child, cost
-
-    @cached_property
+    @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
         """Where the primitives of all nodes lead."""
-        return self.motions(np.arange(len(self.q)))[0]
+        return self._motions[0]
 
-    @cached_property
+    @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
         """What the primitives of all nodes cost."""
-        return self.motions(np.arange(len(self.q)))[1]
+        return self._motions[1]
+
+    @cached_property
+    def _motions(self) -> tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]]:
+        return motions_with_ends(self.table, self.ends, np.arange(len(self.q)))
 
     @cached_property
     def stride(self) -> float:

@@ -12,7 +12,7 @@ from plr_jax.collision.pairs import motions_apart
 from plr_jax.planners._budget import HeldMemory
 from plr_jax.planners.lattice.edges import Kind
 
-_CHUNK, _PAIRS = 256, 1 << 16  # edges, and pairs of them, at a time, between two looks at the clock
+_CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay in cache, and the clock is seen
 _ENTRY_BYTES = 200  # what an edge takes, besides those that collide with it
 
 
@@ -54,9 +54,8 @@ class Conflicts:
         row, edge = row[at], order[index]
         self._chunk[a, b] = int(np.clip(_PAIRS * len(motion) // max(1, len(row)), 1, _CHUNK))
         others_begin, others_end = (others.table.q[node[edge]] for node in (others.edges.begin, others.edges.end))
-        apart = motions_apart(
-            ours.robot, begin[row], end[row], others.robot, others_begin, others_end, self.tolerance
-        )
+        motions = ours.robot, begin[row], end[row], others.robot, others_begin, others_end
+        apart = motions_apart(*motions, self.tolerance, self.held.budget.deadline)
         row, edge = row[~apart], edge[~apart].astype(np.int32)
         return [part.copy() for part in np.split(edge, np.searchsorted(row, np.arange(1, len(motion))))]
 

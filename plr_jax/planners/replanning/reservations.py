@@ -49,7 +49,7 @@ class ReservationTable:
         self.blocked = [np.zeros((size, kind.edges.num_edges + 1), dtype) for kind in kinds]
         self.cost, self.least = np.zeros(state.shape[1]), np.zeros(state.shape[1])
         for i, (k, row) in self.place.items():
-            self.least[i] = costs_to_go[k][row, kinds[k].node[row, 0]]
+            self.least[i] = costs_to_go[k][row, kinds[k].ends.node[row, 0]]
             self.cost[i] = kinds[k].edges.cost[self._motions(i)].sum()
         try:
             for i in self.place:
@@ -91,7 +91,7 @@ class ReservationTable:
         """
         k, row = self.place[i]
         edges, blocked = self.kinds[k].edges, self.blocked[k]
-        start, goal = self.kinds[k].node[row].tolist()
+        start, goal = self.kinds[k].ends.node[row].tolist()
         if i not in self._costs_to_come:
             self._costs_to_come[i] = self.kinds[k].edges.costs_to_come(np.array([row]))[0]
             self.held.add(self._costs_to_come[i].nbytes)

@@ -43,7 +43,10 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
                 return traffic.path
             if _is_straight(problem, traffic.path[rows], robots):
                 continue
-            found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+            try:
+                found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+            except TimeoutError:
+                return traffic.path
             for i, q in zip(robots, found, strict=True):
                 if (q != traffic.path[rows, i]).any():
                     traffic.move(i, q, rows)
@@ -96,7 +99,8 @@ def _shortened(
 ) -> list[Float[np.ndarray, "rows dof"]]:
     """The robots' cheapest motions within their corridors in some rows, both ends as they are.
 
-    Only motions are tested that may be part of something cheaper than what the robots do.
+    Only motions are tested that may be part of something cheaper than what the robots do. ``TimeoutError`` past the
+    deadline of the test.
     """
     path = traffic.path[rows]
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -164,7 +168,7 @@ def _block(
     tight = ~test.of_walls[i].has_room(*circles(corridor[:-1], corridor[1:]))[row]
     begin, end = corridor[row, first], corridor[row + 1, last]
     free = np.ones(len(row), dtype=bool)
-    free[tight] = test.of_walls[i](begin[tight], end[tight])
+    free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
     near, other = traffic.near(i, corridor[:-1], corridor[1:], motion, robots)
     tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
     meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])

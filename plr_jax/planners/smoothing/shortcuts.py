@@ -42,10 +42,10 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest, deadline: float
         for i in range(len(hopeful)):
             if not hopeful[i]:
                 continue
-            found = _shortened(problem, traffic, i, test, spans, deadline)
-            if found is None:
+            try:
+                rows, in_way[i] = _shortened(problem, traffic, i, test, spans, deadline)
+            except TimeoutError:
                 return traffic.path
-            rows, in_way[i] = found
             hopeful[i] = len(rows) < len(path)
             if hopeful[i]:
                 traffic.move(i, _along(traffic.path[:, i], rows))
@@ -70,10 +70,10 @@ def _spans(steps: int) -> tuple[Rows, Rows]:
 
 def _shortened(
     problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows], deadline: float
-) -> tuple[list[int], InWay] | None:
+) -> tuple[list[int], InWay]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
 
-    Nothing past the deadline.
+    ``TimeoutError`` past the deadline.
     """
     q, weight, (begin, end) = traffic.path[:, i], problem.rotation_weights[i], spans
     cost = straight_costs(q[begin], q[end], weight)
@@ -82,21 +82,18 @@ def _shortened(
     useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
-    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]])]
-    found = _apart(test, traffic, i, begin[shortcuts], end[shortcuts], deadline)
-    if found is None:
-        return None
-    apart, in_way = found
+    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], deadline)]
+    apart, in_way = _apart(test, traffic, i, begin[shortcuts], end[shortcuts], deadline)
     own[shortcuts[apart]] = True
     return _shortest(begin[own], end[own], cost[own], len(q)), in_way
 
 
 def _apart(
     test: JointMotionTest, traffic: Traffic, i: int, begin: Rows, end: Rows, deadline: float
-) -> tuple[Bool[np.ndarray, "m"], InWay] | None:
+) -> tuple[Bool[np.ndarray, "m"], InWay]:
     """Whether shortcuts of one robot keep clear of the others, and with whom those that do not are seen to collide.
 
-    Each is cut into the pieces that it makes in the motions of the path. Nothing past the deadline.
+    Each is cut into the pieces that it makes in the motions of the path. ``TimeoutError`` past the deadline.
     """
     apart, in_way = np.ones(len(begin), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     count = end - begin
@@ -105,7 +102,7 @@ def _apart(
     later = np.ones(len(owner), dtype=bool)
     for stride in _STRIDES:
         if time.perf_counter() > deadline:
-            return None
+            raise TimeoutError("The deadline passed before all shortcuts were tested.")
         now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
         later[now] = False
         edge, share = owner[now], count[owner[now], None, None]

@@ -64,6 +64,7 @@ def test_a_function_of_more_coordinates_than_there_are(dim):
         (DETOUR[:0], "at least one guess of one step"),
         ("abc", "Paths must be numbers"),
         (DETOUR + 0j, "Paths must be numbers"),
+        (np.ma.masked_greater(DETOUR, 7), "Paths must be numbers .* and some are masked"),
         (DETOUR * np.array([1, np.nan, 1, 1])[:, None, None], "Paths must be finite; path 0"),
         (DETOUR[::-1], "Path 0 must have the problem's starts as its first row"),
         (DETOUR[:-1], "Path 0 must have the problem's goals as its last row"),

@@ -1,38 +1,18 @@
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import pytest
-import shapely
-from planner_helpers import apart, hallway, heuristic_table, joint_lattice_of
-from robot_helpers import sampled_distance
+from planner_helpers import TIGHT, TIGHT_TEAM, apart, free_states, hallway, heuristic_table, joint_lattice_of
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
+from plr_jax import DiscRobot, Problem, scenes
 from plr_jax.planners import straight_line
 from plr_jax.planners.bl.successors import best_successors
 
-TIGHT = Workspace(((0, 0), (3, 3)), [shapely.box(1.4, 1.4, 1.6, 1.6)])
-MIXED = Problem(
-    TIGHT,
-    [DiscRobot(0.3), RectangleRobot(0.8, 0.3), PointRobot()],
-    [(0.5, 0.5, 1), (2.5, 2.5, 0.1), (0.5, 2.5, 2)],
-    [(2.5, 2.5, 0), (0.6, 0.6, 0), (2.5, 0.5, 0)],
-)
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
 
 
 def terms_of(joint):
     return heuristic_table(joint, straight_line(joint.problem), 2.0).scores
-
-
-def free_states(joint, num, seed):
-    """Random joint configurations in which no two robots overlap, some of them close together."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < num:
-        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
-        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
-            found.append(state[0])
-    return np.array(found, dtype=np.int32)
 
 
 def all_children(joint, terms, state):
@@ -51,7 +31,7 @@ def found_children(children, row):
     return dict(zip(keys, children.score[row, known].tolist(), strict=True))
 
 
-@pytest.mark.parametrize(("problem", "step"), [(MIXED, 1.0), (DISCS, 0.5)], ids=["mixed", "discs"])
+@pytest.mark.parametrize(("problem", "step"), [(TIGHT_TEAM, 1.0), (DISCS, 0.5)], ids=["mixed", "discs"])
 def test_all_children_when_nothing_is_cut(problem, step):
     joint = joint_lattice_of(problem, step)
     terms, state = terms_of(joint), free_states(joint, 12, seed=3)
@@ -72,7 +52,7 @@ def test_all_children_when_nothing_is_cut(problem, step):
 
 @pytest.mark.parametrize("width", [1, 7, 60])
 def test_a_cut_product_gives_some_of_the_children_and_says_so(width):
-    joint = joint_lattice_of(MIXED, 1.0)
+    joint = joint_lattice_of(TIGHT_TEAM, 1.0)
     terms, state = terms_of(joint), free_states(joint, 12, seed=4)
     children = best_successors(joint, terms, state, width)
     assert children.score.shape[1] <= width
@@ -102,7 +82,7 @@ def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
 
 
 def test_a_wide_cut_of_three_robots_keeps_the_best_child():
-    joint = joint_lattice_of(MIXED, 1.0)
+    joint = joint_lattice_of(TIGHT_TEAM, 1.0)
     terms, state = terms_of(joint), free_states(joint, 12, seed=5)
     children = best_successors(joint, terms, state, 100)
     for row in range(len(state)):
@@ -127,48 +107,3 @@ def test_discs_face_to_face_have_the_children_that_one_draws():
         ].astype(float)[: int(np.isfinite(children.score).sum())]
     }
     assert moves == {(-1, -1), (-1, 0), (-1, 1), (0, 0), (0, 1), (1, 1)}
-
-
-def test_collisions_are_those_that_samples_show():
-    joint = joint_lattice_of(MIXED, 1.0)
-    state = free_states(joint, 8, seed=6)
-    for i, j in combinations(range(3), 2):
-        near, collide = joint.collisions(i, j, state)
-        a, b = joint.lattices[i], joint.lattices[j]
-        shape = (a.child.shape[1], b.child.shape[1])
-        for row in range(len(state)):
-            p, q = (index.ravel() for index in np.indices(shape))
-            pad = [np.zeros((p.size, 3)) for _ in range(4)]
-            for array, lattice, k, primitive in ((0, a, i, p), (2, b, j, q)):
-                dof = lattice.q.shape[1]
-                pad[array][:, :dof] = lattice.q[state[row, k]]
-                pad[array + 1][:, :dof] = lattice.q[lattice.child[state[row, k], primitive]]
-            robots = joint.problem.robots
-            distance = sampled_distance(robots[i], pad[0], pad[1], robots[j], pad[2], pad[3], 60)
-            at = np.flatnonzero(near == row)
-            said = collide[at[0]].ravel() if len(at) else np.zeros(p.size, dtype=bool)
-            assert said[distance < -1e-6].all(), "a sampled overlap is found"
-            assert not said[distance > 0.1].any(), "no collision where samples stay well apart"
-
-
-def test_configurations_of_a_mixed_team_keep_the_heading_of_round_robots():
-    joint = joint_lattice_of(MIXED, 1.0)
-    state = free_states(joint, 5, seed=7)
-    q = joint.configurations(state)
-    assert q.shape == (5, 3, 3) and (q[:, 0, 2] == 1).all() and (q[:, 2, 2] == 2).all()
-    for i, lattice in enumerate(joint.lattices):
-        dof = lattice.q.shape[1]
-        np.testing.assert_array_equal(q[:, i, :dof], lattice.q[state[:, i]])
-
-
-def test_moves_and_their_costs():
-    joint = joint_lattice_of(MIXED, 1.0)
-    state = free_states(joint, 20, seed=8)
-    rng = np.random.default_rng(0)
-    primitive = np.stack([rng.integers(lattice.child.shape[1], size=20) for lattice in joint.lattices], axis=1)
-    primitive = primitive.astype(np.uint8)
-    moved, cost = joint.move(state, primitive), joint.move_costs(state, primitive)
-    for row in range(20):
-        steps = list(zip(joint.lattices, state[row], primitive[row], strict=True))
-        assert moved[row].tolist() == [lattice.child[s, p] for lattice, s, p in steps]
-        assert cost[row] == pytest.approx(sum(lattice.cost[s, p] for lattice, s, p in steps))

@@ -4,7 +4,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, ROOM, deepest_overlap, graph_of
+from planner_helpers import FOUR_NEIGHBORS, ROOM, deepest_overlap, graph_of, nudged_team
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
@@ -44,7 +44,7 @@ def offsets_between(workspace, robot, step, q0, q1):
 
 def visited(lattice):
     """The nodes of a lattice but for those that the start and the goal replace."""
-    return np.setdiff1d(np.arange(len(lattice.q)), [end.cell for end in lattice.ends])
+    return np.setdiff1d(np.arange(len(lattice.q)), lattice.ends.cell)
 
 
 def reaches_goal(lattice):
@@ -183,6 +183,77 @@ def test_ends_in_one_cell_are_told_apart(start, goal):
     assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
 
 
+def motions_at_ends(problem, robot, lattice, step):
+    """The motions from and to a start and a goal, by their definition: 1 where they are free, 0.5 where unsure."""
+
+    def offsets(pairs):
+        q0, q1 = lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]]
+        return offsets_between(problem.workspace, robot, step, q0, q1).tolist()
+
+    start, goal = lattice.start, lattice.goal
+    (offset,) = offsets(np.array([[start, goal]]))
+    same_cell = start != goal and not any(offset)
+    cells = np.setdiff1d(np.arange(lattice.table.num_cells), lattice.ends.cell).tolist()
+    pairs = [pair for end in {start, goal} for cell in cells for pair in ((end, cell), (cell, end))]
+    pairs = np.array([*pairs, (start, goal), (goal, start)])
+    leads = [tuple(offset) in PRIMITIVES for offset in offsets(pairs)]
+    leads[-2:] = [leads[-2] or same_cell, leads[-1] or same_cell]
+    pairs = pairs[leads]
+    depth = deepest_overlap(problem.workspace, robot, lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]])
+    free = np.select([depth < -1e-3, depth > 1e-3], [1.0, 0.0], 0.5)
+    motions = dict(zip(map(tuple, pairs.tolist()), free.tolist(), strict=True))
+    if same_cell:  # to the goal first
+        for cell in cells:
+            if (cell, goal) in motions:
+                motions[cell, start] = min(motions[cell, start], 1 - motions[cell, goal])
+    return motions
+
+
+@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
+@pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
+def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
+    problem, num_blocked = nudged_team(robot), 0
+    for i, lattice in enumerate(build_lattices(problem, step, PRIMITIVES)):
+        dof = robot.dof
+        np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
+        np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
+        graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
+        expected = motions_at_ends(problem, robot, lattice, step)
+        found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
+        for motion, is_free in expected.items():
+            if is_free != 0.5:
+                assert (motion in found) == (is_free == 1)
+                num_blocked += is_free == 0
+        assert found <= set(expected)
+        blocked = np.isinf(lattice.cost)
+        np.testing.assert_array_equal(lattice.child[blocked], np.nonzero(blocked)[0])
+        for u, v in found:
+            turn = np.angle(np.exp(1j * (lattice.q[v] - lattice.q[u])[2:])).sum()
+            way = np.hypot(*(lattice.q[v] - lattice.q[u])[:2]) + problem.rotation_weights[i] * abs(turn)
+            assert graph.edges[u, v]["cost"] == pytest.approx(way)
+    assert num_blocked > 3
+
+
+def test_a_cell_that_a_wall_parts_is_entered_on_both_sides():
+    # The goal, right of the wall, is entered from the right; the start, left of it, from the left.
+    workspace = Workspace(((0, 0), (3, 3)), [shapely.box(1.49, 1, 1.51, 2)])
+    lattice = lattice_of(Problem(workspace, [PointRobot()], [(1.4, 1.5)], [(1.6, 1.5)]), 1.0)
+    graph = graph_of(lattice)
+    left, right = (int(np.flatnonzero((lattice.q == q).all(axis=1))[0]) for q in ((0.5, 1.5), (2.5, 1.5)))
+    assert graph.has_edge(left, lattice.start) and not graph.has_edge(left, lattice.goal)
+    assert graph.has_edge(right, lattice.goal) and not graph.has_edge(right, lattice.start)
+    assert not graph.has_edge(lattice.start, lattice.goal) and reaches_goal(lattice)
+
+
+def test_an_end_is_entered_where_the_representative_of_its_cell_is_not():
+    # A wall bars the way from the left to the middle of the cell, but not to the goal near its lower edge.
+    workspace = Workspace(((0, 0), (3, 1)), [shapely.box(1.1, 0.3, 1.2, 1)])
+    lattice = lattice_of(Problem(workspace, [PointRobot()], [(0.9, 0.1)], [(1.5, 0.1)]), 1.0)
+    middle = int(lattice.ends.cell[1])
+    np.testing.assert_array_equal(lattice.q[middle], (1.5, 0.5))
+    assert lattice.goal in graph_of(lattice)[lattice.start] and middle not in graph_of(lattice)[lattice.start]
+
+
 def test_a_start_that_is_the_goal():
     lattice = lattice_of(Problem(ROOM, [DiscRobot(0.4)], [(3.3, 3.4)], [(3.3, 3.4)]), 1.0)
     assert lattice.start == lattice.goal and reaches_goal(lattice)
@@ -274,12 +345,17 @@ def test_nobody_passes_the_ends_of_another():
     assert far.goal in reached and near.start not in reached and near.goal not in reached
 
 
-def test_a_shared_cell_of_one_robot_does_not_touch_its_twin():
+def test_robots_with_both_ends_in_one_cell_share_motions_and_change_none_of_another():
     problem = Problem(ROOM, [DiscRobot(0.4)] * 2, [(3.1, 3.1), (7, 7)], [(3.2, 3.3), (1, 7)])
     near, far = build_lattices(problem, 1.0, PRIMITIVES)
-    assert near.start != near.goal and far.start != far.goal
+    assert near.table is far.table and near.start != near.goal
     twin = lattice_of(Problem(ROOM, [DiscRobot(0.4)], [(7, 7)], [(1, 7)]), 1.0)
-    np.testing.assert_array_equal(far.q, twin.q)
+    motions = []
+    for lattice in (far, twin):
+        graph = graph_of(lattice)
+        reached = graph.subgraph({lattice.start, *nx.descendants(graph, lattice.start)})
+        motions.append({(*lattice.q[u], *lattice.q[v], cost) for u, v, cost in reached.edges.data("cost")})
+    assert motions[0] == motions[1]
 
 
 def test_each_branch_of_a_lattice_is_a_path():

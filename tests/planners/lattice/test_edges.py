@@ -6,7 +6,7 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import FOUR_NEIGHBORS, graph_of, joint_lattice_of
+from planner_helpers import FOUR_NEIGHBORS, graph_of, joint_lattice_of, nudged_team
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners.lattice.build import PRIMITIVES
@@ -19,6 +19,7 @@ MIXED = Problem(
     [(0.5, 0.6, 0), (1.0, 3.7, 0.4), (5.5, 0.6, 0), (3.1, 1.0, 0)],
     [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0)],
 )
+NUDGED = {"nudged discs": nudged_team(DiscRobot(0.15)), "nudged bars": nudged_team(RectangleRobot(0.4, 0.1))}
 
 
 def random_boxes(seed):
@@ -35,28 +36,36 @@ def test_kinds_are_the_robots_that_share_a_table():
     for kind in kinds_of(joint):
         for row, i in enumerate(kind.members.tolist()):
             lattice = joint.lattices[i]
-            assert kind.table is lattice.table and kind.node[row].tolist() == [lattice.start, lattice.goal]
+            assert kind.table is lattice.table and kind.ends.node[row].tolist() == [lattice.start, lattice.goal]
 
 
-@pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(4), scenes.door(6)], ids=["mixed", "rooms", "door"])
+@pytest.mark.parametrize(
+    "problem",
+    [MIXED, scenes.four_rooms(4), scenes.door(6), *NUDGED.values()],
+    ids=["mixed", "rooms", "door", *NUDGED],
+)
 def test_motions_of_all_robots_at_once_are_those_of_each(problem):
     joint = joint_lattice_of(problem, 0.5)
     rng = np.random.default_rng(0)
     for kind in kinds_of(joint):
         for _ in range(40):
             # Near the ends, where motions differ from robot to robot.
-            around = np.unique(kind.table.child[kind.node.ravel()])
-            node = np.array([rng.choice([*around, *kind.node[row]]) for row in range(len(kind.members))])
-            node = np.where(node >= kind.table.num_cells, kind.node[:, 0], node)
+            around = np.unique(kind.table.child[kind.ends.node.ravel()])
+            node = np.array([rng.choice([*around, *kind.ends.node[row]]) for row in range(len(kind.members))])
+            node = np.where(node >= kind.table.num_cells, kind.ends.node[:, 0], node)
             child, cost = kind.motions(node)
             for row, i in enumerate(kind.members.tolist()):
                 np.testing.assert_array_equal(child[row], joint.lattices[i].child[node[row]])
                 np.testing.assert_array_equal(cost[row], joint.lattices[i].cost[node[row]])
 
 
-@pytest.mark.parametrize("step", [0.4, 0.7, 1.5])
-def test_costs_to_go_are_those_that_networkx_finds(step):
-    joint = joint_lattice_of(MIXED, step)
+@pytest.mark.parametrize(
+    ("problem", "step"),
+    [(MIXED, 0.4), (MIXED, 0.7), (MIXED, 1.5), *((problem, 1.0) for problem in NUDGED.values())],
+    ids=["0.4", "0.7", "1.5", *NUDGED],
+)
+def test_costs_to_go_are_those_that_networkx_finds(problem, step):
+    joint = joint_lattice_of(problem, step)
     for kind in kinds_of(joint):
         rows = np.arange(len(kind.members))
         costs = kind.edges.costs_to_go(rows)
@@ -66,9 +75,8 @@ def test_costs_to_go_are_those_that_networkx_finds(step):
             expected = nx.single_source_dijkstra_path_length(graph, lattice.goal, weight="cost")
             assert costs[row, lattice.start] == pytest.approx(expected.get(lattice.start, np.inf), rel=1e-12)
             # Ways by the start are left out, as it stands for its cell: costs by that cell's representative differ.
-            through = [
-                node for node in expected if lattice.start not in nx.dijkstra_path(graph, lattice.goal, node, "cost")
-            ]
+            paths = {node: nx.dijkstra_path(graph, lattice.goal, node, "cost") for node in expected}
+            through = [node for node, path in paths.items() if lattice.start not in path[1:]]
             assert len(through) > 5
             least = np.array([expected[node] for node in through])
             assert (costs[row, through] <= least * (1 + 1e-12)).all()
@@ -104,21 +112,26 @@ def test_costs_to_come_mirror_costs_to_go():
         np.testing.assert_allclose(come, go, rtol=1e-9)
 
 
-@pytest.mark.parametrize("step", [0.5, 1.1])
-def test_edges_into_a_node_are_the_motions_of_each_robot(step):
-    joint = joint_lattice_of(MIXED, step)
+@pytest.mark.parametrize(
+    ("problem", "step"),
+    [(MIXED, 0.5), (MIXED, 1.1), *((problem, 1.0) for problem in NUDGED.values())],
+    ids=["0.5", "1.1", *NUDGED],
+)
+def test_edges_into_a_node_are_the_motions_of_each_robot(problem, step):
+    joint = joint_lattice_of(problem, step)
     for kind in kinds_of(joint):
         edges = kind.edges
         for row, i in enumerate(kind.members.tolist()):
             lattice, into = joint.lattices[i], edges.into_nodes(row)
-            cells = {end.cell for end in lattice.ends}
-            others = set(kind.node.ravel().tolist()) - {lattice.start, lattice.goal}
+            cells = set(lattice.ends.cell.tolist())
+            others = set(kind.ends.node.ravel().tolist()) - {lattice.start, lattice.goal}
             found = {
                 (int(edges.begin[edge]), node, float(edges.cost[edge]))
                 for node in range(len(lattice.q))
                 for edge in into[:, node]
                 if edge != edges.num_edges
             }
+            assert not cells & {end for _, end, _ in found}
             begin, primitive = np.nonzero(np.isfinite(lattice.cost))
             expected = {
                 (int(b), int(lattice.child[b, p]), float(lattice.cost[b, p]))
