@@ -14,7 +14,6 @@ from experiments.benchmarks import (
     _growth,
     _heuristic,
     _oracle,
-    _planner,
     _query,
 )
 
@@ -25,7 +24,6 @@ SECTIONS: dict[str, Section] = {
     "construct": _construct,
     "oracle": _oracle,
     "heuristic": _heuristic,
-    "planner": _planner,
     "cold_start": _cold_start,
     "growth": _growth,
 }

@@ -167,8 +167,9 @@ def _search(trial: _Trial, planners: list[_Planner]) -> None:
     order, attempt = rng.permutation(num_robots).tolist(), 0
     while not trial.is_over:
         planner = planners[attempt % len(planners)]
-        # On the shortest paths, robots are slow and crowd at doors; on others, they need more of the open space.
-        tracks, failed = _plan_in_order(planner, order, _SECONDS * _SECONDS_GROWTH**attempt, attempt % 2 == 0, trial)
+        # Unshortened paths are there first. On the shortest ones, robots are slow and crowd at doors; on others, they
+        # need more of the open space.
+        tracks, failed = _plan_in_order(planner, order, _SECONDS * _SECONDS_GROWTH**attempt, attempt % 2 == 1, trial)
         if failed is None:
             trial.report(tracks)
             _improve(planner, tracks, trial, rng)

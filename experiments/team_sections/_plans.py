@@ -78,8 +78,8 @@ def table_of(results: dict[str, Any]) -> str:
 
 def cell(row: dict[str, Any], key: str, form: str) -> str:
     """A number, or the median of several and in brackets the largest."""
-    largest = f" ({or_dash(row['largest'][key], form)})" if "largest" in row else ""
-    return or_dash(row[key], form) + largest
+    largest = row.get("largest", {}).get(key)
+    return or_dash(row[key], form) + ("" if largest is None else f" ({largest:{form}})")
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The sections on construction, exact oracles, heuristics, planners, cold starts and growth, at their smallest."""
+"""The sections on construction, exact oracles, heuristics, cold starts and growth, at their smallest."""
 
 import importlib.util
 import itertools
@@ -12,7 +12,7 @@ import pytest
 import shapely
 
 from experiments._sections import figures_of
-from experiments.benchmarks import _cold_start, _construct, _growth, _heuristic, _oracle, _planner
+from experiments.benchmarks import _cold_start, _construct, _growth, _heuristic, _oracle
 from plr_jax import VisibilityGraph, Workspace, construct, scenes, sum_of_distances
 from plr_jax.plr.sampling import cell_fit
 
@@ -20,7 +20,6 @@ SECTIONS = {
     "oracle": _oracle,
     "construct": _construct,
     "heuristic": _heuristic,
-    "planner": _planner,
     "cold_start": _cold_start,
     "growth": _growth,
 }
@@ -201,27 +200,6 @@ def test_the_sum_within_jit_is_that_of_the_heuristic(team):
     again = _heuristic.team_of(plrs, 5)
     assert [plr.num_leaves for plr in again] == [plrs[i % 3].num_leaves for i in range(5)]
     assert again[0].tables.leaf_of_slot is not again[3].tables.leaf_of_slot
-
-
-@pytest.mark.skipif(not has("numba", "ompl"), reason="needs numba and ompl")
-def test_planner_section_races_and_every_path_is_valid(measured):
-    results = measured("planner")
-    for trial in results["trials"]:
-        assert trial["ours"]["valid"] and all(each["valid"] is not False for each in trial["ompl"].values())
-        assert trial["ours"]["cost"] >= trial["lower_bound"] - 1e-6  # of which six decimals are kept
-
-
-def test_cost_at_a_mark_is_that_of_the_best_path_so_far():
-    attempt = {"history_seconds": [0.1, 0.4, 0.6], "history_cost": [9.0, 7.0, 5.0]}
-    marks = (0.05, 0.1, 0.5, 1.0)
-    assert [_planner.cost_at(attempt, mark) for mark in marks] == [None, 9.0, 7.0, 5.0]
-    assert _planner.cost_at({"history_seconds": [], "history_cost": []}, 1.0) is None
-
-
-def test_planner_section_says_what_is_missing(monkeypatch):
-    monkeypatch.setattr(_planner.importlib.util, "find_spec", lambda name: None)
-    results = _planner.measure(0, True)
-    assert "ompl" in results["skipped"] and "skipped" in _planner.table(results)
 
 
 def test_cold_starts_are_positive(measured):

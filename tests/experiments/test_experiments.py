@@ -76,7 +76,7 @@ def test_traces_arrive_along_shortest_ways(smoke):
 def test_table2_solves_with_every_heuristic_and_all_paths_are_valid(smoke):
     results = record_in(smoke("table2"), "table2")["results"]
     rows = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
-    assert len(rows) == 2 * 5
+    assert len(rows) == 2 * 6
     for (scene, heuristic), row in rows.items():
         if heuristic != "none" or scene == "single door":
             assert row["valid"] == [True] * len(results["seeds"])
