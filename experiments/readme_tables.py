@@ -17,6 +17,7 @@ from experiments import _proof_tables as proof_tables
 from experiments import _short_tables as short
 from experiments._results import RESULTS, read
 from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
+from experiments.team_sections._plans import FORMS, cell
 
 README = Path(__file__).parent.parent / "README.md"
 ALL_RESULTS = Path(__file__).parent / "README.md"
