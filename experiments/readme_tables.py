@@ -174,8 +174,9 @@ def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
     note = (
         f"\nMedians, and in brackets the worst, of {len(results['seeds'])} perturbed starts and goals; "
         f"{sum(map(num_solved, rows_of_ours))} of {sum(len(row['seed']) for row in rows_of_ours)} were solved. PLRs "
-        f"of {results['plr_bytes']:,} bytes a robot, built before the clock starts. Without a heuristic teams get "
-        f"{none['seconds']:g} s and {none['starts']} of the starts. Best of OMPL: seconds to a path that costs no "
+        f"of {results['plr_bytes']:,} bytes a robot, built before the clock starts; under heuristics "
+        f"{results['starts_under_heuristics']} of the starts. Without one teams get {none['seconds']:g} s and "
+        f"{none['starts']} of the starts. Best of OMPL: seconds to a path that costs no "
         f"more than ours, medians over {len(race['seeds'])} of the starts; >: mostly none within the limit. "
         "Bound: the sum of the robots' exact distances, each alone, without turns.\n"
     )

@@ -17,6 +17,7 @@ from plr_jax.planners.smoothing.corridor import shorten_in_corridors
 from plr_jax.planners.smoothing.shortcuts import halved, shorten
 
 _WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
+_NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
 _GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
 _ROUNDING = 1e-9
 
@@ -49,7 +50,9 @@ class Improvement:
     def __call__(self, state: State) -> None:
         """Offer a path, then cheaper ones along the lattices, then shortened ones."""
         self._offer(state)
-        if len(self.problem.robots) > 1 and len(state) > 1:
+        # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
+        gains = np.isfinite(self.enough) or self._factor(state) > _NEAR_LEAST
+        if len(self.problem.robots) > 1 and len(state) > 1 and gains:
             state = self._replanned(state)
         self._shorten(state)
 
