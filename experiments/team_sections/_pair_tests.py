@@ -23,14 +23,15 @@ from plr_jax.planners.lacam import moves
 from plr_jax.planners.lacam.moves import TeamMoves
 from plr_jax.planners.lattice.joint import JointLattice
 from plr_jax.planners.replanning.conflicts import Conflicts
-from plr_jax.planners.smoothing import corridor
+from plr_jax.planners.smoothing import corridor, shortcuts
 
 NUM_ROBOTS, NUM_TEAMS = 29, 3
 SEARCHERS = {"both": ("lacam", "bl"), "best-first": ("bl",)}
 COUNTED: tuple[tuple[Any, str], ...] = (
     *((JointLattice, "collisions"), (JointMotionTest, "apart"), (JointMotionTest, "meet"), (Traffic, "near")),
     *((TeamMoves, "_near"), (moves, "motions_apart"), (moves, "_bits"), (Conflicts, "_find")),
-    *((Traffic, "move"), (corridor, "within_reach"), (corridor, "_touching")),
+    *((Traffic, "move"), (corridor, "within_reach"), (corridor, "circles_along"), (shortcuts, "circles")),
+    (corridor, "_touching"),
 )
 
 

@@ -6,15 +6,22 @@ well within the tolerance of exact tests.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.robots.robot import Robot
 
-Column = Float[np.ndarray, "n"]
-
 _CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache
+
+
+class Circles(NamedTuple):
+    """Circles, by centers and radii."""
+
+    x: Float[np.ndarray, "n"]
+    y: Float[np.ndarray, "n"]
+    radius: Float[np.ndarray, "n"]
 
 
 class Traffic:
@@ -41,25 +48,24 @@ class Traffic:
         """Have robot ``i`` go other motions, in some rows of the path that begin and end as they did."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
-        x, y, radius = circles(q[:-1, None], q[1:, None])
+        x, y, radius = circles_along(q[:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
     def near(
         self,
         i: int,
-        begin: Float[np.ndarray, "n k dof"],
-        end: Float[np.ndarray, "n l dof"],
+        around: Circles,
         motion: Int[np.ndarray, "n"],
         excluded: Sequence[int] = (),
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
 
-        In each of ``n`` rows it goes from any of ``k`` configurations to any of ``l``.
+        In each of ``n`` rows its position stays within a circle.
 
         Returns:
             Rows, and the other robots that may come within reach in them, row by row.
         """
-        x, y, radius = circles(begin, end)
+        x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
         for first in range(0, max(1, len(motion)), size):
@@ -77,31 +83,33 @@ class Traffic:
         return row, other
 
 
-def within_reach(
-    robot_a: Robot,
-    a0: Float[np.ndarray, "n k dof"],
-    a1: Float[np.ndarray, "n l dof"],
-    robot_b: Robot,
-    b0: Float[np.ndarray, "n k_b dof"],
-    b1: Float[np.ndarray, "n l_b dof"],
-) -> Int[np.ndarray, "m"]:
-    """Rows in which two robots may meet that go from any of their first configurations to any of their last."""
-    (x, y, radius), (x_b, y_b, radius_b) = circles(a0, a1), circles(b0, b1)
-    reach = radius + radius_b + robot_a.circumscribed_radius + robot_b.circumscribed_radius
-    return np.flatnonzero((x_b - x) ** 2 + (y_b - y) ** 2 < reach * reach)
+def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
+    """Rows in which two robots may meet whose positions stay within circles."""
+    reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
+    return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
 
 
-def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> tuple[Column, Column, Column]:
-    """Circles around positions on the ways from any of some positions to any of others: centers and radii."""
-    (x0, y0, spread0), (x1, y1, spread1) = _around(begin), _around(end)
-    half = np.hypot(x1 - x0, y1 - y0) / 2
-    return (x0 + x1) / 2, (y0 + y1) / 2, half + np.maximum(spread0, spread1)
+def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
+    """Circles around the ways from any of ``k`` positions to any of ``l``, in each row."""
+    return _between(_around(begin), _around(end))
 
 
-def _around(q: Float[np.ndarray, "n k dof"]) -> tuple[Column, Column, Column]:
+def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
+    """Circles around the ways from any of the positions in a row to any in the next."""
+    around = _around(q)
+    return _between(Circles(*(column[:-1] for column in around)), Circles(*(column[1:] for column in around)))
+
+
+def _between(begin: Circles, end: Circles) -> Circles:
+    """Circles around the ways from anywhere within some circles to anywhere within others."""
+    half = np.hypot(end.x - begin.x, end.y - begin.y) / 2
+    return Circles((begin.x + end.x) / 2, (begin.y + end.y) / 2, half + np.maximum(begin.radius, end.radius))
+
+
+def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
     """Circles around the positions in each row."""
     if q.shape[1] == 1:
-        return q[:, 0, 0], q[:, 0, 1], np.zeros(len(q))
+        return Circles(q[:, 0, 0], q[:, 0, 1], np.zeros(len(q)))
     lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
     x, y = ((lo + hi) / 2).T
-    return x, y, np.hypot(hi[:, 0] - x, hi[:, 1] - y)
+    return Circles(x, y, np.hypot(hi[:, 0] - x, hi[:, 1] - y))

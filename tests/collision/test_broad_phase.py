@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING
 
-from plr_jax.collision.broad_phase import Traffic, circles, within_reach
+from plr_jax.collision.broad_phase import Traffic, circles, circles_along, within_reach
 from plr_jax.collision.pairs import motions_apart
 
 TEAM = [DISC, BAR, POINT, WING, PEBBLE, DISC]
@@ -31,14 +31,21 @@ def test_a_circle_around_one_motion_is_tight():
     np.testing.assert_allclose((x[0], y[0], radius[0]), (2.5, 4.0, 2.5))
 
 
+@pytest.mark.parametrize("k", [1, 4])
+def test_circles_along_a_path_are_those_of_each_motion(k):
+    q = np.random.default_rng(k).normal(0, 2, (6, k, 3))
+    for along, each in zip(circles_along(q), circles(q[:-1], q[1:]), strict=True):
+        np.testing.assert_array_equal(along, each)
+
+
 def test_nobody_far_away_is_near():
     q = np.array([[(0.0, 0.0), (1.0, 0.0), (0.0, 9.0)]] * 2)
     traffic = Traffic([DISC] * 3, q)
-    begin, end, motion = q[:1, :1], q[1:, :1], np.array([0])
-    assert [x.tolist() for x in traffic.near(0, begin, end, motion)] == [[], []]  # two radii are 0.6
+    around, motion = circles(q[:1, :1], q[1:, :1]), np.array([0])
+    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[], []]  # two radii are 0.6
     traffic.move(1, np.array([(0.5, 0.0)] * 2))
-    assert [x.tolist() for x in traffic.near(0, begin, end, motion)] == [[0], [1]]
-    assert [x.tolist() for x in traffic.near(0, begin, end, motion, (1,))] == [[], []]
+    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[0], [1]]
+    assert [x.tolist() for x in traffic.near(0, around, motion, (1,))] == [[], []]
     np.testing.assert_array_equal(q[:, 1], [(1.0, 0.0)] * 2, err_msg="the path given is left alone")
 
 
@@ -52,8 +59,8 @@ def test_motions_changed_in_some_rows_are_as_if_the_path_had_been_made_so(seed):
         traffic.move(i, changed[rows, i], rows)
     made = Traffic(TEAM, changed)
     np.testing.assert_array_equal(traffic.path, changed)
-    begin, end, motion = rng.uniform(0, 4, (40, 2, 3)), rng.uniform(0, 4, (40, 2, 3)), rng.integers(0, 11, 40)
-    for a, b in zip(traffic.near(2, begin, end, motion), made.near(2, begin, end, motion), strict=True):
+    around, motion = circles(*rng.uniform(0, 4, (2, 40, 2, 3))), rng.integers(0, 11, 40)
+    for a, b in zip(traffic.near(2, around, motion), made.near(2, around, motion), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -67,5 +74,5 @@ def test_what_is_not_within_reach_is_apart(i, j):
         one, a0[:, :, None, None, None], a1[:, None, :, None, None], other, b0[:, None, None, :, None],
         b1[:, None, None, None], 1e-9)  # fmt: skip
     meet = np.flatnonzero(~apart.all(axis=(1, 2, 3, 4)))
-    near = within_reach(one, a0, a1, other, b0, b1)
+    near = within_reach(one, circles(a0, a1), other, circles(b0, b1))
     assert np.isin(meet, near).all() and 0 < len(meet) <= len(near) < 200

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.broad_phase import Traffic, circles, within_reach
+from plr_jax.collision.broad_phase import Circles, Traffic, circles_along, within_reach
 from plr_jax.collision.joint_motion import JointMotionTest
 
 Path = Float[np.ndarray, "steps robots dof"]
@@ -104,6 +104,7 @@ def _shortened(
     """
     path = traffic.path[rows]
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
+    around = [circles_along(own) for own in corridors]
     motion = np.arange(rows.start, rows.start + len(path) - 1)
     costs = [
         straight_costs(own[:-1, :, None], own[1:, None], problem.rotation_weights[i])
@@ -112,8 +113,9 @@ def _shortened(
     through = [_least_through(cost) for cost in costs]
     least = [float(cost[0].min()) for cost in through]
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
-    for i, own, cost, total, alone in zip(robots, corridors, costs, through, least, strict=True):
-        _block(cost, total < (1 - _ROUNDING) * (alone + spare), traffic, motion, robots, i, own, test)
+    for i, own, reached, cost, total, alone in zip(robots, corridors, around, costs, through, least, strict=True):
+        hopeful = total < (1 - _ROUNDING) * (alone + spare)
+        _block(cost, hopeful, traffic, motion, robots, i, own, reached, test)
     cost = costs[0]
     if len(robots) == 2:
         # From each two of their places to each two.
@@ -123,7 +125,7 @@ def _shortened(
         cost = cost.reshape(-1, size, size)
         hopeful = _least_through(cost) < (1 - _ROUNDING) * cost[:, 0, 0].sum()
         near = np.zeros(len(cost), dtype=bool)
-        near[within_reach(test.robots[i], a[:-1], a[1:], test.robots[j], b[:-1], b[1:])] = True
+        near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
         tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
         row, a_first, b_first, a_last, b_last = tested
         apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
@@ -156,6 +158,7 @@ def _block(
     robots: tuple[int, ...],
     i: int,
     corridor: Corridor,
+    around: Circles,
     test: JointMotionTest,
 ) -> None:
     """Set the cost of motions within a robot's corridor to ``inf`` that are not hopeful, hit a wall, or hit a robot.
@@ -165,11 +168,11 @@ def _block(
     own = cost[:, 0, 0].copy()
     cost[~hopeful] = np.inf
     row, first, last = np.nonzero(hopeful)
-    tight = ~test.of_walls[i].has_room(*circles(corridor[:-1], corridor[1:]))[row]
+    tight = ~test.of_walls[i].has_room(*around)[row]
     begin, end = corridor[row, first], corridor[row + 1, last]
     free = np.ones(len(row), dtype=bool)
     free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
-    near, other = traffic.near(i, corridor[:-1], corridor[1:], motion, robots)
+    near, other = traffic.near(i, around, motion, robots)
     tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
     meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])
     free[tested[meet]] = False

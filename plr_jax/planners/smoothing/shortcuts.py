@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import runs
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.broad_phase import Traffic
+from plr_jax.collision.broad_phase import Traffic, circles
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.robots.motion import between
 
@@ -108,7 +108,7 @@ def _apart(
         edge, share = owner[now], count[owner[now], None, None]
         q0, q1 = traffic.path[begin[edge], i][:, None], traffic.path[end[edge], i][:, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
-        piece, other = traffic.near(i, first, last, motion[now])
+        piece, other = traffic.near(i, circles(first, last), motion[now])
         meet = test.meet(i, first[piece, 0], last[piece, 0], traffic, motion[now[piece]], other)
         apart[edge[piece[meet]]], in_way[other[meet]] = False, True
     return apart, in_way
