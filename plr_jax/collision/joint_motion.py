@@ -76,9 +76,11 @@ class JointMotionTest:
         other: Int[np.ndarray, "m"],
     ) -> Bool[np.ndarray, "m"]:
         """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
+        others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]
+        if not self.first_equal.any():  # all robots are equal
+            return ~self.apart(i, begin, end, 0, others_begin, others_end)
         result = np.empty(len(motion), dtype=bool)
         for kind in set(self.first_equal[other].tolist()):
             alike = np.flatnonzero(self.first_equal[other] == kind)
-            theirs = (traffic.path[motion[alike] + ahead, other[alike]] for ahead in (0, 1))
-            result[alike] = ~self.apart(i, begin[alike], end[alike], kind, *theirs)
+            result[alike] = ~self.apart(i, begin[alike], end[alike], kind, others_begin[alike], others_end[alike])
         return result

@@ -89,6 +89,11 @@ class Edges:
         return into
 
     @cached_property
+    def q(self) -> tuple[Float[np.ndarray, "edges dof"], Float[np.ndarray, "edges dof"]]:
+        """Where each edge begins and ends."""
+        return self.kind.table.q[self.begin], self.kind.table.q[self.end]
+
+    @cached_property
     def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
         key = self.begin[:-1] * self.num_nodes + self.end[:-1]

@@ -44,7 +44,7 @@ class Conflicts:
 
     def _find(self, a: int, motion: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
         ours, others = self.kinds[a], self.kinds[b]
-        begin, end = (ours.table.q[node[motion]] for node in (ours.edges.begin, ours.edges.end))
+        begin, end = (q[motion] for q in ours.edges.q)
         reach = sum(kind.robot.circumscribed_radius + kind.edges.stride for kind in (ours, others))
         tree, order, first = self._near[b]
         near = tree.query_ball_point(begin[:, :2], reach)
@@ -53,7 +53,7 @@ class Conflicts:
         index, at = run_members(first, node)
         row, edge = row[at], order[index]
         self._chunk[a, b] = int(np.clip(_PAIRS * len(motion) // max(1, len(row)), 1, _CHUNK))
-        others_begin, others_end = (others.table.q[node[edge]] for node in (others.edges.begin, others.edges.end))
+        others_begin, others_end = (q[edge] for q in others.edges.q)
         motions = ours.robot, begin[row], end[row], others.robot, others_begin, others_end
         apart = motions_apart(*motions, self.tolerance, self.held.budget.deadline)
         row, edge = row[~apart], edge[~apart].astype(np.int32)
