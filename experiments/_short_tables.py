@@ -18,7 +18,7 @@ _APPROXIMATIONS = {
 _IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
 _QUERIES = (
     *("PLR", "map_coordinates", "network", f"SciPy RegularGridInterpolator{_IN_FLOAT64}"),
-    *(f"LightGBM linear tree{_IN_FLOAT64}", "Numba loop, one core", "Numba loop, all cores"),
+    *("Numba loop, one core", "Numba loop, all cores"),
 )
 
 

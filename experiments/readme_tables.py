@@ -203,7 +203,8 @@ def race(results: dict[str, Any]) -> str:
     limit = results["limit"]
     return markdown(rows, numbers=9) + (
         f"\nMedians over {len(results['seeds'])} starts, one trial a planner, limits of {limit['least']:g} to "
-        f"{limit['largest']:g} s. >: mostly none within the limit, and the ratio is that of the limit. Same cost: "
+        f"{limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. >: mostly none within the "
+        "limit, and the ratio is that of the limit. Same cost: "
         "ours to the end of the call.\n"
     )
 

@@ -19,8 +19,9 @@ from plr_jax.planners.lattice.edges import by_robot
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.level import LatticeLevel
 
-# The first turn of each search: idle steps of LaCAM a robot, and expansions of best-first search over the robots.
-_IDLE_STEPS, _EXPANSIONS = 8, 1024
+# The first turn of each search: idle steps of LaCAM a robot; expansions of best-first search over the robots or over
+# their square, whichever is less, as an expansion takes as long as there are pairs of robots.
+_IDLE_STEPS, _EXPANSIONS, _EXPANSIONS_OF_PAIRS = 8, 1024, 4096
 _LONGER = 1.5  # growth of turns
 
 
@@ -86,7 +87,8 @@ class Searches:
         if status is None and "bl" in self.options.searchers and self._has_room:
             if self.best_first is None:
                 self.best_first = BestFirstSearch(self.level.joint, self._table, self.options, self.budget)
-            status = self.best_first.run(max(1, int(self.turn * _EXPANSIONS / num_robots)), bar)
+            expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
+            status = self.best_first.run(max(1, int(self.turn * expansions)), bar)
             # Cells that are larger than a configuration may hide a path.
             if status is Status.EXHAUSTED and self.options.cell_size is not None and self.lacam is not None:
                 status = None
