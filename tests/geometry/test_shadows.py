@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
 
@@ -54,6 +54,7 @@ def shade(workspace, view):
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
+@example(902, False)  # a sight 8e-9 from a corner
 @given(st.integers(0, 100_000), st.booleans())
 @settings(max_examples=12, deadline=None)
 def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze):
@@ -73,7 +74,12 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
     contacts = workspace.boundary.vertices[workspace.boundary.contacts]
     differs &= (np.linalg.norm(x[:, :, None] - contacts, axis=3) > 1e-3).all(axis=2)
     differs &= workspace.clearance(x.reshape(-1, 2)).reshape(-1, 12) > 10 * workspace.tolerance
-    assert not differs[alike].any()
+    # A sight that passes a corner within the tolerance may be decided either way.
+    corners, from_view = workspace.boundary.vertices, shadows.table.points[view]
+    for row, at in np.argwhere(differs & alike[:, None]):
+        passed = corners[np.linalg.norm(corners - from_view[row], axis=1) > workspace.tolerance]
+        sight = shapely.LineString([from_view[row], x[row, at]])
+        assert shapely.distance(shapely.points(passed), sight).min() <= workspace.tolerance
     assert alike.mean() > 0.5
 
 
