@@ -6,7 +6,6 @@ array of float64 is passed on as it is, and what has another shape or holds no r
 
 import math
 import reprlib
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -115,13 +114,6 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
-
-
-def deadline_after(time_limit: object) -> float:
-    """The end of so many seconds, ``inf`` for no end, on the clock of ``time.perf_counter``."""
-    return time.perf_counter() + as_number(
-        "time_limit", time_limit, "a positive number or inf", lambda number: number > 0
-    )
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:

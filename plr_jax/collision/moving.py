@@ -11,13 +11,13 @@ uncertain at the last bisection counts as a collision.
 """
 
 import math
-import time
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from plr_jax._deadline import require_time
 from plr_jax.robots.motion import shorter_turn
 from plr_jax.robots.robot import Robot
 
@@ -93,8 +93,7 @@ def bisect(
             parts = [slice(begin, begin + size) for begin in range(0, len(owner), size)]
             waiting += [(a.take(part), b.take(part), owner[part], bisections) for part in parts]
             continue
-        if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before all motions were tested.")
+        require_time(deadline, "all motions were tested")
         clear, hit = judge(a, b, reach)
         apart[owner[hit]] = False
         unsure = ~clear & apart[owner]

@@ -1,11 +1,11 @@
 """Collision of two robots along simultaneous straight motions, by the kernel that fits what both are."""
 
 import math
-import time
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from plr_jax._deadline import require_time
 from plr_jax.collision.boxes import judge_box_and_point, judge_boxes, judge_point_and_box
 from plr_jax.collision.convex import judge_convex
 from plr_jax.collision.moving import Judge, bisect, moving
@@ -38,8 +38,7 @@ def motions_apart(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    if time.perf_counter() > deadline:
-        raise TimeoutError("The deadline passed before all motions were tested.")
+    require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
     batch = np.broadcast(*(q[..., 0] for q in motions))
     if batch.size > _MOST and batch.shape[0] > 1:

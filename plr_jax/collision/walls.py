@@ -6,7 +6,6 @@ their cell.
 """
 
 import math
-import time
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -16,6 +15,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members, runs
+from plr_jax._deadline import require_time
 from plr_jax.collision.boxes import judge_boxes
 from plr_jax.collision.convex import judge_convex
 from plr_jax.collision.moving import MovingBodies, bisect, moving
@@ -28,6 +28,7 @@ _CHUNK, _PAIRS, _CENTERS = 1 << 14, 1 << 17, 1 << 13
 _OF_POINT = 128  # edges that count for a point, which is tested against all
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128
+_PURPOSE = "all motions were tested"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -59,7 +60,7 @@ class MotionTest:
         first, edge = _edges_near(workspace, centers, reach, deadline)
         clearance = np.empty(len(centers))
         for begin in range(0, len(centers), _CENTERS):
-            _look_at_clock(deadline)
+            require_time(deadline, _PURPOSE)
             clearance[begin : begin + _CENTERS] = workspace.clearance(centers[begin : begin + _CENTERS])
         vars(self).update(workspace=workspace, robot=robot, _cell=cell, _shape=shape, _longest=longest)
         vars(self).update(_clearance=clearance, _first=first, _edge=edge)
@@ -130,7 +131,7 @@ class MotionTest:
         work = np.full(len(cell), _OF_POINT) if is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
-            _look_at_clock(deadline)
+            require_time(deadline, _PURPOSE)
             some = pieces.take(part)
             clear[part] = self._sees(some) if is_point else self._test_edges(some, cell[part], deadline)
         return clear
@@ -183,11 +184,6 @@ def _kept(key: _Key) -> MotionTest:
     return MotionTest(key.workspace, key.robot, key.deadline)
 
 
-def _look_at_clock(deadline: float) -> None:
-    if time.perf_counter() > deadline:
-        raise TimeoutError("The deadline passed before all motions were tested.")
-
-
 def _grid(workspace: Workspace, robot: Robot) -> tuple[float, tuple[int, int], Float[np.ndarray, "cells 2"]]:
     """Size of a cell, numbers of columns and rows, and the cells' centers, row by row."""
     width = workspace.bounds.width
@@ -207,7 +203,7 @@ def _edges_near(
     tree = shapely.STRtree(segments)
     counts, edges = [], []
     for begin in range(0, len(centers), _CENTERS):
-        _look_at_clock(deadline)
+        require_time(deadline, _PURPOSE)
         some: Any = shapely.points(centers[begin : begin + _CENTERS])
         cell, edge = tree.query(some, predicate="dwithin", distance=reach)
         edges.append(edge[np.argsort(cell, kind="stable")].astype(np.int32))

@@ -1,6 +1,5 @@
 """The boundary of a polygonal region as a graph: its edges, and the free sectors at its vertices."""
 
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._deadline import require_time
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle
 
 _COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time, between two looks at the clock
@@ -132,7 +132,7 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     is_reflex, regions = boundary.is_reflex(tolerance), []
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
-        _require_time(deadline)
+        require_time(deadline, "the obstacles were grown")
         collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
         collars = collars.tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
@@ -150,13 +150,8 @@ def _united(regions: list[Any], deadline: float) -> Any:
     while len(regions) > 1:
         united = []
         for begin in range(0, len(regions), _REGIONS):
-            _require_time(deadline)
+            require_time(deadline, "the obstacles were grown")
             united.append(shapely.disjoint_subset_union_all(regions[begin : begin + _REGIONS]))
         regions = united
-    _require_time(deadline)
+    require_time(deadline, "the obstacles were grown")
     return regions[0]
-
-
-def _require_time(deadline: float) -> None:
-    if time.perf_counter() > deadline:
-        raise TimeoutError("The time limit passed before the obstacles were grown.")

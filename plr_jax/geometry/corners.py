@@ -1,12 +1,12 @@
 """The corners at which shortest paths turn: what each sees, which join, and where paths to one goal turn first."""
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._deadline import require_time
 from plr_jax.geometry.first_visible import Sees, first_visible_in_parts
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
@@ -112,8 +112,7 @@ def _tangent_edges(corners: ReflexCorners, table: VisibilityTable, deadline: flo
     step = max(1, _CHUNK // max(1, len(points)))
     edges = [np.empty((0, 2), int)]
     for begin in range(0, len(points), step):
-        if time.perf_counter() > deadline:
-            raise TimeoutError(f"{begin:,} of {len(points):,} corners had been joined when the time was over.")
+        require_time(deadline, f"all corners were joined: {begin:,} of {len(points):,} were")
         part = slice(begin, begin + step)
         tangent = corners.is_tangent(part) | corners.is_tangent(everything, part).T
         v, w = np.nonzero(np.triu(tangent, 1 + begin))

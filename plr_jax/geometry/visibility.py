@@ -11,12 +11,12 @@ by level, to single intervals. All of it is array operations, O(E log E) a viewp
 """
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from plr_jax._deadline import require_time
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.vectors import cross_product, pseudo_angle
 
@@ -146,9 +146,7 @@ def visibility_table(
     size = max(1, _CHUNK // len(boundary.vertices))
     starts, edges, counts = [], [], []
     for begin in range(0, len(views.points), size):
-        if time.perf_counter() > deadline:
-            message = f"{begin:,} of {len(views.points):,} viewpoints had looked around when the time was over."
-            raise TimeoutError(message)
+        require_time(deadline, f"all viewpoints had looked around: {begin:,} of {len(views.points):,} had")
         chunk = slice(begin, begin + size)
         inside = (views.owner >= begin) & (views.owner < begin + size)
         part = Viewpoints(views.points[chunk], views.owner[inside] - begin, views.start[inside], views.end[inside])

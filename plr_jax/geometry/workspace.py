@@ -11,7 +11,8 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_points, deadline_after, require_integer, shortened
+from plr_jax._arrays import as_finite, as_points, require_integer, shortened
+from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
 from plr_jax.geometry.box import Box

@@ -8,7 +8,7 @@ import shapely
 import shapely.ops
 from jaxtyping import Float
 
-from plr_jax._arrays import deadline_after
+from plr_jax._deadline import deadline_after, require_time
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
@@ -45,10 +45,7 @@ def robot_distance_fns(
     first: dict[float, VisibilityGraph] = {}
     distance_fns = []
     for done, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
-        if time.perf_counter() > deadline:
-            raise TimeoutError(
-                f"The distances of {done} of {len(problem.robots)} robots were known when time was up."
-            )
+        require_time(deadline, f"all distances were known: those of {done} of {len(problem.robots)} robots were")
         # A robot may overlap a wall by the tolerance, and fits a passage exactly as wide as it is.
         radius = max(0.0, robot.inscribed_radius - _SLACK * problem.workspace.tolerance) if inflated else 0.0
         if radius in first:

@@ -8,7 +8,8 @@ import networkx
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, deadline_after
+from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box

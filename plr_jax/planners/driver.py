@@ -197,7 +197,7 @@ class _Run:
 
     def _build(self, step: float) -> LatticeLevel | None:
         """The lattices of one step."""
-        return build_level(self.problem, self.test, step, self.options.primitives, self.budget.deadline)
+        return build_level(self.problem, self.test, step, self.options.primitives)
 
     def _goes_around(self, level: LatticeLevel) -> bool:
         """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""

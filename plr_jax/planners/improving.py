@@ -88,14 +88,14 @@ class Improvement:
 
     def _shorten(self, state: State) -> None:
         """Shorten a path, and offer each version, until one is good enough."""
-        problem, test, deadline, factor = self.problem, self.test, self.budget.deadline, self._factor(state)
+        problem, test, factor = self.problem, self.test, self._factor(state)
         path = self._path(state)
-        passes = [lambda path: shorten(problem, path, test, deadline)]
+        passes = [lambda path: shorten(problem, path, test)]
         # Shortcuts leave a lone robot little to gain.
         if len(problem.robots) > 1 or np.isfinite(self.enough):
             width = self.level.step / 2
-            passes.append(lambda path: shorten_in_corridors(problem, path, test, width, deadline))
-        passes.append(lambda path: shorten(problem, halved(path), test, deadline))
+            passes.append(lambda path: shorten_in_corridors(problem, path, test, width))
+        passes.append(lambda path: shorten(problem, halved(path), test))
         for cheaper in passes:
             if np.isfinite(self.enough) and self._is_enough:
                 return

@@ -1,6 +1,5 @@
 """The lattices of a team that have one step, and the costs along them."""
 
-import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._deadline import require_time
 from plr_jax._problem import Problem
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
@@ -19,7 +19,7 @@ _MOTION_BYTES = 80  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _TURNING = 4  # times as long as a round robot's motion one takes to test that turns
 _GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock
-_SECONDS = 3e-7  # what an edge takes to be found, or a node to be reached; neither is begun if these are not left
+_SECONDS = 3e-7  # about what an edge takes to be found, or a node to be reached, which cannot be cut short
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +53,19 @@ class LatticeLevel:
 
 
 def build_level(
-    problem: Problem, test: JointMotionTest, step: float, primitives: Sequence[Primitive], deadline: float
+    problem: Problem, test: JointMotionTest, step: float, primitives: Sequence[Primitive]
 ) -> LatticeLevel | None:
     """The lattices of a step, and costs along them; None if a robot cannot reach its goal on them.
 
     Raises:
-        TimeoutError: If the deadline passes first.
+        TimeoutError: If the deadline of the test passes first.
     """
-    joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, deadline)), test)
+    joint = JointLattice(problem, tuple(build_lattices(problem, step, primitives, test.deadline)), test)
     kinds = kinds_of(joint)
     for kind in kinds:
-        _require_time(_SECONDS * kind.table.child.size, deadline)
+        require_time(test.deadline, "the edges of the lattices were known", _SECONDS * kind.table.child.size)
         _ = kind.edges  # found when first asked for
-    costs = [_costs_to_go(kind, deadline) for kind in kinds]
+    costs = [_costs_to_go(kind, test.deadline) for kind in kinds]
     level = LatticeLevel(step, joint, kinds, costs, int(num_bytes(problem, step, len(primitives))))
     return level if np.isfinite(level.least_cost) else None
 
@@ -97,12 +97,6 @@ def _costs_to_go(kind: Kind, deadline: float) -> Float[np.ndarray, "robots nodes
     rows, costs, num_nodes = np.arange(len(kind.members)), [], len(kind.table.q)
     size = int(np.clip(_NODES // num_nodes, 1, _GOALS))
     for begin in range(0, len(rows), size):
-        _require_time(_SECONDS * num_nodes, deadline)
+        require_time(deadline, "the costs-to-go were known", _SECONDS * num_nodes)
         costs.append(kind.edges.costs_to_go(rows[begin : begin + size]))
     return np.concatenate(costs)
-
-
-def _require_time(seconds: float, deadline: float) -> None:
-    """Raise ``TimeoutError`` if so many seconds are not left for what cannot be cut short."""
-    if time.perf_counter() + seconds > deadline:
-        raise TimeoutError("The deadline passed before the costs-to-go were known.")

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
+from plr_jax import _deadline
 from plr_jax.collision import convex, moving, pairs, walls
 from plr_jax.collision.joint_motion import JointMotionTest
 from plr_jax.collision.pairs import motions_apart
@@ -124,7 +125,7 @@ def test_tests_end_at_the_deadline(robot):
 
 def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
     clock = iter(range(1000))
-    monkeypatch.setattr(moving.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(_deadline.time, "perf_counter", lambda: next(clock))
     q0, q1 = columns(20)
     body = moving.moving(BAR, q0, q1).sized(np.zeros((2, 4)))
     never = np.zeros(20, dtype=bool)

@@ -22,8 +22,8 @@ FAR_OFF = 1e12
 
 
 def build(problem, deadline=NEVER, step=0.5):
-    test = JointMotionTest(problem.workspace, problem.robots)
-    lattices = level.build_level(problem, test, step, PRIMITIVES, deadline)
+    test = JointMotionTest(problem.workspace, problem.robots, deadline)
+    lattices = level.build_level(problem, test, step, PRIMITIVES)
     assert lattices
     return lattices
 
@@ -63,10 +63,10 @@ def test_every_test_of_motions_knows_the_deadline():
 def test_shortening_ends_with_the_path_so_far():
     problem, path = zigzag()
     late = JointMotionTest(problem.workspace, problem.robots, LONG_AGO)
-    np.testing.assert_array_equal(shorten(problem, path, late, NEVER), path)
-    np.testing.assert_array_equal(shorten_in_corridors(problem, path, late, 0.2, NEVER), path)
+    np.testing.assert_array_equal(shorten(problem, path, late), path)
+    np.testing.assert_array_equal(shorten_in_corridors(problem, path, late, 0.2), path)
     in_time = JointMotionTest(problem.workspace, problem.robots, FAR_OFF)
-    assert (shorten(problem, path, in_time, NEVER) != path).any()
+    assert (shorten(problem, path, in_time) != path).any()
 
 
 def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):

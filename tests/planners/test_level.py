@@ -15,7 +15,7 @@ from plr_jax.planners.level import build_level, num_bytes
 
 def level_of(problem, step):
     test = JointMotionTest(problem.workspace, problem.robots)
-    level = build_level(problem, test, step, PRIMITIVES, np.inf)
+    level = build_level(problem, test, step, PRIMITIVES)
     assert level is not None
     return level
 

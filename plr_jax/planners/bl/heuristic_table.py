@@ -1,20 +1,20 @@
 """What a search knows of the cost-to-go: a heuristic's terms as tables over the lattices, or the plain function."""
 
 import math
-import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from plr_jax._deadline import require_time
 from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners.bl.successors import Successors
 from plr_jax.planners.lattice.joint import JointLattice, State
 
 _CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
-_TOO_LATE = "The deadline passed before the heuristic was known."
+_PURPOSE = "the heuristic was known"
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 
 Table = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
@@ -73,8 +73,7 @@ def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
     for begin in range(0, size, chunk):
-        if time.perf_counter() > deadline:
-            raise TimeoutError(_TOO_LATE)
+        require_time(deadline, _PURPOSE)
         q = joint.configurations(state[begin : begin + chunk])
         values[begin : begin + chunk] = require_estimates(heuristic.per_robot(q), q.shape[:2])
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
@@ -96,8 +95,7 @@ def heuristic_table(
     """
     tables, scores = tuple(_finite(column) for column in values), []
     for lattice, table in zip(joint.lattices, tables, strict=True):
-        if time.perf_counter() > deadline:
-            raise TimeoutError(_TOO_LATE)
+        require_time(deadline, _PURPOSE)
         scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
     return HeuristicTable(weight, tables, tuple(scores), plain, float(2 * sum(table.max() for table in tables)))
 

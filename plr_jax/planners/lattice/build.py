@@ -8,7 +8,6 @@ Where both lie in one cell, one more primitive leads from each to the other, and
 """
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -18,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
@@ -260,8 +260,7 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
     num_cells, per_position = math.prod(grid.shape), math.prod(grid.shape[2:])
     size = max(1, _CHUNK // per_position) * per_position
     for begin in range(0, num_cells, size):
-        if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before the lattice was built.")
+        require_time(deadline, "the lattice was built")
         yield slice(begin, min(begin + size, num_cells))
 
 

@@ -6,13 +6,13 @@ motions. Two robots that touch have to move together: neither gains by making wa
 gaining, they are made narrower.
 """
 
-import time
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members
+from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.broad_phase import Circles, Traffic, circles_along, within_reach
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -29,18 +29,16 @@ _ROUNDING = 1e-9
 _FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
 
 
-def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float, deadline: float) -> Path:
+def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
     """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
 
     The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
-    and is never costlier. It ends early at the deadline, on the clock of ``time.perf_counter``.
+    and is never costlier. It ends early at the deadline of the test.
     """
     traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     while width > narrowest:
         for robots, rows in _groups(problem, traffic.path, width):
-            if time.perf_counter() > deadline:
-                return traffic.path
             if _is_straight(problem, traffic.path[rows], robots):
                 continue
             try:
@@ -102,6 +100,7 @@ def _shortened(
     Only motions are tested that may be part of something cheaper than what the robots do. ``TimeoutError`` past the
     deadline of the test.
     """
+    require_time(test.deadline, "all corridors were searched")
     path = traffic.path[rows]
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(own) for own in corridors]

@@ -5,7 +5,6 @@ first, and the rest of those that are free in them. A robot that gained nothing 
 its way has moved.
 """
 
-import time
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import runs
+from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.broad_phase import Traffic, circles
 from plr_jax.collision.joint_motion import JointMotionTest
@@ -29,11 +29,11 @@ _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
 _GAIN = 1e-3  # share of the cost below which another round is not worth its time
 
 
-def shorten(problem: Problem, path: Path, test: JointMotionTest, deadline: float) -> Path:
+def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
 
-    The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline, on
-    the clock of ``time.perf_counter``.
+    The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
+    of the test.
     """
     traffic, cost, spans = Traffic(test.robots, path), path_cost(problem, path), _spans(len(path))
     hopeful = np.ones(len(test.robots), dtype=bool)
@@ -43,7 +43,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest, deadline: float
             if not hopeful[i]:
                 continue
             try:
-                rows, in_way[i] = _shortened(problem, traffic, i, test, spans, deadline)
+                rows, in_way[i] = _shortened(problem, traffic, i, test, spans)
             except TimeoutError:
                 return traffic.path
             hopeful[i] = len(rows) < len(path)
@@ -69,11 +69,11 @@ def _spans(steps: int) -> tuple[Rows, Rows]:
 
 
 def _shortened(
-    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows], deadline: float
+    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows]
 ) -> tuple[list[int], InWay]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
 
-    ``TimeoutError`` past the deadline.
+    ``TimeoutError`` past the deadline of the test.
     """
     q, weight, (begin, end) = traffic.path[:, i], problem.rotation_weights[i], spans
     cost = straight_costs(q[begin], q[end], weight)
@@ -82,18 +82,19 @@ def _shortened(
     useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
-    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], deadline)]
-    apart, in_way = _apart(test, traffic, i, begin[shortcuts], end[shortcuts], deadline)
+    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
+    apart, in_way = _apart(test, traffic, i, begin[shortcuts], end[shortcuts])
     own[shortcuts[apart]] = True
     return _shortest(begin[own], end[own], cost[own], len(q)), in_way
 
 
 def _apart(
-    test: JointMotionTest, traffic: Traffic, i: int, begin: Rows, end: Rows, deadline: float
+    test: JointMotionTest, traffic: Traffic, i: int, begin: Rows, end: Rows
 ) -> tuple[Bool[np.ndarray, "m"], InWay]:
     """Whether shortcuts of one robot keep clear of the others, and with whom those that do not are seen to collide.
 
-    Each is cut into the pieces that it makes in the motions of the path. ``TimeoutError`` past the deadline.
+    Each is cut into the pieces that it makes in the motions of the path. ``TimeoutError`` past the deadline of the
+    test.
     """
     apart, in_way = np.ones(len(begin), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     count = end - begin
@@ -101,8 +102,7 @@ def _apart(
     motion = begin[owner] + step
     later = np.ones(len(owner), dtype=bool)
     for stride in _STRIDES:
-        if time.perf_counter() > deadline:
-            raise TimeoutError("The deadline passed before all shortcuts were tested.")
+        require_time(test.deadline, "all shortcuts were tested")
         now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
         later[now] = False
         edge, share = owner[now], count[owner[now], None, None]

@@ -15,8 +15,8 @@ NEVER = float("inf")
 
 
 def shortened(problem, path, width=0.2, deadline=NEVER):
-    test = JointMotionTest(problem.workspace, problem.robots)
-    return shorten_in_corridors(problem, np.asarray(path, dtype=float), test, width, deadline)
+    test = JointMotionTest(problem.workspace, problem.robots, deadline)
+    return shorten_in_corridors(problem, np.asarray(path, dtype=float), test, width)
 
 
 def test_a_zigzag_of_one_robot_becomes_straight():

@@ -37,7 +37,7 @@ MIXED = Problem(
 
 
 def shortened(problem, path, deadline=np.inf):
-    return shorten(problem, path, JointMotionTest(problem.workspace, problem.robots), deadline)
+    return shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline))
 
 
 def zigzag(problem, steps, width):
