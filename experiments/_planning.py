@@ -86,6 +86,11 @@ def is_valid(problem: Problem, solution: Solution) -> bool | None:
     return None if solution.path is None else validate(problem, solution.path).valid
 
 
+def reversed_team(problem: Problem) -> Problem:
+    """The team on its way back: the map is the same, starts and goals are not."""
+    return Problem(problem.workspace, problem.robots, problem.goals, problem.starts)
+
+
 def plan_and_check(
     problem: Problem, heuristic: HeuristicFn | None, options: BLOptions
 ) -> tuple[Solution, float, bool | None]:

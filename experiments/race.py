@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from tqdm import tqdm
 
-from experiments._planning import SCENES, is_valid, lower_bound, plan, plan_and_check
+from experiments._planning import SCENES, is_valid, lower_bound, plan, plan_and_check, reversed_team
 from experiments._results import run
 from experiments._tables import aligned
 from experiments.baselines.ompl import ompl_plan
@@ -102,7 +102,7 @@ def planners_for(problem: Problem) -> tuple[str, ...]:
 
 def ours_of(problem: Problem, improve_seconds: float) -> dict[str, Any]:
     """Our first path, shortened, after a plan for the team on its way back; then better ones."""
-    plan(Problem(problem.workspace, problem.robots, problem.goals, problem.starts), None, BLOptions())
+    plan(reversed_team(problem), None, BLOptions())
     solution, seconds, valid = plan_and_check(problem, None, BLOptions())
     if not solution.solved:
         raise RuntimeError(f"We did not set a cost for the others to reach: {solution.status}.")

@@ -204,8 +204,7 @@ def race(results: dict[str, Any]) -> str:
     return markdown(rows, numbers=9) + (
         f"\nMedians over {len(results['seeds'])} starts, one trial a planner, limits of {limit['least']:g} to "
         f"{limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. >: mostly none within the "
-        "limit, and the ratio is that of the limit. Same cost: "
-        "ours to the end of the call.\n"
+        "limit, and the ratio is that of the limit. Same cost: ours to the end of the call.\n"
     )
 
 
@@ -234,11 +233,15 @@ def results_of(name: str) -> dict[str, Any]:
 
 def require_valid(where: str, results: Any) -> None:
     """Refuse results that say of any path that it is not valid."""
-    parts = results.items() if isinstance(results, dict) else enumerate(results) if isinstance(results, list) else ()
-    for key, part in parts:
-        if part is False and "valid" in where.split(".")[-1] + str(key):
-            raise ValueError(f"{where}.{key}: a path is not valid.")
-        require_valid(f"{where}.{key}", part)
+    if isinstance(results, dict):
+        for key, part in results.items():
+            checks = part if isinstance(part, list) else [part]
+            if key.endswith("valid") and any(check is False for check in checks):
+                raise ValueError(f"{where}.{key}: a path is not valid.")
+            require_valid(f"{where}.{key}", part)
+    elif isinstance(results, list):
+        for i, part in enumerate(results):
+            require_valid(f"{where}.{i}", part)
 
 
 TABLES: dict[str, Callable[[], str]] = {

@@ -5,9 +5,9 @@ Before each call, the team is planned from its goals to its starts: the map is k
 
 from typing import Any
 
-from experiments._planning import lower_bound
+from experiments._planning import lower_bound, reversed_team
 from experiments.team_sections._collections import SKIPPED, collection
-from experiments.team_sections._plans import middle, planned, reversed_team, table_of
+from experiments.team_sections._plans import middle, planned, table_of
 from plr_jax import bl_plan, scenes
 
 NUM_PERTURBED = 5

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments._planning import plan_and_check
+from experiments._planning import plan_and_check, reversed_team
 from experiments._tables import aligned, or_dash
 from plr_jax import BLOptions, Problem, scenes
 
@@ -25,11 +25,6 @@ def two_teams(scene: str, size: int, seed: int, variant: int = 0) -> tuple[Probl
         problem = getattr(scenes, scene)(size)
         problem = scenes.perturbed(problem, seed + variant) if variant else problem
     return reversed_team(problem), problem
-
-
-def reversed_team(problem: Problem) -> Problem:
-    """The team on its way back."""
-    return Problem(problem.workspace, problem.robots, problem.goals, problem.starts)
 
 
 def planned(problem: Problem, bound: float, options: BLOptions | None = None) -> dict[str, Any]:

@@ -65,9 +65,9 @@ def bl_plan(
             estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
             them, by both searches, which is much faster than a plain function, by which best-first search goes alone.
             One that says it is a lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the
-            starts. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the best
-            choice where a plan is all that is asked for. A poor one, such as straight lines among walls, may well
-            find nothing.
+            starts. A poor one, such as straight lines among walls, may well find
+            nothing. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the
+            best choice where a plan is all that is asked for.
         options: How to search, and when to stop.
 
     Returns:

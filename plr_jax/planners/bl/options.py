@@ -12,6 +12,7 @@ from plr_jax.planners.lattice.build import PRIMITIVES, Primitive
 SEARCHERS = ("lacam", "bl")
 
 _LARGEST_WEIGHT = 1e6
+_MOST_PRIMITIVES = 254  # beside staying, that a byte tells apart
 
 
 @dataclass(frozen=True)
@@ -86,12 +87,17 @@ class BLOptions:
 
 
 def _require_primitives(primitives: Sequence[Primitive]) -> None:
-    message = "primitives must be distinct offsets (columns, rows, turns) of integers, at least one and at most 254"
+    message = f"primitives must be distinct offsets (columns, rows, turns) of integers, 1 to {_MOST_PRIMITIVES}"
     try:
         offsets = np.array(primitives)
     except (TypeError, ValueError):
         raise ValueError(f"{message}, got {primitives!r}.") from None
-    if offsets.ndim != 2 or offsets.shape[1] != 3 or offsets.dtype.kind != "i" or not 0 < len(offsets) <= 254:
+    if (
+        offsets.ndim != 2
+        or offsets.shape[1] != 3
+        or offsets.dtype.kind != "i"
+        or not 0 < len(offsets) <= _MOST_PRIMITIVES
+    ):
         raise ValueError(f"{message}, got {primitives!r}.")
     if len(np.unique(offsets, axis=0)) < len(offsets) or not offsets.any(axis=1).all():
         raise ValueError(f"{message}, none of them (0, 0, 0), got {primitives!r}.")

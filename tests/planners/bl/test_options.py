@@ -30,7 +30,7 @@ from plr_jax import BLOptions
         ({"primitives": ()}, "primitives must be distinct offsets"),
         ({"primitives": ((1, 0, 0), (1, 0, 0))}, "primitives must be distinct"),
         ({"primitives": ((0, 0, 0), (1, 0, 0))}, r"none of them \(0, 0, 0\)"),
-        ({"primitives": tuple((k, 0, 0) for k in range(1, 256))}, "at most 254"),
+        ({"primitives": tuple((k, 0, 0) for k in range(1, 256))}, "integers, 1 to 254"),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
