@@ -22,6 +22,7 @@ from plr_jax.planners.level import LatticeLevel
 # The first turn of each search: idle steps of LaCAM a robot; expansions of best-first search over the robots or over
 # their square, whichever is less, as an expansion takes as long as there are pairs of robots.
 _IDLE_STEPS, _EXPANSIONS, _EXPANSIONS_OF_PAIRS = 8, 1024, 4096
+_TERM_BYTES = 8  # what a term of the heuristic takes, which is kept twice where it was asked for
 _LONGER = 1.5  # growth of turns
 
 
@@ -52,7 +53,8 @@ class Searches:
     ):
         self.level, self.weight, self.options, self.budget = level, weight, options, budget
         self.held = HeldMemory(budget)
-        self.held.add(level.num_bytes)
+        num_nodes = sum(len(lattice.q) for lattice in level.joint.lattices)
+        self.held.add(level.num_bytes + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2))
         self.plain: HeuristicFn | None = None
         terms = by_robot(level.kinds, level.costs_to_go)
         self.tables: Sequence[Float[np.ndarray, _]] = terms

@@ -73,7 +73,7 @@ def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):
     problem = scenes.four_rooms(2)
     build(problem, FAR_OFF)
     monkeypatch.setattr(level, "_SECONDS", FAR_OFF)
-    with pytest.raises(TimeoutError, match="before the costs-to-go were known"):
+    with pytest.raises(TimeoutError, match="before the edges of the lattices were known"):
         build(problem, FAR_OFF)
     build(problem)  # no limit
 

@@ -17,7 +17,8 @@ from plr_jax.planners.lattice.joint import JointLattice, State
 from plr_jax.planners.lattice.motions import Lattice
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
-_MOTION_BYTES = 16  # what a motion takes in the table of a robot
+_MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node
+_COPIES, _SCORE_BYTES = 3, 12  # of the primitives of a joint child, and what a product takes while it is cut
 _KEPT = 16  # one of so many joint children that are found is kept
 _WIDER = 8  # how much wider a node's children are sought when those kept are used up
 _WIDEST = 1 << 16
@@ -96,6 +97,7 @@ class BestFirstSearch:
         ]
         self.held = HeldMemory(budget)
         self.held.add(bytes_of_tables(joint))
+        self.most_products = 0  # bytes that the widest products took so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         self.tree = SearchTree.of(start)
@@ -153,9 +155,16 @@ class BestFirstSearch:
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(alike), size):
                 some = alike[begin : begin + size]
+                self._hold_products(len(some) * width, most)
                 self._find_successors(some, width)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
+
+    def _hold_products(self, num: int, num_primitives: int) -> None:
+        """Count the widest products so far as held: they may be as wide again."""
+        num_bytes = num * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * num_primitives)
+        self.held.add(max(0, num_bytes - self.most_products))
+        self.most_products = max(self.most_products, num_bytes)
 
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""
@@ -228,7 +237,8 @@ class BestFirstSearch:
 
 def bytes_of_tables(joint: JointLattice) -> int:
     """About what the tables of each robot's motions take that best-first search makes."""
-    return _MOTION_BYTES * sum(lattice.table.child.size for lattice in joint.lattices)
+    sizes = [(lattice.table.child.size, len(lattice.table.q)) for lattice in joint.lattices]
+    return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)
 
 
 def claimed_cells(lattice: Lattice, radius: float, cell_size: float | None) -> Int[np.ndarray, "nodes"]:

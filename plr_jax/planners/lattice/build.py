@@ -37,6 +37,7 @@ PRIMITIVES: tuple[Primitive, ...] = (
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
+_MOST_KEPT = 1 << 18  # motions of a kind of robot that are kept for the next problem
 _CHUNK = 1 << 12  # cells at a time, between two looks at the clock
 
 
@@ -207,8 +208,9 @@ def build_lattices(
 ) -> list[Lattice]:
     """The lattice of every robot.
 
-    Robots of one kind share their motions, which are kept for the next problem in the same workspace. Cells are at
-    most ``step`` wide; turning by one takes a robot's corners as far. Robots without a heading have no turns.
+    Robots of one kind share their motions, which are kept for the next problem in the same workspace unless they are
+    many. Cells are at most ``step`` wide; turning by one takes a robot's corners as far. Robots without a heading
+    have no turns.
 
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
@@ -221,11 +223,17 @@ def build_lattices(
     for (robot, weight), alike in kinds.items():
         recipe = _Recipe(problem.workspace, robot, weight, step, primitives, deadline)
         starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
-        lattices.update(zip(alike, _motions(recipe).with_ends(starts, goals), strict=True))
+        is_small = num_configurations(problem.workspace, robot, step) * (1 + len(primitives)) <= _MOST_KEPT
+        motions = _kept(recipe) if is_small else _motions(recipe)
+        lattices.update(zip(alike, motions.with_ends(starts, goals), strict=True))
     return [lattices[i] for i in range(len(problem.robots))]
 
 
 @lru_cache(maxsize=8)
+def _kept(recipe: _Recipe) -> Motions:
+    return _motions(recipe)
+
+
 def _motions(recipe: _Recipe) -> Motions:
     grid = _grid(recipe.workspace, recipe.robot, recipe.step)
     test = motion_test(recipe.workspace, recipe.robot, recipe.deadline)
