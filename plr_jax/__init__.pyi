@@ -59,3 +59,8 @@ from .robots.point import PointRobot as PointRobot
 from .robots.polygon import PolygonRobot as PolygonRobot
 from .robots.rectangle import RectangleRobot as RectangleRobot
 from .robots.robot import Robot as Robot
+from .spaces import CellState as CellState
+from .spaces import ConfigurationSpace as ConfigurationSpace
+from .spaces import FreeTest as FreeTest
+from .spaces import MotionCost as MotionCost
+from .spaces import PlaneSpace as PlaneSpace

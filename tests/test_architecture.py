@@ -17,7 +17,7 @@ LAYERS = [
     ["collision"],
     ["_problem"],
     ["_validate"],
-    ["oracles", "plr", "planners"],
+    ["oracles", "plr", "planners", "spaces"],
     ["optimize", "metrics", "plot", "scenes"],
     ["cli"],
     ["__main__"],
