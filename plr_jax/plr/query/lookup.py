@@ -120,8 +120,8 @@ def _wrapped_around(
 ) -> Float[Array, "*batch dim"]:
     """Points moved by whole periods to between two ends, of which the upper one becomes the lower one.
 
-    A compiler may round the product and the difference at once in one part of a query and apart in another. That moves
-    a point by a rounding, but never from one end to the other, as the number of periods has no such choice.
+    A compiler may round the product and the difference at once in one part of a query and apart in another. That
+    moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
     """
     turns = jnp.floor((x - lo) * scale)
     inside = jnp.where(x == hi, lo, jnp.clip(x - turns * (hi - lo), lo, hi))
