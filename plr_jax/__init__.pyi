@@ -64,3 +64,4 @@ from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import FreeTest as FreeTest
 from .spaces import MotionCost as MotionCost
 from .spaces import PlaneSpace as PlaneSpace
+from .spaces import RigidBodySpace as RigidBodySpace

@@ -130,8 +130,8 @@ class Workspace:
         return grown
 
     @cached_property
-    def _walls(self) -> Any:
-        """The boundary of free space as lines, prepared for many queries."""
+    def walls(self) -> Any:
+        """The boundary of free space as Shapely lines, prepared for many queries."""
         walls = self.free_space.boundary
         shapely.prepare(walls)
         return walls
@@ -180,7 +180,7 @@ class Workspace:
         if len(self.boundary.edges) > _MANY_EDGES:
             distance = self._edge_tree.query_nearest(points, return_distance=True, all_matches=False)[1]
         else:
-            distance = shapely.distance(points, self._walls)
+            distance = shapely.distance(points, self.walls)
         free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])
         result[finite] = np.where(free, distance, -distance)
         return result

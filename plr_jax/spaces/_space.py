@@ -158,7 +158,7 @@ def _as_tuple(value: object) -> tuple:
 def _as_block(block: object) -> tuple[tuple[int, ...], float]:
     pair = _as_tuple(block)
     axes = _as_tuple(pair[0]) if len(pair) == 2 else ()
-    if not axes or not all(isinstance(axis, int | np.integer) for axis in axes):
+    if not axes or not all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in axes):
         raise ValueError(
             f"A block of a MotionCost must be its axes, some integers, and a weight, got {shortened(block)}."
         )
