@@ -45,15 +45,15 @@ class RigidBodySpace:
 
     workspace: Workspace
     robot: Robot
-    rotation_weight: float | None = None
+    rotation_weight: float | int | None = None
 
     def __post_init__(self):
         if not isinstance(self.workspace, Workspace):
             raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
         if not isinstance(self.robot, Robot) or self.robot.dof != 3:
             raise ValueError(
-                f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, got {shortened(self.robot)}; "
-                f"use PlaneSpace for a point or a disc."
+                f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, got "
+                f"{shortened(self.robot)}; use PlaneSpace for a point or a disc."
             )
         check_body("The robot of a RigidBodySpace", self.robot)
         if self.rotation_weight is not None:
@@ -134,23 +134,28 @@ class RigidBodySpace:
         return state
 
     def _sweeps_free(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
-        """Whether a convex polygon around all that the core covers within each box lies in free space.
+        """Whether all that the body covers within each box certainly lies in free space."""
+        free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
+        narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
+        positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
+        free[wide] = ~_come_near(self.workspace.walls, positions, self.robot.circumscribed_radius)
+        hulls = self._hulls(center[narrow], half[narrow])
+        free[narrow] = ~_come_near(self.workspace.walls, hulls, self.robot.rounding)
+        return free
+
+    def _hulls(self, center: Boxes, half: Boxes) -> Any:
+        """Convex polygons around all that the core covers within each box, its turns less than half a turn wide.
 
         The arc on which a vertex turns about the reference point lies in the triangle of that point and of the arc's
         ends, moved out until their chord is tangent to it.
         """
-        inside = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
-        free = inside & (half[:, 2] < _WIDEST_ARC)
-        center, half = center[free], half[free]
         reference = center[:, None, :2]
         ends = np.concatenate([self._placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
         tips = reference + (ends - reference) / np.cos(half[:, 2])[:, None, None]
         offsets = half[:, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
         points = points.reshape(len(center), 4 * (tips.shape[1] + 1), 2)
-        hulls = shapely.convex_hull(shapely.linestrings(points))
-        free[free] = ~_come_near(self.workspace.walls, hulls, self.robot.rounding)
-        return free
+        return shapely.convex_hull(shapely.linestrings(points))
 
     def _is_hit(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
         """Whether the body certainly overlaps obstacles, or the outside of the bounds, all over each box."""
