@@ -137,7 +137,8 @@ class Workspace:
         return walls
 
     @cached_property
-    def _edge_tree(self) -> shapely.STRtree:
+    def edge_tree(self) -> shapely.STRtree:
+        """The edges of ``boundary``, in their order, as Shapely lines in a tree."""
         segments: Any = shapely.linestrings(self.boundary.segments)
         return shapely.STRtree(segments)
 
@@ -178,7 +179,7 @@ class Workspace:
         result = np.full(len(x), np.nan)
         points: Any = shapely.points(x[finite])
         if len(self.boundary.edges) > _MANY_EDGES:
-            distance = self._edge_tree.query_nearest(points, return_distance=True, all_matches=False)[1]
+            distance = self.edge_tree.query_nearest(points, return_distance=True, all_matches=False)[1]
         else:
             distance = shapely.distance(points, self.walls)
         free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])

@@ -16,6 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body
+from plr_jax.spaces._obstacles import come_near, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _WIDEST_ARC = math.pi / 3
@@ -138,9 +139,9 @@ class RigidBodySpace:
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
-        free[wide] = ~_come_near(self.workspace.walls, positions, self.robot.circumscribed_radius)
+        free[wide] = ~come_near(self.workspace.walls, positions, self.robot.circumscribed_radius)
         hulls = self._hulls(center[narrow], half[narrow])
-        free[narrow] = ~_come_near(self.workspace.walls, hulls, self.robot.rounding)
+        free[narrow] = ~come_near(self.workspace.walls, hulls, self.robot.rounding)
         return free
 
     def _hulls(self, center: Boxes, half: Boxes) -> Any:
@@ -167,15 +168,8 @@ class RigidBodySpace:
             left = np.flatnonzero(~hit[rows])
             position = self._placed(point[None], center[left])[:, 0]
             spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[left]] = self._has_walls_within(position, spare)
+            hit[rows[left]] = have_walls_within(self.workspace, position, spare)
         return hit
-
-    def _has_walls_within(self, x: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-        """Whether the clearance of points is at most a radius, which may be negative."""
-        # Most discs about points in free space have no room for a radius, which is told without their distance.
-        within = ~shapely.intersects_xy(self.workspace.free_space, *x.T) | (radius > 0)
-        within[within] = self.workspace.clearance(x[within]) <= radius[within]
-        return within
 
     def _core_is_hit(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
         """Whether the core, eroded by as much as its points move within each box, leaves free space.
@@ -220,12 +214,6 @@ class RigidBodySpace:
         c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
         x, y = points[..., 0], points[..., 1]
         return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)
-
-
-def _come_near(walls: Any, shapes: Any, distance: float) -> Bool[np.ndarray, "n"]:
-    """Whether shapes are within a distance of walls, or touch them."""
-    # That of 0 is found twice as fast by another name.
-    return shapely.dwithin(walls, shapes, distance) if distance else shapely.intersects(walls, shapes)
 
 
 def _shifts(half: Boxes) -> Float[np.ndarray, "n"]:
