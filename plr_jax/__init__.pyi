@@ -63,4 +63,6 @@ from .spaces import CellState as CellState
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import FreeTest as FreeTest
 from .spaces import MotionCost as MotionCost
+from .spaces import PlanarArm as PlanarArm
 from .spaces import PlaneSpace as PlaneSpace
+from .spaces import RigidBodySpace as RigidBodySpace

@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+import shapely
 
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces._space import CellState
@@ -40,7 +41,14 @@ def samples_of(lo, hi, per_axis):
     return lo[:, None] + share * (hi - lo)[:, None]
 
 
-def check_classification(space, lo, hi, per_axis, margin=1e-6):
+def keep_clear(workspace, shapes, distance):
+    """The twin: whether shapes, grown by a distance, lie in free space, up to rounding."""
+    free = workspace.free_space.buffer(1e-8)
+    inside = shapely.covers(free, shapes)
+    return inside & (shapely.distance(shapes, workspace.free_space.boundary) >= distance - 1e-8)
+
+
+def check_classification(space, is_free, lo, hi, per_axis, margin=1e-6):
     """Fails unless samples of boxes agree with what is proven of them; the states.
 
     Those of blocked boxes keep off their boundary by a share, the margin: what only touches is free.
@@ -49,6 +57,21 @@ def check_classification(space, lo, hi, per_axis, margin=1e-6):
     assert state.dtype == np.int8 and state.shape == (len(lo),)
     free, blocked = state == CellState.FREE, state == CellState.BLOCKED
     inner = samples_of(lo + margin * (hi - lo), hi - margin * (hi - lo), per_axis)
-    assert space.is_free(samples_of(lo, hi, per_axis)[free].reshape(-1, lo.shape[1])).all()
-    assert not space.is_free(inner[blocked].reshape(-1, lo.shape[1])).any()
+    of_free, of_blocked = samples_of(lo, hi, per_axis)[free], inner[blocked]
+    for test in (is_free, space.is_free):
+        assert test(of_free.reshape(-1, lo.shape[1])).all()
+        assert not test(of_blocked.reshape(-1, lo.shape[1])).any()
     return state
+
+
+def check_motions(space, is_free, q0, q1, num_samples=65):
+    """Fails unless samples of motions that are proven free are free; the answers, and whether all samples are."""
+    share = np.linspace(0, 1, num_samples)[None, :, None]
+    width, periodic = space.domain.width, np.array(space.domain.periodic)
+    change = q1 - q0
+    change = np.where(periodic, (change + width / 2) % width - width / 2, change)
+    samples = q0[:, None] + share * change[:, None]
+    sampled = is_free(samples.reshape(-1, q0.shape[1])).reshape(samples.shape[:2]).all(axis=1)
+    proven = space.are_free(q0, q1)
+    assert sampled[proven].all()
+    return proven, sampled

@@ -111,7 +111,8 @@ class PlaneSpace:
         """
         center, half = as_boxes(lo, hi, 2)
         # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
-        near = shapely.dwithin(self._walls, _shrunk(center, half, self.workspace.tolerance / 2), self.robot.rounding)
+        boxes = _shrunk(center, half, self.workspace.tolerance / 2)
+        near = shapely.dwithin(self.workspace.walls, boxes, self.robot.rounding)
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         near = np.flatnonzero(near)
@@ -119,13 +120,6 @@ class PlaneSpace:
         passable = shapely.intersects(self._passable, boxes)
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
         return state
-
-    @cached_property
-    def _walls(self) -> Any:
-        """The boundary of free space as lines, prepared for many queries."""
-        walls = self.workspace.free_space.boundary
-        shapely.prepare(walls)
-        return walls
 
     @cached_property
     def _passable(self) -> Any:

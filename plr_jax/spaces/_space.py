@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int8
@@ -28,7 +28,7 @@ class CellState(IntEnum):
     """Neither is proven."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class MotionCost:
     """Cost of motions: an infinitesimal one, ``dq``, costs the sum over blocks of ``weight * |dq[axes]|``.
 
@@ -46,8 +46,8 @@ class MotionCost:
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
-    def __post_init__(self):
-        blocks = tuple(_as_block(block) for block in _as_tuple(self.blocks))
+    def __init__(self, blocks: Any):
+        blocks = tuple(_as_block(block) for block in _as_tuple(blocks))
         axes = sorted(axis for block in blocks for axis in block[0])
         if not axes or axes != list(range(len(axes))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {axes}.")
@@ -74,10 +74,9 @@ class MotionCost:
         """
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of as many, got {domain}.")
-        change = straight_changes(*as_motions(q0, q1, self.dof), domain)
-        return sum(
-            (weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks), np.zeros(len(change))
-        )
+        q0, q1 = as_motions(q0, q1, self.dof)
+        change = domain.difference(q1, q0)
+        return np.sum([weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks], axis=0)
 
 
 @runtime_checkable
@@ -158,7 +157,7 @@ def _as_tuple(value: object) -> tuple:
 def _as_block(block: object) -> tuple[tuple[int, ...], float]:
     pair = _as_tuple(block)
     axes = _as_tuple(pair[0]) if len(pair) == 2 else ()
-    if not axes or not all(isinstance(axis, int | np.integer) for axis in axes):
+    if not axes or not all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in axes):
         raise ValueError(
             f"A block of a MotionCost must be its axes, some integers, and a weight, got {shortened(block)}."
         )

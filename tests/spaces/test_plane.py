@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 import shapely
 from robot_helpers import BAR, WING
-from space_helpers import BOUNDS, check_classification, random_boxes, random_workspace, rectangle
+from space_helpers import (
+    BOUNDS,
+    check_classification,
+    check_motions,
+    keep_clear,
+    random_boxes,
+    random_workspace,
+    rectangle,
+)
 
 from plr_jax import (
     CellState,
@@ -84,7 +92,8 @@ def test_samples_agree_with_what_is_proven(seed, robot):
     workspace = random_workspace(seed)
     space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
     lo, hi = random_boxes(np.random.default_rng(seed), space.domain, 400)
-    state = check_classification(space, lo, hi, 9)
+    radius = space.robot.rounding
+    state = check_classification(space, lambda q: keep_clear(workspace, shapely.points(q), radius), lo, hi, 9)
     assert set(state) == set(CellState)
     # Exact, but for a disc beside corners: compared with an obstacle grown by fine arcs.
     grown = workspace.free_space if robot is None else workspace.free_space.boundary.buffer(0.2, quad_segs=64)
@@ -110,6 +119,16 @@ def test_motions_are_those_that_validate_accepts(robot):
     free = space.are_free(q0, q1)
     assert free.tolist() == expected
     assert 0 < free.sum() < len(free)
+
+
+@pytest.mark.parametrize("robot", [None, DiscRobot(0.2)])
+def test_motions_are_free_where_their_samples_are(robot):
+    workspace = random_workspace(7)
+    space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
+    q0, q1 = np.random.default_rng(7).uniform(0, (4, 3), (2, 400, 2))
+    radius = space.robot.rounding
+    proven, sampled = check_motions(space, lambda q: keep_clear(workspace, shapely.points(q), radius), q0, q1, 257)
+    assert (sampled & ~proven).sum() <= 2 and proven.sum() > 20
 
 
 def test_what_is_not_finite_is_not_free():
