@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 
+_TIE = 1 - 2.0**-40  # with which rounding moves no point that is half a period away
+
 
 @dataclass(frozen=True, eq=False)
 class Box:
@@ -143,7 +145,8 @@ class Box:
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
-        return x - self.width * np.where(self.periodic, np.rint((x - reference) / self.width), 0.0)
+        turns = np.rint(_TIE * (x - reference) / self.width)
+        return x - self.width * np.where(self.periodic, turns, 0.0)
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """``a - b`` the short way around periodic axes, where it is from minus to plus half a period.
