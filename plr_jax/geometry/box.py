@@ -1,6 +1,6 @@
 """Axis-aligned boxes: the bounds of a workspace, the domain of a PLR."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +9,15 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 
+_TIE = 1 - 2.0**-40  # with which rounding moves no point that is half a period away
+
 
 @dataclass(frozen=True, eq=False)
 class Box:
     """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
 
-    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, the *period*: its two ends are
-    one place, the *seam*, and every finite coordinate lies inside.
+    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, the *period*: its two ends
+    are one place, the *seam*, and every finite coordinate lies inside.
 
     Args:
         lo: Lower corner, ``(dim,)``, finite.
@@ -26,15 +28,15 @@ class Box:
         periodic: The same, ``dim`` bools.
 
     Raises:
-        ValueError: If the corners are not finite vectors of one length, a width is not positive, or ``periodic`` is not
-            one bool an axis.
+        ValueError: If the corners are not finite vectors of one length, a width is not positive, or ``periodic`` is
+            not one bool an axis.
     """
 
     lo: Float[np.ndarray, "dim"]
     hi: Float[np.ndarray, "dim"]
     periodic: tuple[bool, ...]
 
-    def __init__(self, lo: ArrayLike, hi: ArrayLike, periodic: Sequence[bool] | None = None):
+    def __init__(self, lo: ArrayLike, hi: ArrayLike, periodic: ArrayLike | None = None):
         lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
             raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
@@ -109,8 +111,9 @@ class Box:
             x: Points, ``(..., dim)``.
 
         Returns:
-            The points, in double precision. Coordinates that are there already stay as they are, and so do those along
-            other axes, infinite ones and NaN. One that cannot be told from the seam, as it is rounded, is at ``lo``.
+            The points, in double precision. Coordinates that are there already stay as they are, and so do those
+            along other axes, infinite ones and NaN. Of others, one that rounding may have moved off the seam is at
+            ``lo``.
 
         Raises:
             ValueError: If ``x`` has another shape.
@@ -142,7 +145,8 @@ class Box:
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
-        return x - self.width * np.where(self.periodic, np.rint((x - reference) / self.width), 0.0)
+        turns = np.rint(_TIE * (x - reference) / self.width)
+        return x - self.width * np.where(self.periodic, turns, 0.0)
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """``a - b`` the short way around periodic axes, where it is from minus to plus half a period.
@@ -186,7 +190,9 @@ class Box:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def __eq__(self, other: object) -> bool:
-        same_corners = isinstance(other, Box) and np.array_equal((self.lo, self.hi), (other.lo, other.hi))
+        if not isinstance(other, Box):
+            return False
+        same_corners = np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
         return same_corners and self.periodic == other.periodic
 
     def __hash__(self) -> int:
@@ -197,13 +203,10 @@ class Box:
         return f"Box({self.lo.tolist()}, {self.hi.tolist()}{periodic})"
 
 
-def _checked_periodic(periodic: Sequence[bool] | None, dim: int) -> tuple[bool, ...]:
+def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:
     if periodic is None:
         return (False,) * dim
-    try:
-        periodic = tuple(periodic)
-    except TypeError:
-        periodic = (periodic,)
-    if len(periodic) != dim:
+    axes = tuple(periodic) if isinstance(periodic, Iterable) else (periodic,)
+    if len(axes) != dim:
         raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
-    return tuple(as_bool("Each of Box periodic", axis) for axis in periodic)
+    return tuple(as_bool("Each of Box periodic", axis) for axis in axes)

@@ -1,5 +1,6 @@
 """Shortest paths over sparse geometric graphs: Dijkstra's algorithm (SciPy), and export to NetworkX."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
+
+from plr_jax._types import Points
 
 NO_PARENT = -9999
 """Parent of the root of a shortest-path tree and of what the tree does not reach (SciPy's sentinel)."""
@@ -21,6 +24,7 @@ class Graph:
         vertices: Position of each vertex.
         edges: The two ends of each edge, as indices of vertices. An edge is listed once, in either
             direction. Ends may coincide: such an edge has length zero and still connects them.
+        measure: Length of an edge for each pair of ends, where it is not Euclidean.
 
     Raises:
         ValueError: If an end is not a vertex, both ends are one vertex, or an edge is listed twice.
@@ -28,6 +32,7 @@ class Graph:
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]
+    measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None
 
     def __post_init__(self):
         edges = self.edges
@@ -58,9 +63,9 @@ class Graph:
 
     @cached_property
     def lengths(self) -> Float[np.ndarray, "e"]:
-        """Euclidean length of each edge."""
-        start, end = self.edges.T
-        return np.linalg.norm(self.vertices[end] - self.vertices[start], axis=1)
+        """Length of each edge."""
+        start, end = (self.vertices[ends] for ends in self.edges.T)
+        return np.linalg.norm(end - start, axis=1) if self.measure is None else self.measure(start, end)
 
     @cached_property
     def adjacency(self) -> csr_array:

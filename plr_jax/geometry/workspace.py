@@ -57,8 +57,8 @@ class Workspace:
             vertices.
 
     Raises:
-        ValueError: If the bounds are not a 2-D box, an obstacle is not a simple polygon of finite
-            coordinates and positive area, or nothing is free.
+        ValueError: If the bounds are not a 2-D box or have a periodic axis, an obstacle is not a simple polygon of
+            finite coordinates and positive area, or nothing is free.
     """
 
     bounds: Box
@@ -319,6 +319,8 @@ def _as_bounds(value: Box | ArrayLike) -> Box:
     bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if bounds.is_periodic:
+        raise ValueError(f"A workspace is a part of the plane, without periodic axes, got {bounds}.")
     if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
         raise ValueError(
             f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_finite, runs
 from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.box import Box
+from plr_jax.oracles._metric import Metric
 
 IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
@@ -34,8 +35,9 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
 
 
-def sample_free(domain: Box, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
+def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
     """The first free draws of a uniform sequence over the domain, and an estimate of the free volume."""
+    domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
     accepted, num_free, num_drawn = [], 0, 0
@@ -49,45 +51,53 @@ def sample_free(domain: Box, is_free: IsFree, num_samples: int, seed: int) -> tu
                 f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
                 f"tighten the domain around free space, or check is_free."
             )
-    return np.concatenate(accepted)[:num_samples], float(np.prod(domain.width)) * num_free / num_drawn
+    return np.concatenate(accepted)[:num_samples], metric.volume * num_free / num_drawn
 
 
-def visible_edges(tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
+def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
     """Pairs of vertices within the radius that see each other."""
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     with tqdm(total=len(pairs), desc="Roadmap edges", unit="edge", delay=3, disable=None) as progress:
         for i in range(0, len(pairs), _EDGES_A_STEP):
             start, end = pairs[i : i + _EDGES_A_STEP].T
-            visible[i : i + _EDGES_A_STEP] = is_visible(tree.data[start], tree.data[end])
+            visible[i : i + _EDGES_A_STEP] = is_visible(vertices[start], vertices[end])
             progress.update(len(start))
     return pairs[visible].astype(np.int32)
 
 
 def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
-    """The user's test, false outside the domain, its answers checked."""
+    """The user's test, false outside the domain, its answers checked. It is asked for wrapped points."""
 
     def checked(x: Points) -> Bool[np.ndarray, "n"]:
         inside = domain.contains(x)
         if inside.any():
-            inside[inside] = _booleans("is_free", is_free(x[inside]), int(inside.sum()))
+            inside[inside] = _booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
         return inside
 
     return checked
 
 
-def checked_is_visible(is_free: IsFree, is_visible: IsVisible | None, resolution: float | None) -> IsVisible:
-    """The user's test, its answers checked, or one that samples motions at a resolution."""
+def checked_is_visible(
+    metric: Metric, is_free: IsFree, is_visible: IsVisible | None, resolution: float | None
+) -> IsVisible:
+    """The user's test, its answers checked, or one that samples motions at a resolution.
+
+    Of motions the short way around periodic axes: to the image of the end that is nearest to the start.
+    """
+    domain = metric.domain
     if is_visible is None and resolution is not None:
         as_finite("resolution", resolution, positive=True)
-        return lambda a, b: _is_visible_sampled(is_free, resolution, a, b)
+        return lambda a, b: _is_visible_sampled(metric, is_free, resolution, a, domain.image_near(b, a))
     if is_visible is None or resolution is not None:
         raise ValueError(
             "Give either is_visible, an exact test of motions, or resolution, the step of a sampled one."
         )
 
     def checked(a: Points, b: Points) -> Bool[np.ndarray, "n"]:
-        return _booleans("is_visible", is_visible(a, b), len(a)) if len(a) else np.zeros(0, dtype=bool)
+        if len(a) == 0:
+            return np.zeros(0, dtype=bool)
+        return _booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
     return checked
 
@@ -102,9 +112,11 @@ def _booleans(name: str, answer: ArrayLike, num_points: int) -> Bool[np.ndarray,
     return answer
 
 
-def _is_visible_sampled(is_free: IsFree, resolution: float, a: Points, b: Points) -> Bool[np.ndarray, "n"]:
+def _is_visible_sampled(
+    metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
+) -> Bool[np.ndarray, "n"]:
     """Whether each straight motion between free points is free wherever it is tested."""
-    num_steps = np.ceil(np.linalg.norm(b - a, axis=1) / resolution).astype(np.int64)
+    num_steps = np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
     num_tests = np.maximum(num_steps - 1, 0)
     visible = np.ones(len(a), dtype=bool)
     batch = np.cumsum(num_tests) // _BATCH

@@ -15,6 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
 from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles._metric import Metric, metric_of
 from plr_jax.oracles._prm_star import (
     IsFree,
     IsVisible,
@@ -39,10 +40,11 @@ class Roadmap:
     exists, so never below the true distance (as far as the edge test can be trusted), and approaches
     it as samples are added.
 
-    Lengths are Euclidean. To weight an axis, such as an angle, scale the coordinates.
+    Lengths are Euclidean, of differences times the ``weights``, and edges go the short way around periodic axes.
 
     Args:
-        domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free.
+        domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along
+            periodic axes, such as angles, points are wrapped into it.
         is_free: Collision test of a batch, ``(n, dim)`` configurations to ``(n,)`` booleans. It is
             called with points of the domain only, in batches of any size, and must not depend on the
             rest of the batch.
@@ -51,16 +53,19 @@ class Roadmap:
             sequence: more of them extend it.
         seed: Seed of the samples.
         is_visible: Exact test of straight motions, ``(n, dim)`` starts and ``(n, dim)`` ends, all of
-            them free, to ``(n,)`` booleans. Give either this or ``resolution``.
-        resolution: Where there is no exact test: the largest step, in units of the domain, between
-            the points at which a straight motion is tested with ``is_free``. Obstacles thinner than
+            them free, to ``(n,)`` booleans. Around periodic axes a motion may leave the domain: its end is
+            the image nearest to its start. Give either this or ``resolution``.
+        resolution: Where there is no exact test: the largest step, in (weighted) units of the domain,
+            between the points at which a straight motion is tested with ``is_free``. Obstacles thinner than
             this can be passed through.
+        weights: What a unit along each axis counts, such as a radian against a unit of length, ``(dim,)``,
+            positive. None: 1 each.
 
     Attributes:
         domain: The box of configurations.
         is_free: The collision test, false outside the domain.
         is_visible: The test of motions.
-        radius: Connection radius, in units of the domain.
+        radius: Connection radius, in (weighted) units of the domain.
         graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
         distances: Distance of each vertex to the goal, ``inf`` where the roadmap does not join them.
 
@@ -80,6 +85,7 @@ class Roadmap:
     radius: float
     graph: Graph
     distances: Float[np.ndarray, "vertices"]
+    _metric: Metric
     _parents: Int[np.ndarray, "vertices"]
     _tree: KDTree
 
@@ -93,18 +99,20 @@ class Roadmap:
         seed: int = 0,
         is_visible: IsVisible | None = None,
         resolution: float | None = None,
+        weights: ArrayLike | None = None,
     ):
         require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
         is_free = checked_is_free(domain, is_free)
-        is_visible = checked_is_visible(is_free, is_visible, resolution)
+        metric = metric_of(domain, weights)
+        is_visible = checked_is_visible(metric, is_free, is_visible, resolution)
         goal = _free_goal(domain, is_free, goal)
-        samples, free_volume = sample_free(domain, is_free, num_samples, seed)
+        samples, free_volume = sample_free(metric, is_free, num_samples, seed)
         vertices = np.concatenate([goal[None], samples])
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
-        tree = KDTree(vertices)
-        graph = Graph(vertices, visible_edges(tree, radius, is_visible))
-        _assign(self, domain, is_free, is_visible, radius, graph, tree)
+        tree = metric.tree(vertices)
+        graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
+        _assign(self, metric, is_free, is_visible, radius, graph, tree)
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
@@ -139,13 +147,14 @@ class Roadmap:
         """
         goal = _free_goal(self.domain, self.is_free, goal)
         samples, edges = self.graph.vertices[1:], self.graph.edges
-        near = np.flatnonzero(np.linalg.norm(samples - goal, axis=1) <= self.radius)
+        near = np.flatnonzero(self._metric.lengths(goal, samples) <= self.radius)
         near = near[self.is_visible(np.tile(goal, (len(near), 1)), samples[near])]
         to_goal = np.stack([np.zeros_like(near), 1 + near], axis=1).astype(edges.dtype)
         vertices = np.concatenate([goal[None], samples])
-        graph = Graph(vertices, np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]]))
+        edges = np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]])
+        graph, tree = Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices)
         oracle = object.__new__(Roadmap)
-        _assign(oracle, self.domain, self.is_free, self.is_visible, self.radius, graph, KDTree(vertices))
+        _assign(oracle, self._metric, self.is_free, self.is_visible, self.radius, graph, tree)
         return oracle
 
     @property
@@ -169,7 +178,16 @@ class Roadmap:
 
     @cached_property
     def sources(self) -> Sources:
-        """The vertices: a query's path goes to one of them first."""
+        """The vertices: a query's path goes to one of them first.
+
+        Raises:
+            ValueError: If lengths are not Euclidean, as those to sources are.
+        """
+        if not self._metric.is_euclidean:
+            raise ValueError(
+                "Distances to sources are Euclidean, those of a roadmap with weights or periodic axes are not; use "
+                "continuous leaves or planes, not cones."
+            )
         return Sources(self.graph.vertices, self.distances, rooted(self._parents))
 
     def to_networkx(self) -> networkx.Graph:
@@ -186,7 +204,7 @@ class Roadmap:
             x: Points, ``(n, dim)``.
 
         Returns:
-            Distances, in units of the domain. ``inf`` for points outside the domain, with a NaN, or
+            Distances, in (weighted) units of the domain. ``inf`` for points outside the domain, with a NaN, or
             not free; for points that see no vertex; and where no vertex seen is joined to the goal.
 
         Raises:
@@ -202,12 +220,13 @@ class Roadmap:
 
         Returns:
             The path's vertices, ``(m, dim)``, from ``x`` to the goal, no two in a row equal: one if ``x`` is
-            the goal. No rows where the distance is ``inf``.
+            the goal. No rows where the distance is ``inf``. Along periodic axes all of them are wrapped, and the
+            path goes on the short way.
 
         Raises:
             ValueError: If ``x`` is not of shape ``(dim,)``.
         """
-        x = as_point("The start", x, self.domain.dim)[None]
+        x = self.domain.wrapped(as_point("The start", x, self.domain.dim)[None])
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
@@ -218,8 +237,7 @@ class Roadmap:
     def _rings(self) -> Iterator[tuple[float, float]]:
         """Inner and outer radii of the rings in which a query looks for vertices, until all are in."""
         inner, outer = -1.0, self.radius
-        diagonal = float(np.linalg.norm(self.domain.width))
-        while inner < diagonal:
+        while inner < self._metric.diameter:
             yield inner, outer
             inner, outer = outer, 2 * outer
 
@@ -236,7 +254,7 @@ class Roadmap:
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance by way of the vertices seen between two radii, and the best of them, -1 where there are none."""
-        count = self._tree.query_ball_point(x, outer, return_length=True)
+        count = self._tree.query_ball_point(self._metric.places(x), outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)
         for begin in range(0, len(x), step):
@@ -249,7 +267,9 @@ class Roadmap:
     ) -> tuple[Distances, Int[np.ndarray, "n"]]:
         # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
         limit = np.nextafter(outer, np.inf)
-        length, vertex = self._tree.query(x, k=np.arange(1, 1 + count), distance_upper_bound=limit)
+        length, vertex = self._tree.query(
+            self._metric.places(x), k=np.arange(1, 1 + count), distance_upper_bound=limit
+        )
         through = length + np.append(self.distances, np.inf)[vertex]
         through[(length <= inner) | np.isinf(length)] = np.nan
 
@@ -261,16 +281,22 @@ class Roadmap:
 
 
 def _assign(
-    roadmap: Roadmap, domain: Box, is_free: IsFree, is_visible: IsVisible, radius: float, graph: Graph, tree: KDTree
+    roadmap: Roadmap,
+    metric: Metric,
+    is_free: IsFree,
+    is_visible: IsVisible,
+    radius: float,
+    graph: Graph,
+    tree: KDTree,
 ) -> None:
     distances, parents = dijkstra(graph, 0)
     graph.vertices.flags.writeable = distances.flags.writeable = False
-    vars(roadmap).update(domain=domain, is_free=is_free, is_visible=is_visible, radius=radius)
+    vars(roadmap).update(domain=metric.domain, _metric=metric, is_free=is_free, is_visible=is_visible, radius=radius)
     vars(roadmap).update(graph=graph, distances=distances, _parents=parents, _tree=tree)
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    goal = as_finite_point("The goal", goal, domain.dim)
+    goal = domain.wrapped(as_finite_point("The goal", goal, domain.dim))
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")
     if not is_free(goal[None])[0]:

@@ -36,8 +36,9 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
         The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
 
     Raises:
-        ValueError: If it is no PLR in the plane, its domain has a periodic axis, ``leaf_bounds`` is no bool, the oracle does not answer for cells, or
-            a leaf answers ``inf`` although some of its points reach the goal: then nothing can be proven.
+        ValueError: If it is no PLR in the plane, its domain has a periodic axis, ``leaf_bounds`` is no bool, the
+            oracle does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal:
+            then nothing can be proven.
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
@@ -56,8 +57,8 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
         )
     if domain.is_periodic:
         raise ValueError(
-            f"A proof is of Euclidean distances in the plane, which has no periodic axis, got {domain}. Build the PLR "
-            "without one, and measure its error."
+            f"A proof is of Euclidean distances in the plane, which has no periodic axis, got {domain}. Build the "
+            "PLR without one, and measure its error."
         )
     return oracle
 

@@ -57,8 +57,8 @@ def construct(
     Args:
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` (or a masked entry) where it
             cannot be reached.
-        domain: The box to cover, a ``Box`` or its two corners. Around its periodic axes the distance function is to be
-            periodic itself; it is asked for points of the box. Tied leaves do not jump at the seam either. No cones.
+        domain: The box to cover, a ``Box`` or its two corners. Along its periodic axes the distance function is to be
+            periodic itself; it is asked for points of the box. Tied leaves do not jump at the seam either.
         leaf: What a leaf holds. ``"plane"``, the paper's, may jump from leaf to leaf. ``"continuous"`` stores values
             at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
             multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from plr_jax.geometry.box import Box
 
@@ -73,3 +75,77 @@ def test_a_grid_fills_the_box_with_square_cells():
         Box((0, 0), (1, 1)).grid(0)
     with pytest.raises(ValueError, match="two dimensions, got 3"):
         Box((0, 0, 0), (1, 1, 1)).grid(4)
+
+
+TURN = Box((0, -np.pi), (2, np.pi), periodic=(False, True))
+
+
+def test_which_axes_are_periodic_is_a_part_of_a_box():
+    assert TURN.periodic == (False, True) and TURN.is_periodic
+    assert Box((0, 0), (1, 1)).periodic == (False, False) and not Box((0, 0), (1, 1)).is_periodic
+    assert Box((0, 0), (1, 1), (np.True_, False)) == Box((0, 0), (1, 1), [True, False])
+    assert Box((0, 0), (1, 1), (True, False)) != Box((0, 0), (1, 1))
+    assert len({Box((0, 0), (1, 1), (True, False)), Box((0, 0), (1, 1), (False, True)), Box((0, 0), (1, 1))}) == 3
+    assert repr(Box((0, 0), (1, 1), (True, False))) == "Box([0.0, 0.0], [1.0, 1.0], periodic=(True, False))"
+    assert repr(Box((0,), (1,))) == "Box([0.0], [1.0])"
+    assert Box.of(TURN) is TURN
+
+
+@pytest.mark.parametrize(
+    "periodic", [True, (True,), (True, False, True), "no", ((True, False),), (1, 0), (True, None)]
+)
+def test_what_does_not_say_of_each_axis_whether_it_is_periodic_is_refused(periodic):
+    with pytest.raises(ValueError, match="Box periodic must be"):
+        Box((0, 0), (1, 1), periodic=periodic)
+
+
+def test_every_finite_coordinate_is_inside_along_a_periodic_axis():
+    x = np.array([[1, 100.0], [1, -100.0], [2.1, 0], [1, np.inf], [1, np.nan], [2, np.pi]])
+    np.testing.assert_array_equal(TURN.contains(x), [True, True, False, False, False, True])
+
+
+def test_points_are_wrapped_by_whole_periods():
+    box = Box((-1, 10), (3, 11), periodic=(True, False))
+    x = [[-1.0, 5], [2.5, 5], [3, 5], [4.5, 5], [-1.25, 5], [12, 11.5], [np.inf, 5], [np.nan, np.nan]]
+    expected = [[-1.0, 5], [2.5, 5], [-1, 5], [0.5, 5], [2.75, 5], [0, 11.5], [np.inf, 5], [np.nan, np.nan]]
+    np.testing.assert_array_equal(box.wrapped(x), expected)
+    np.testing.assert_array_equal(box.wrapped(np.array(x)[None, 3]), [[0.5, 5]])
+    np.testing.assert_array_equal(box.wrapped([3.0, 5.0]), [-1, 5])
+
+
+@given(lo=st.floats(-1e3, 1e3), width=st.floats(1e-3, 1e3), turns=st.integers(-1000, 1000), share=st.floats(0, 1))
+def test_wrapped_points_are_below_the_upper_end_and_the_seam_is_at_the_lower_one(lo, width, turns, share):
+    box = Box([lo], [lo + width], [True])
+    (lo,), (hi,), (width,) = box.lo, box.hi, box.width
+    x = lo + (turns + share) * width
+    (found,) = box.wrapped([x])
+    assert lo <= found < hi
+    away = (x - found) / width
+    assert abs(away - round(away)) < 1e-9 * (1 + np.abs(lo) / width)
+    assert box.wrapped([found]) == found
+    assert box.wrapped([hi]) == box.wrapped([lo + turns * width]) == lo
+    assert box.wrapped([np.nextafter(hi, -np.inf)]) == np.nextafter(hi, -np.inf)
+    for just_outside in (np.nextafter(lo, -np.inf), np.nextafter(hi, np.inf), -1e-300, 1e300, -1e300):
+        assert lo <= box.wrapped([just_outside])[0] < hi
+
+
+def test_differences_go_the_short_way_around():
+    a, b = np.array([[0.5, 3.0], [0.5, -3.0], [1.5, 0.5]]), np.array([[0.0, -3.0], [2.0, 3.0], [0.5, 7.0]])
+    short = 2 * np.pi - 6
+    np.testing.assert_allclose(TURN.difference(a, b), [[0.5, -short], [-1.5, short], [1, 0.5 - (7 - 2 * np.pi)]])
+    np.testing.assert_allclose(TURN.image_near(a, b), b + TURN.difference(a, b))
+    np.testing.assert_array_equal(Box((0, -np.pi), (2, np.pi)).difference(a, b), a - b)
+    # Within half a period nothing is rounded.
+    near = np.array([0.3, 0.1])
+    np.testing.assert_array_equal(TURN.image_near(near, [0.2, -3.0]), near)
+    np.testing.assert_array_equal(TURN.difference(near, [[0.2, -3.0]]), [near - [0.2, -3.0]])
+
+
+@pytest.mark.parametrize(
+    "ask", [TURN.wrapped, lambda x: TURN.difference(x, [0.0, 0]), lambda x: TURN.image_near([0, 0], x)]
+)
+def test_points_of_other_dimensions_are_not_wrapped(ask):
+    with pytest.raises(ValueError, match=r"must have shape \(\.\.\., 2\), got \(1, 3\)"):
+        ask(np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="some are masked"):
+        ask(np.ma.masked_less([[-1.0, 2.0]], 0))

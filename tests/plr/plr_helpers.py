@@ -88,7 +88,7 @@ def chain(axes):
     return leaves
 
 
-def random_contents(seed, dim, leaf, cells=None):
+def random_contents(seed, dim, leaf, cells=None, periodic=()):
     """Leaves of a random partition, or of given cells, with random numbers."""
     rng = np.random.default_rng(seed)
     tree = tree_of(random_partition(seed, dim, 20) if cells is None else cells)
@@ -99,11 +99,11 @@ def random_contents(seed, dim, leaf, cells=None):
         center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
         stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
     else:
-        faces = shared_faces(tree)
+        faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)
         partition.tied[~partition.between_reachable()] = False
         stored = StoredValues.rounded(partition, rng.normal(size=len(partition.space.masters)), 0.01)
-    domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5)
+    domain = Box(rng.normal(size=dim) - 5, rng.normal(size=dim) + 5, periodic or None)
     return Contents(domain, model, levels_of(cells)[0], cells, stored)
 
 

@@ -82,7 +82,7 @@ class Container:
         if dim == 0 or len(content) < 16 * dim:
             raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
         corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64).reshape(2, dim)
-        domain = _periodic_domain(corners) if version == _PERIODIC_VERSION else Box(*corners)
+        domain = _periodic_domain(corners) if version == _PERIODIC_VERSION else Box(corners[0], corners[1])
         return Container(domain, leaf_code, num_leaves, content[16 * dim :], proof_code)
 
 
@@ -92,7 +92,7 @@ def _periodic_domain(corners: Float[np.ndarray, "2 dim"]) -> Box:
     if not periodic.any():
         raise ValueError(f"it has format version {_PERIODIC_VERSION}, but none of its axes is periodic")
     lo, hi = np.where(periodic, corners[::-1], corners)
-    return Box(lo, hi, periodic.tolist())
+    return Box(lo, hi, tuple(map(bool, periodic)))
 
 
 def container_size(dim: int, num_leaves: int, num_bits: int) -> int:

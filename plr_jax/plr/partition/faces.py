@@ -16,8 +16,8 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf wher
 class SharedFaces:
     """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common.
 
-    Across the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans such an axis
-    shares a face with itself.
+    Across the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans such an
+    axis shares a face with itself.
     """
 
     lower: Int[np.ndarray, "faces"]

@@ -12,6 +12,10 @@ from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
 from plr_jax.plr.query.tables import Frame, Tables
 
+_ENDS_IN_DOUBLE = (
+    2.0**-44
+)  # how well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly
+
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
@@ -101,36 +105,31 @@ def outside_domain(
 
 
 def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Points with their coordinates along periodic axes inside the domain, in the points' own precision."""
+    """Points moved along periodic axes by whole periods to between the ends, the upper of which becomes the lower.
+
+    A compiler may round the product and the difference at once in one part of a query and apart in another. That
+    moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
+    """
     if not tables.periodic:
         return x
-    frame = tables.frame.astype(x.dtype)
+    frame, at = tables.frame.astype(x.dtype), jax.lax.stop_gradient(x)
     lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
+    turns = jnp.floor((at - lo) * frame[Frame.SCALE])
+    is_end = jnp.abs(at - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
+    inside = jnp.where(is_end, lo, jnp.clip(at - turns * (hi - lo), lo, hi))
     is_periodic = np.isin(np.arange(tables.dim), tables.periodic)
-    return _wrapped_around(x, lo, hi, frame[Frame.SCALE], is_periodic)
+    return _moved(x, jnp.where(is_periodic & jnp.isfinite(at), inside, at))
 
 
 @jax.custom_jvp
-def _wrapped_around(
-    x: Float[Array, "*batch dim"],
-    lo: Float[Array, "dim"],
-    hi: Float[Array, "dim"],
-    scale: Float[Array, "dim"],
-    is_periodic: Bool[np.ndarray, "dim"],
-) -> Float[Array, "*batch dim"]:
-    """Points moved by whole periods to between two ends, of which the upper one becomes the lower one.
-
-    A compiler may round the product and the difference at once in one part of a query and apart in another. That moves
-    a point by a rounding, but never from one end to the other, as the number of periods has no such choice.
-    """
-    turns = jnp.floor((x - lo) * scale)
-    inside = jnp.where(x == hi, lo, jnp.clip(x - turns * (hi - lo), lo, hi))
-    return jnp.where(is_periodic & jnp.isfinite(x), inside, x)
+def _moved(x: Float[Array, "*batch dim"], to: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """The points that others move to, as they do."""
+    return to
 
 
-@_wrapped_around.defjvp
-def _wrapped_with_tangent(primals, tangents):
-    return _wrapped_around(*primals), tangents[0]
+@_moved.defjvp
+def _moved_with_tangent(primals, tangents):
+    return primals[1], tangents[0]
 
 
 def number_of_leaf(tables: Tables, row: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:

@@ -54,7 +54,8 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
 
     Each piece of a face that two leaves share is sampled alike, so where small leaves meet a large one each has its
     points. A face is free where the goal can be reached from it: inside a wall it has no points. The side of a wall
-    is free, so a face along it has points, although nobody can step across.
+    is free, so a face along it has points, although nobody can step across. What a leaf around a whole periodic axis
+    shares with itself is left out.
 
     Args:
         plr: The PLR whose partition is meant.
@@ -74,7 +75,7 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     tree = tree_of(plr.cells)
     faces = shared_faces(tree, plr.domain.periodic)
     pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
-    kept = ~plr.unreachable[pairs].any(axis=1)
+    kept = ~plr.unreachable[pairs].any(axis=1) & (faces.lower != faces.upper)
     w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))
     points = plr.domain.lo + plr.domain.width * face_points(tree.leaves, faces[kept], w)
     x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)

@@ -9,7 +9,15 @@ from plr_helpers import chain, random_partition, sealed, three_leaves
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import HEADER_SIZE, Container, container_size, file_size, read_tree, write_tree
+from plr_jax.plr.file.container import (
+    HEADER_SIZE,
+    Container,
+    container_size,
+    file_size,
+    is_header,
+    read_tree,
+    write_tree,
+)
 from plr_jax.plr.partition.tree import levels_of, tree_of_levels
 
 CONTAINER = Container(Box((-1, 0), (1, 3)), 2, 77, b"body")
@@ -55,6 +63,32 @@ def test_the_layout_by_hand():
 def test_what_is_no_container_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         Container.from_bytes(change(CONTAINER.to_bytes()))
+
+
+def test_periodic_axes_have_the_upper_end_first():
+    container = Container(Box((-1, 0), (1, 3), periodic=(False, True)), 2, 77, b"body")
+    header = b"PLR\n" + bytes([3, 2, 2, 0]) + struct.pack("<II", 77, 16 + 32 + 4 + 4)
+    content = header + struct.pack("<4d", -1, 3, 1, 0) + b"body"
+    expected = content + struct.pack("<I", zlib.crc32(content))
+    assert container.to_bytes() == expected and is_header(expected[:HEADER_SIZE])
+    assert Container.from_bytes(expected) == container
+    assert container != CONTAINER
+
+
+@pytest.mark.parametrize(
+    ("corners", "message"),
+    [
+        ((-1, 0, 1, 3), "format version 3, but none of its axes is periodic"),
+        ((-1, 3, 1, 3), "none of its axes is periodic"),
+        ((1, 0, -1, 0), "positive width along every axis, got lo=0 and hi=0 on axis 1"),
+        ((1, np.nan, -1, 0), "finite"),
+        ((np.inf, 0, -1, 1), "finite"),
+    ],
+)
+def test_corners_that_make_no_periodic_domain_are_refused(corners, message):
+    data = Container(Box((-1, 0), (1, 3), periodic=(True, True)), 2, 77, b"body").to_bytes()
+    with pytest.raises(ValueError, match=message):
+        Container.from_bytes(sealed(data[:16] + struct.pack("<4d", *corners) + data[48:-4]))
 
 
 def test_the_magic_of_continuous_plrs_came_with_version_1_alone():

@@ -54,6 +54,41 @@ def test_faces_are_those_found_by_comparing_all_boxes(seed, dim):
     assert sorted(expected) == found
 
 
+def test_faces_across_the_seam_of_three_leaves():
+    """The left half spans the periodic axis 1, so it touches itself; across axis 0 it touches both others twice."""
+    tree = tree_of(three_leaves())
+    faces = shared_faces(tree, (True, True))
+    expected = [(0, 0, 1), (0, 1, 0), (0, 2, 0), (1, 0, 0), (1, 2, 1), (2, 0, 0), (2, 1, 1)]
+    assert list(zip(faces.lower.tolist(), faces.upper.tolist(), faces.axis.tolist(), strict=True)) == expected
+    points = face_points(tree.leaves, faces, np.array([[0.7, 0.5]]))[:, 0]
+    seams = [0, 3, 5, 6]
+    np.testing.assert_array_equal(points[seams], [[0.35, 1], [1, 0.25], [1, 0.75], [0.85, 1]])
+    assert len(shared_faces(tree_of(Cells.root(3)), (True, False, True))) == 2
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 3), data=st.data())
+def test_faces_on_a_torus_are_those_found_by_comparing_all_boxes(seed, dim, data):
+    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
+    tree = tree_of(random_partition(seed, dim, 20))
+    cells = tree.leaves
+    lo, hi = cells.boxes(Box(np.zeros(dim), np.ones(dim)))
+    expected = {}
+    for a in range(len(cells)):
+        for b in range(len(cells)):
+            for axis in range(dim):
+                low, high = np.maximum(lo[a], lo[b]), np.minimum(hi[a], hi[b])
+                at_seam = periodic[axis] and hi[a, axis] == 1 and lo[b, axis] == 0
+                if (hi[a, axis] == lo[b, axis] or at_seam) and (low < high)[np.arange(dim) != axis].all():
+                    low[axis] = high[axis] = hi[a, axis]
+                    expected[a, b, axis] = low, high
+    faces = shared_faces(tree, periodic)
+    found = list(zip(faces.lower.tolist(), faces.upper.tolist(), faces.axis.tolist(), strict=True))
+    assert sorted(expected) == found
+    ends = face_points(cells, faces, np.repeat([[0.0], [1.0]], dim, axis=1))
+    np.testing.assert_array_equal(ends, np.array([expected[face] for face in found]).reshape(ends.shape))
+
+
 @settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
 def test_a_corner_is_the_middle_of_its_parents(seed, dim):
@@ -67,10 +102,10 @@ def test_a_corner_is_the_middle_of_its_parents(seed, dim):
     np.testing.assert_array_equal(is_made, ~of_domain)
 
 
-def lenders(cells, blocked):
+def lenders(cells, blocked, periodic=()):
     """For each blocked leaf the one that lends to it; -1 for none."""
     blocked = np.array(blocked, bool)
-    return neighbor_of_largest_contact(cells, np.flatnonzero(blocked), np.flatnonzero(~blocked))
+    return neighbor_of_largest_contact(cells, np.flatnonzero(blocked), np.flatnonzero(~blocked), periodic)
 
 
 def slabs():
@@ -88,6 +123,13 @@ def l_shape():
 
 def test_only_direct_neighbors_lend():
     assert lenders(slabs(), [False, True, True, True]).tolist() == [0, -1, -1]
+
+
+def test_neighbors_across_a_seam_lend():
+    assert lenders(slabs(), [False, True, True, True], (True, False)).tolist() == [0, -1, 0]
+    assert lenders(slabs(), [False, True, True, True], (False, True)).tolist() == [0, -1, -1]
+    # The two halves touch in two places, of which none counts twice.
+    assert lenders(l_shape(), [False, True, False, False], (True, True)).tolist() == [0]
 
 
 def test_the_largest_contact_lends():
@@ -126,6 +168,16 @@ def test_a_borrower_continues_the_lenders_plane_and_the_others_answer_inf():
     coefficients = filled_coefficients(contents)
     np.testing.assert_allclose(coefficients[1], [1 + 14 * 3 / 8 + 7 / 2, 14 / 8, 7 / 2])
     np.testing.assert_array_equal(coefficients[2:], [[np.inf, 0, 0]] * 2)
+
+
+def test_a_borrower_continues_the_plane_across_the_seam():
+    """The plane ``1 + 14 x + 7 y`` of the first slab goes on at ``x`` below 0, which is the last slab."""
+    center = np.array([1 + 14 / 8 + 7 / 2, np.inf, np.inf, np.inf])
+    half = np.array([[14 / 8, 7 / 2]] + [[0.0, 0.0]] * 3)
+    domain = Box((0, 0), (1, 1), periodic=(True, False))
+    coefficients = filled_coefficients(contents_of_planes(slabs(), encode_planes(center, half, 32), domain))
+    np.testing.assert_allclose(coefficients[3], [1 - 14 / 8 + 7 / 2, 14 / 8, 7 / 2])
+    assert np.isinf(coefficients[2, 0])
 
 
 def test_a_larger_borrower_continues_the_plane_too():

@@ -11,9 +11,9 @@ from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import corner_bits, tree_of
 
 
-def space_of(cells, tied=lambda faces: np.ones(len(faces), bool)):
+def space_of(cells, tied=lambda faces: np.ones(len(faces), bool), periodic=()):
     tree = tree_of(cells)
-    faces = shared_faces(tree)
+    faces = shared_faces(tree, periodic)
     faces = faces[tied(faces)]
     return nodal_space(tree, faces, np.zeros(len(cells), bool)), faces
 
@@ -75,6 +75,53 @@ def test_functions_agree_across_every_tied_face(seed, dim, share):
     x = points_on(cells, faces, rng)
     sides = [evaluate(0, cells, numbers, leaf, x) for leaf in (faces.lower, faces.upper)]
     np.testing.assert_allclose(*sides, atol=1e-8)
+
+
+def test_both_ends_of_a_periodic_axis_are_one():
+    root = Cells.root(2)
+    assert [len(space_of(root, periodic=periodic)[0].masters) for periodic in ((), (True, False), (True, True))] == [
+        4,
+        2,
+        1,
+    ]
+    space, _ = space_of(root, periodic=(True, False))
+    np.testing.assert_array_equal(space.values @ [3.0, 5.0], [3, 5, 3, 5])
+    # Of the three leaves of a torus: (0, 0), (1/2, 0) and (0, 1/2), which hangs on the left half, as (1/2, 1/2) does.
+    halves = Cells.root(2).split(np.array([0]))
+    space, _ = space_of(halves[[0]].append(halves[[1]].split(np.array([1]))), periodic=(True, True))
+    value = (space.values @ np.array([3.0, 5.0])).reshape(3, 4)
+    np.testing.assert_array_equal(value, [[3, 3, 5, 5], [5, 5, 3, 3], [5, 5, 3, 3]])
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 10_000), data=st.data())
+def test_functions_agree_across_every_tied_face_of_a_torus(order, seed, data):
+    """Seams among them: there the upper leaf is asked a period below; of order 1 for derivatives too."""
+    rng, dim = np.random.default_rng(seed), data.draw(st.integers(1, 2 if order else 4))
+    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
+    share = data.draw(st.sampled_from([0.5, 1.0]))
+    cells = tree_of(random_partition(seed, dim, 25)).leaves
+    space, faces = space_of(cells, lambda faces: rng.random(len(faces)) < share, periodic)
+    numbers = numbers_of_leaves(order, space) @ rng.normal(size=len(space.masters))
+    x = points_on(cells, faces, rng)
+    beyond = x - (x == 1) * np.eye(dim)[faces.axis]
+    for derivative in (None, *range(dim if order else 0)):
+        below = evaluate(order, cells, numbers, faces.lower, x, derivative)
+        above = evaluate(order, cells, numbers, faces.upper, beyond, derivative)
+        np.testing.assert_allclose(below, above, atol=1e-7 * max(1, np.abs(below).max(initial=0)))
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 10_000), dim=st.integers(1, 3))
+def test_on_a_torus_too_predictions_need_coarser_values_alone(seed, dim):
+    cells = tree_of(random_partition(seed, dim, 25)).leaves
+    space, _ = space_of(cells, periodic=(True,) * dim)
+    row, column = space.prediction.nonzero()
+    assert np.all(space.level[column] < space.level[row])
+    of_domain = np.isin(corners_of(cells), [0, 1]).all(axis=1)
+    assert len(np.unique(space.group[of_domain])) == 1  # all corners of a torus are one point
+    np.testing.assert_allclose(space.values @ np.ones(len(space.masters)), 1)
 
 
 @settings(deadline=None, max_examples=30)
