@@ -28,15 +28,15 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Float[np.ndarray,
     The ends stay on the two sides of the wall's line, so the segment crosses it, and not beyond an end of the wall:
     it stays within the larger reach of where it is, and both ends of the wall are farther from there.
     """
-    segments = shapely.linestrings(links)
-    link, edge = workspace.edge_tree.query(segments, predicate="intersects")
-    boundary, links, reaches = workspace.boundary, links[link], reaches[link]
-    heights = (links * boundary.normal[edge, None]).sum(axis=2) - boundary.offset[edge, None]
-    crosses = (heights[:, 0] * heights[:, 1] < 0) & (np.abs(heights) > reaches).all(axis=1)
-    change = links[:, 1] - links[:, 0]
+    boundary = workspace.boundary
+    link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
+    of_link, reach = links[link], reaches[link]
+    heights = (of_link * boundary.normal[edge, None]).sum(axis=2) - boundary.offset[edge, None]
+    crosses = (heights[:, 0] * heights[:, 1] < 0) & (np.abs(heights) > reach).all(axis=1)
+    change = of_link[:, 1] - of_link[:, 0]
     for end in boundary.segments[edge].transpose(1, 0, 2):
-        crosses &= distance_to_segment(*(links[:, 0] - end).T, *change.T) > reaches[:, 1]
-    result = np.zeros(len(segments), dtype=bool)
+        crosses &= distance_to_segment(*(of_link[:, 0] - end).T, *change.T) > reach[:, 1]
+    result = np.zeros(len(links), dtype=bool)
     result[link[crosses]] = True
     return result
 

@@ -50,7 +50,7 @@ def random_arm(seed, joints, width=0.0, self_collision=False):
     workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     base = workspace.sample_free(200, seed)
     base = base[np.argmax(workspace.clearance(base))]
-    return PlanarArm(workspace, rng.uniform(0.7, 1.2, joints), base, width, self_collision)
+    return PlanarArm(workspace, rng.uniform(1.0, 2.0, joints) / joints, base, width, self_collision)
 
 
 def states(space, *boxes):
