@@ -1,11 +1,12 @@
 """Axis-aligned boxes: the bounds of a workspace, the domain of a PLR."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite_point, as_points, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened
 from plr_jax._types import ArrayLike
 
 
@@ -13,18 +14,27 @@ from plr_jax._types import ArrayLike
 class Box:
     """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
 
+    Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, the *period*: its two ends are
+    one place, the *seam*, and every finite coordinate lies inside.
+
     Args:
         lo: Lower corner, ``(dim,)``, finite.
         hi: Upper corner, ``(dim,)``, finite and above ``lo`` along every axis.
+        periodic: Whether each axis is periodic, one bool an axis; None: no axis is.
+
+    Attributes:
+        periodic: The same, ``dim`` bools.
 
     Raises:
-        ValueError: If the corners are not finite vectors of one length, or a width is not positive.
+        ValueError: If the corners are not finite vectors of one length, a width is not positive, or ``periodic`` is not
+            one bool an axis.
     """
 
     lo: Float[np.ndarray, "dim"]
     hi: Float[np.ndarray, "dim"]
+    periodic: tuple[bool, ...]
 
-    def __init__(self, lo: ArrayLike, hi: ArrayLike):
+    def __init__(self, lo: ArrayLike, hi: ArrayLike, periodic: Sequence[bool] | None = None):
         lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
             raise ValueError(f"Box corners must have one length, got lo of {lo.size} and hi of {hi.size} numbers.")
@@ -35,7 +45,7 @@ class Box:
                 f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
                 f"on axis {axis}."
             )
-        vars(self).update(lo=lo, hi=hi)
+        vars(self).update(lo=lo, hi=hi, periodic=_checked_periodic(periodic, lo.size))
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
@@ -69,6 +79,11 @@ class Box:
         """Edge length along each axis."""
         return self.hi - self.lo
 
+    @property
+    def is_periodic(self) -> bool:
+        """Whether any axis is periodic."""
+        return any(self.periodic)
+
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in the closed box.
 
@@ -76,13 +91,79 @@ class Box:
             x: Points, ``(n, dim)``.
 
         Returns:
-            True where inside or on the boundary; False for NaN.
+            True where inside or on the boundary, along periodic axes wherever finite; False for NaN.
 
         Raises:
             ValueError: If ``x`` has another shape.
         """
         x = as_points("x", x, self.dim)
-        return np.all((self.lo <= x) & (x <= self.hi), axis=1)
+        inside = (self.lo <= x) & (x <= self.hi)
+        if self.is_periodic:
+            inside |= np.array(self.periodic) & np.isfinite(x)
+        return np.all(inside, axis=1)
+
+    def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
+        """Points with their coordinates along periodic axes moved by whole periods into ``[lo, hi)``.
+
+        Args:
+            x: Points, ``(..., dim)``.
+
+        Returns:
+            The points, in double precision. Coordinates that are there already stay as they are, and so do those along
+            other axes, infinite ones and NaN. One that cannot be told from the seam, as it is rounded, is at ``lo``.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = self._points("x", x)
+        outside = np.array(self.periodic) & np.isfinite(x) & ((x < self.lo) | (x >= self.hi))
+        if not outside.any():
+            return x
+        beyond = np.where(outside, x, self.lo)
+        above = np.mod(np.fmod(beyond, self.width) - self.lo, self.width)
+        rounding = 2 * np.spacing(np.maximum(np.abs(beyond), np.maximum(np.abs(self.lo), np.abs(self.hi))))
+        around = self.lo + above
+        is_at_seam = (np.minimum(above, self.width - above) <= rounding) | (around >= self.hi)
+        return np.where(outside, np.where(is_at_seam, self.lo, around), x)
+
+    def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
+        """Of the points that whole periods lead to from each point the one nearest to a reference.
+
+        Args:
+            x: Points, ``(..., dim)``, finite.
+            reference: Where to be near, as many points or of a shape that broadcasts, finite.
+
+        Returns:
+            The points, in double precision; the same ones if they are within half a period.
+
+        Raises:
+            ValueError: If the last axis of either is not ``dim`` long.
+        """
+        x, reference = self._points("x", x), self._points("reference", reference)
+        if not self.is_periodic:
+            return np.broadcast_arrays(x, reference)[0]
+        return x - self.width * np.where(self.periodic, np.rint((x - reference) / self.width), 0.0)
+
+    def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
+        """``a - b`` the short way around periodic axes, where it is from minus to plus half a period.
+
+        Args:
+            a: Points, ``(..., dim)``, finite.
+            b: Points of a shape that broadcasts with the other, finite.
+
+        Returns:
+            What leads from ``b`` to ``a``.
+
+        Raises:
+            ValueError: If the last axis of either is not ``dim`` long.
+        """
+        return self.image_near(a, b) - np.asarray(b, np.float64)
+
+    def _points(self, name: str, value: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
+        points = as_numbers(name, value, f"numbers of shape (..., {self.dim})")
+        if points.shape[-1:] != (self.dim,):
+            raise ValueError(f"{name} must have shape (..., {self.dim}), got {points.shape}.")
+        return points
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
         """Cell centers of a grid of (nearly) square cells over a box in the plane.
@@ -105,10 +186,24 @@ class Box:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Box) and np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
+        same_corners = isinstance(other, Box) and np.array_equal((self.lo, self.hi), (other.lo, other.hi))
+        return same_corners and self.periodic == other.periodic
 
     def __hash__(self) -> int:
-        return hash((self.lo.tobytes(), self.hi.tobytes()))
+        return hash((self.lo.tobytes(), self.hi.tobytes(), self.periodic))
 
     def __repr__(self) -> str:
-        return f"Box({self.lo.tolist()}, {self.hi.tolist()})"
+        periodic = f", periodic={self.periodic}" if self.is_periodic else ""
+        return f"Box({self.lo.tolist()}, {self.hi.tolist()}{periodic})"
+
+
+def _checked_periodic(periodic: Sequence[bool] | None, dim: int) -> tuple[bool, ...]:
+    if periodic is None:
+        return (False,) * dim
+    try:
+        periodic = tuple(periodic)
+    except TypeError:
+        periodic = (periodic,)
+    if len(periodic) != dim:
+        raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
+    return tuple(as_bool("Each of Box periodic", axis) for axis in periodic)

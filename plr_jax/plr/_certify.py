@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
+from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr._assembly import with_certificate
 from plr_jax.plr._file import Contents
@@ -35,22 +36,28 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
         The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
 
     Raises:
-        ValueError: If it is no PLR in the plane, ``leaf_bounds`` is no bool, the oracle does not answer for cells, or
+        ValueError: If it is no PLR in the plane, its domain has a periodic axis, ``leaf_bounds`` is no bool, the oracle does not answer for cells, or
             a leaf answers ``inf`` although some of its points reach the goal: then nothing can be proven.
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.LARGEST
-    root = require_certifiable(oracle, plr.dim).cell_sources(grown_domain(plr.domain))
+    root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     return with_certificate(plr, certificate_of(plr._contents, root, proof))
 
 
-def require_certifiable(oracle: DistanceFn, dim: int) -> CellwiseFn:
+def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
     """A distance function about which something can be proven; raises ``ValueError`` if it is none."""
-    if dim != 2 or not isinstance(oracle, CellwiseFn):
+    if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got a {type(oracle).__name__} in {dim} dimensions. Build the PLR without one, and measure its error."
+            f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without one, and measure its "
+            "error."
+        )
+    if domain.is_periodic:
+        raise ValueError(
+            f"A proof is of Euclidean distances in the plane, which has no periodic axis, got {domain}. Build the PLR "
+            "without one, and measure its error."
         )
     return oracle
 

@@ -57,7 +57,8 @@ def construct(
     Args:
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` (or a masked entry) where it
             cannot be reached.
-        domain: The box to cover, a ``Box`` or its two corners.
+        domain: The box to cover, a ``Box`` or its two corners. Around its periodic axes the distance function is to be
+            periodic itself; it is asked for points of the box. Tied leaves do not jump at the seam either. No cones.
         leaf: What a leaf holds. ``"plane"``, the paper's, may jump from leaf to leaf. ``"continuous"`` stores values
             at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
             multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a
@@ -118,7 +119,8 @@ def construct(
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
             a tree larger than memory, a budget is too small for one leaf, tied leaves hang on one another in too many
             ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, no sample reaches the
-            goal, or a proof is asked for and ``distance_fn`` does not answer for cells.
+            goal, a proof is asked for and ``distance_fn`` does not answer for cells, or cones or a proof are asked
+            for in a domain with a periodic axis.
 
     References:
         Section III-B of the paper. For ``"smooth"``: Bogner, Fox, Schmit, "The generation of inter-element-compatible
@@ -130,7 +132,7 @@ def construct(
     table_corners(domain)  # or a query could not hold them
     proof = _proof(certified, leaf_bounds)
     if proof is not Proof.NONE:
-        require_certifiable(distance_fn, domain.dim)
+        require_certifiable(distance_fn, domain)
     limits = check_limits(
         domain.dim,
         model.least_bytes,

@@ -21,12 +21,17 @@ def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]
     if not (np.abs(coefficients) < LARGEST).all():
         raise ValueError("its distances are too large for 32-bit floats; scale them down")
     if isinstance(leaf, LinearLeafModel) and unreachable.any():
-        donor = neighbor_of_largest_contact(cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable))
+        periodic = contents.domain.periodic
+        donor = neighbor_of_largest_contact(
+            cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable), periodic
+        )
         borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
         center, half = linear_mean_planes(leaf, coefficients[donor], cells.dim)
         widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of a borrower, in those of its donor
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
-        along = 2 * (place[borrower] - place[donor]) * np.ldexp(1.0, cells.depth[donor])
+        apart = place[borrower] - place[donor]
+        apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
+        along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
         coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
         coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
     return coefficients

@@ -19,6 +19,7 @@ from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
+from plr_jax.plr.query.placement import Placement
 from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import Frame, Tables
@@ -55,8 +56,8 @@ class PLR:
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_array(x)
-        if x.dtype == np.float64 and self._far_corner is not None and x.shape[-1:] == (self.dim,):
-            return self._tables_from_corner, x - self._far_corner
+        if x.dtype == np.float64 and self._placement is not None and x.shape[-1:] == (self.dim,):
+            return self._placed_tables, self._placement(x)
         return self.tables, x
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -151,16 +152,15 @@ class PLR:
                 raise ValueError(f"Only PLRs can be stacked, that of robot {i} is {shortened(plr)}.")
         if not plrs:
             raise ValueError("A stack needs one PLR a robot, at least one, got none.")
-        is_near = [plr._far_corner is None for plr in plrs]
-        tables = (plr.tables if near else plr._tables_from_corner for plr, near in zip(plrs, is_near, strict=True))
-        return TableStack(tuple(tables), (None,) * len(plrs), tuple(plr._far_corner for plr in plrs))
+        tables, placements = zip(*((plr._placed_tables, plr._placement) for plr in plrs), strict=True)
+        return TableStack(tables, (None,) * len(plrs), placements)
 
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Value at each point of a given leaf's function, continued where the point lies outside the leaf.
 
         Args:
             leaf: Index of each point's leaf.
-            x: The points.
+            x: The points; around periodic axes, those nearest to the leaf's center that they stand for.
 
         Returns:
             The values in double precision, ``inf`` for leaves that answer ``inf``.
@@ -168,6 +168,7 @@ class PLR:
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
         lo, hi = self.leaf_boxes
+        x = self.domain.image_near(x, (lo + hi)[leaf] / 2)
         return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x))
 
     def to_bytes(self) -> bytes:
@@ -291,6 +292,18 @@ class PLR:
         lo, hi = frame[Frame.LO], frame[Frame.HI]
         return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
 
+    @property
+    def _placement(self) -> Placement | None:
+        """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
+        domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
+        corner = self._far_corner
+        return None if domain is None and corner is None else Placement(domain, corner)
+
+    @property
+    def _placed_tables(self) -> Tables:
+        """The tables for points that are placed."""
+        return self.tables if self._far_corner is None else self._tables_from_corner
+
     @cached_property
     def _tables_from_corner(self) -> Tables:
         return self.tables.from_corner(self.domain)
@@ -313,7 +326,8 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
         value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
         something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. Cones answer a
         finite number everywhere in the domain, where the goal cannot be reached as well. The upper edge of the domain
-        belongs to the last cell. An approximation may be a little below 0 near the goal.
+        belongs to the last cell; that of a periodic axis is its lower edge, and points are wrapped around it, NumPy's
+        64-bit ones in 64 bits. An approximation may be a little below 0 near the goal.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
@@ -326,11 +340,11 @@ def local_coordinates(
 ) -> Float[np.ndarray, "*batch dim"]:
     """Coordinates of each point in a given leaf; ``[-1, 1]`` spans it along every axis."""
     lo, hi = plr.leaf_boxes
+    x = plr.domain.image_near(x, (lo + hi)[leaf] / 2)
     return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     """Index of the leaf that answers for each point."""
-    if plr._far_corner is not None:
-        return np.asarray(find_leaves(plr._tables_from_corner, x - plr._far_corner)).astype(np.int64)
-    return np.asarray(find_leaves(plr.tables, x)).astype(np.int64)
+    placed = x if plr._placement is None else plr._placement(x)
+    return np.asarray(find_leaves(plr._placed_tables, placed)).astype(np.int64)

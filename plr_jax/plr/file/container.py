@@ -1,6 +1,6 @@
 r"""The container of a PLR file: a header, the domain, a bit stream that begins with the tree, and a checksum.
 
-All numbers are little-endian. Layout of version 2:
+All numbers are little-endian. Layout of version 2, and of version 3 for domains with a periodic axis:
 
     4s      magic, b"PLR\n"
     u8      version
@@ -9,7 +9,8 @@ All numbers are little-endian. Layout of version 2:
     u8      what it keeps of a proof: 0 nothing, 1 the largest error, 2 bounds of every leaf as well
     u32     number of leaves
     u32     size of the whole file in bytes
-    f64     lower corner of the domain, one number an axis; then the upper corner
+    f64     lower corner of the domain, one number an axis; then the upper corner. Of each periodic axis, of which
+              version 3 has one or more and version 2 none, the two are exchanged: the upper end comes first
     ...     bit stream, least significant bit first, the last byte filled up with zeros:
               the tree over the leaves, whose boxes follow from the splits: level by level from the root, for every
                 node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
@@ -24,12 +25,13 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
-VERSION = 2
+VERSION, _PERIODIC_VERSION = 2, 3
 _MAGIC = b"PLR\n"
 _START_OF_CONTINUOUS = b"CPL\n\x01"  # in version 1, continuous PLRs had a format of their own
 _HEADER = struct.Struct("<4sBBBBII")
@@ -49,11 +51,12 @@ class Container:
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
-        content = np.concatenate([self.domain.lo, self.domain.hi]).astype("<f8").tobytes() + self.body
+        domain = self.domain
+        first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
+        content = np.concatenate([first, second]).astype("<f8").tobytes() + self.body
         size = HEADER_SIZE + len(content) + _CRC.size
-        header = _HEADER.pack(
-            _MAGIC, VERSION, self.domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size
-        )
+        version = _PERIODIC_VERSION if domain.is_periodic else VERSION
+        header = _HEADER.pack(_MAGIC, version, domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size)
         return header + content + _CRC.pack(zlib.crc32(header + content))
 
     @staticmethod
@@ -62,9 +65,10 @@ class Container:
         if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
             raise ValueError("it does not start like a PLR file")
         version = data[4] if len(data) > len(_MAGIC) else VERSION
-        if version != VERSION:
+        if version not in (VERSION, _PERIODIC_VERSION):
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
+            versions = f"versions {VERSION} and {_PERIODIC_VERSION}"
+            raise ValueError(f"it has format version {version}, this release reads {versions}; {remedy}")
         if len(data) < HEADER_SIZE + _CRC.size:
             raise ValueError("the data end too early")
         _, _, dim, leaf_code, proof_code, num_leaves, size = _HEADER.unpack_from(data)
@@ -77,8 +81,18 @@ class Container:
         content = data[HEADER_SIZE : -_CRC.size]
         if dim == 0 or len(content) < 16 * dim:
             raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
-        corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64)
-        return Container(Box(corners[:dim], corners[dim:]), leaf_code, num_leaves, content[16 * dim :], proof_code)
+        corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64).reshape(2, dim)
+        domain = _periodic_domain(corners) if version == _PERIODIC_VERSION else Box(*corners)
+        return Container(domain, leaf_code, num_leaves, content[16 * dim :], proof_code)
+
+
+def _periodic_domain(corners: Float[np.ndarray, "2 dim"]) -> Box:
+    """The domain of version 3, whose periodic axes have the upper end first."""
+    periodic = corners[0] > corners[1]
+    if not periodic.any():
+        raise ValueError(f"it has format version {_PERIODIC_VERSION}, but none of its axes is periodic")
+    lo, hi = np.where(periodic, corners[::-1], corners)
+    return Box(lo, hi, periodic.tolist())
 
 
 def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
@@ -89,7 +103,7 @@ def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 def is_header(data: bytes) -> bool:
     """Whether a file that begins so may be one of this version."""
-    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] == VERSION
+    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] in (VERSION, _PERIODIC_VERSION)
 
 
 def file_size(header: bytes) -> int:

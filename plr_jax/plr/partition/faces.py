@@ -14,7 +14,11 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf wher
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces:
-    """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common."""
+    """Pieces of faces across an axis that two leaves share: what one below it and one above it have in common.
+
+    Across the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans such an axis
+    shares a face with itself.
+    """
 
     lower: Int[np.ndarray, "faces"]
     upper: Int[np.ndarray, "faces"]
@@ -27,11 +31,11 @@ class SharedFaces:
         return SharedFaces(self.lower[index], self.upper[index], self.axis[index])
 
 
-def shared_faces(tree: Tree) -> SharedFaces:
-    """All pairs of leaves that share a piece of a face, sorted by the lower leaf, then the upper.
+def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
+    """All pairs of leaves that share a piece of a face, sorted by the lower leaf, then the upper, then the axis.
 
-    The halves of a split share a face. A pair of nodes that do is replaced by pairs of a node and a child that do,
-    until both are leaves.
+    The halves of a split share a face, and the root one with itself across the seam of each ``periodic`` axis. A pair
+    of nodes that do is replaced by pairs of a node and a child that do, until both are leaves.
 
     Raises:
         ValueError: If they are too many to be listed, as where many slabs meet many that lie across them.
@@ -39,6 +43,8 @@ def shared_faces(tree: Tree) -> SharedFaces:
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
+    seams = np.flatnonzero(periodic)
+    pairs = np.concatenate([pairs, np.stack([0 * seams, 0 * seams, seams])], axis=1)
     found = []
     while pairs.shape[1]:
         inner = tree.child[pairs[:2]] >= 0
@@ -52,7 +58,7 @@ def shared_faces(tree: Tree) -> SharedFaces:
     leaf_of_node[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
     lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)
     lower, upper = leaf_of_node[lower], leaf_of_node[upper]
-    order = np.lexsort((upper, lower))
+    order = np.lexsort((axis, upper, lower))
     return SharedFaces(lower[order], upper[order], axis[order])
 
 
@@ -80,11 +86,16 @@ def _overlap(
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes."""
+    """Points of pieces of faces as fractions of the domain; ``w`` from 0 to 1 spans a piece, along its axes.
+
+    A seam is at 1, where its lower leaf is.
+    """
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
-    high = np.minimum(hi[faces.lower], hi[faces.upper])  # equal to low along the face's axis
+    high = np.minimum(hi[faces.lower], hi[faces.upper])
+    each = np.arange(len(faces))
+    low[each, faces.axis] = high[each, faces.axis] = hi[faces.lower, faces.axis]
     return low[:, None] + (high - low)[:, None] * w
 
 
@@ -113,12 +124,16 @@ def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"],
 
 
 def neighbor_of_largest_contact(
-    cells: Cells, unreachable: Int[np.ndarray, "unreachable"], reachable: Int[np.ndarray, "reachable"]
+    cells: Cells,
+    unreachable: Int[np.ndarray, "unreachable"],
+    reachable: Int[np.ndarray, "reachable"],
+    periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
     """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
 
-    -1 where it touches none.
+    -1 where it touches none, across the seams of ``periodic`` axes neither.
     """
+    is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
     finest = cells.depth.max(axis=0)
     lo = cells.position << (finest - cells.depth)
     hi = (cells.position + 1) << (finest - cells.depth)
@@ -130,8 +145,13 @@ def neighbor_of_largest_contact(
         for axis in range(cells.dim):
             low = np.maximum(lo[chunk, axis, None], lo[reachable, axis])
             high = np.minimum(hi[chunk, axis, None], hi[reachable, axis])
+            touch = high == low
+            if is_periodic[axis]:
+                first = np.minimum(lo[chunk, axis, None], lo[reachable, axis])
+                last = np.maximum(hi[chunk, axis, None], hi[reachable, axis])
+                touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
             # Touching in a point along this axis counts far less than an overlap of the finest slot.
-            overlap = np.where(high == low, 2.0**-20, np.maximum(high - low, 0))
+            overlap = np.where(touch, 2.0**-20, np.maximum(high - low, 0))
             contact *= overlap / 2.0 ** finest[axis]
         best = np.argmax(contact, axis=1)
         found = contact[np.arange(len(chunk)), best] > 0

@@ -15,7 +15,7 @@ from plr_jax.plr.query.tables import Frame, Tables
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
-    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    x = _wrapped(tables, x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32))
     row = find_row(tables, jax.lax.stop_gradient(x))
     outside, answer = outside_domain(tables, x)
     return jnp.where(outside, answer, tables.leaf.evaluate(tables, row, x, outside))
@@ -63,12 +63,15 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
     Points outside the domain, and NaN, get some leaf.
     """
-    row = find_row(tables, x)
+    row = find_row(tables, _wrapped(tables, x))
     return row if tables.pages is None else _gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
 
 def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
-    """Which of the ``numbers`` are for each point: those of its slot, if there are pages, else those of its leaf."""
+    """Which of the ``numbers`` are for each point: those of its slot, if there are pages, else those of its leaf.
+
+    The points are wrapped.
+    """
     places = [_place(tables, x, axis) for axis in range(tables.dim)]
     index = _joined_bits(places, *tables.bits)
     if tables.pages is not None:
@@ -81,18 +84,53 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
 def outside_domain(
     tables: Tables, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
-    """Whether each point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
+    """Whether each wrapped point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], jnp.inf, x.dtype)
     for axis in range(tables.dim):
         above = x[..., axis] - frame[Frame.LO, axis]
         answer += jnp.abs(above)  # NaN if any coordinate is
-        if x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
+        if axis in tables.periodic:
+            outside |= jnp.isinf(above)
+        elif x.dtype == jnp.float64:  # which can tell the true corners from the rounded ones
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
         else:
             outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
     return outside, answer
+
+
+def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """Points with their coordinates along periodic axes inside the domain, in the points' own precision."""
+    if not tables.periodic:
+        return x
+    frame = tables.frame.astype(x.dtype)
+    lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
+    is_periodic = np.isin(np.arange(tables.dim), tables.periodic)
+    return _wrapped_around(x, lo, hi, frame[Frame.SCALE], is_periodic)
+
+
+@jax.custom_jvp
+def _wrapped_around(
+    x: Float[Array, "*batch dim"],
+    lo: Float[Array, "dim"],
+    hi: Float[Array, "dim"],
+    scale: Float[Array, "dim"],
+    is_periodic: Bool[np.ndarray, "dim"],
+) -> Float[Array, "*batch dim"]:
+    """Points moved by whole periods to between two ends, of which the upper one becomes the lower one.
+
+    A compiler may round the product and the difference at once in one part of a query and apart in another. That moves
+    a point by a rounding, but never from one end to the other, as the number of periods has no such choice.
+    """
+    turns = jnp.floor((x - lo) * scale)
+    inside = jnp.where(x == hi, lo, jnp.clip(x - turns * (hi - lo), lo, hi))
+    return jnp.where(is_periodic & jnp.isfinite(x), inside, x)
+
+
+@_wrapped_around.defjvp
+def _wrapped_with_tangent(primals, tangents):
+    return _wrapped_around(*primals), tangents[0]
 
 
 def number_of_leaf(tables: Tables, row: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:

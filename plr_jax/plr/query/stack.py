@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from plr_jax._arrays import padded_size
 from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables
+from plr_jax.plr.query.placement import Placement
 from plr_jax.plr.query.tables import Tables
 
 # The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
@@ -18,14 +19,14 @@ _CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """The tables of several PLRs, one a robot, and the corners far from the origin from which some count coordinates.
+    """The tables of several PLRs, one a robot, and how some want their points placed before they are rounded.
 
     See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
     """
 
     tables: tuple[Tables, ...]
     bands: tuple[Float[Array, "2 _"] | None, ...]
-    far_corners: tuple[Float[np.ndarray, "_"] | None, ...]
+    placements: tuple[Placement | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
         """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
@@ -52,9 +53,9 @@ class TableStack:
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
-        for i, corner in enumerate(self.far_corners):
-            if corner is not None:
-                padded[: len(q), i, : len(corner)] = q[:, i, : len(corner)] - corner
+        for i, (table, placement) in enumerate(zip(self.tables, self.placements, strict=True)):
+            if placement is not None:
+                padded[: len(q), i, : table.dim] = placement(q[:, i, : table.dim])
         return padded
 
 

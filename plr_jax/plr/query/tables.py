@@ -68,6 +68,7 @@ class Tables:
             read. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits for a
             cache line or two and not for one a number.
         leaf: The leaf model, whose ``evaluate`` makes a value of them.
+        periodic: The periodic axes, around which points are wrapped.
     """
 
     frame: Float[Array, "7 dim"]
@@ -77,6 +78,7 @@ class Tables:
     leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
     numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
     leaf: Any = field(metadata={"static": True})
+    periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
 
     @property
     def dim(self) -> int:
@@ -160,6 +162,7 @@ def _tables_by_leaf(
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), slots)),
         numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
         leaf=leaf,
+        periodic=_periodic_axes(domain),
     )
 
 
@@ -176,7 +179,12 @@ def _paged_tables(
         leaf_of_slot=jnp.asarray(padded(paged.leaf_of_slot.astype(np.uint16), slots)),
         numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
         leaf=leaf,
+        periodic=_periodic_axes(domain),
     )
+
+
+def _periodic_axes(domain: Box) -> tuple[int, ...]:
+    return tuple(axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic)
 
 
 def _bits_of_index(bits: Int[np.ndarray, "dim"]) -> UInt32[Array, "2 dim"]:

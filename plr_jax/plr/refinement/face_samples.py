@@ -72,7 +72,7 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     require_integer("num_samples", num_samples, 1)
     require_integer("seed", seed, 0)
     tree = tree_of(plr.cells)
-    faces = shared_faces(tree)
+    faces = shared_faces(tree, plr.domain.periodic)
     pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
     kept = ~plr.unreachable[pairs].any(axis=1)
     w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))

@@ -108,6 +108,8 @@ class Sampler:
         """Sample the distance in every cell and fit its plane (Section III-A of the paper)."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
+        if pattern.reaches_beyond:
+            points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
         if self.memory is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))

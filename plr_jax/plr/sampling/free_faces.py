@@ -32,6 +32,7 @@ class FaceTests:
         geometry = np.concatenate(
             [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
         )
+        geometry = np.column_stack([geometry, faces.axis])  # a cell may share faces with itself along several axes
         keys = [row.tobytes() for row in geometry]
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
@@ -51,6 +52,7 @@ class FaceTests:
         x = face_points(cells, faces, w)
         across = _BESIDE * np.eye(self._domain.dim)[faces.axis][:, None]
         sides = [self._domain.lo + self._domain.width * (x + sign * across) for sign in (-1, 1)]
-        distance = call_oracle(self._distance_fn, np.concatenate(sides).reshape(-1, self._domain.dim))
+        points = self._domain.wrapped(np.concatenate(sides)).reshape(-1, self._domain.dim)
+        distance = call_oracle(self._distance_fn, points)
         below, above = np.isfinite(distance).reshape(2, *x.shape[:2])
         return np.any(below & above, axis=1)

@@ -61,6 +61,7 @@ class Cone:
 
         Weights and rules of the caller's are of samples.
         """
+        _require_euclidean(sampler.domain)
         is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
         if is_default and sampler.memory is not None:
             return _best_partition(sampler, sampler.memory, limits)
@@ -72,6 +73,7 @@ class Cone:
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCones:
         """What :meth:`write` appended."""
+        _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
     def unreachable(self, stored: StoredCones) -> Bool[np.ndarray, "leaves"]:
@@ -160,6 +162,14 @@ class Cone:
         """The source of the leaf of each point."""
         numbers = [number_of_leaf(tables, leaf, 1 + axis, 1 + tables.dim) for axis in range(tables.dim)]
         return tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(numbers, axis=-1).astype(x.dtype)
+
+
+def _require_euclidean(domain: Box) -> None:
+    if domain.is_periodic:
+        raise ValueError(
+            f"Leaves of kind 'cone' hold Euclidean distances, which no periodic axis has, got {domain}. Use "
+            "continuous ones or planes instead."
+        )
 
 
 @jax.custom_jvp

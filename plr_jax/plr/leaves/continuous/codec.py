@@ -4,7 +4,7 @@ As bits:
 
     offset and step as 32-bit floats
     unreachable leaves, in the order of the tree's traversal, as a set
-    faces that are not tied, among those of two reachable leaves, sorted by lower and upper leaf, as a set
+    faces that are not tied, among those of two reachable leaves, sorted by lower leaf, upper leaf and axis, as a set
     for every level of masters the codes, as signed numbers
 
 A value is ``offset + step * code``; masters, their order and their levels follow from the tree and the ties (see
@@ -78,15 +78,18 @@ def write_values(body: BitWriter, stored: StoredValues) -> None:
         body.write_signed(surprise[level])
 
 
-def read_values(body: BitReader, cells: Cells) -> StoredValues:
-    """The next ties and values; raises ``ValueError`` saying what is wrong with them."""
+def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
+    """The next ties and values of leaves in a domain of ``periodic`` axes.
+
+    Raises ``ValueError`` saying what is wrong with them.
+    """
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
     tree = tree_of(cells)
     if (np.diff(tree.order) < 0).any():
         raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
-    faces = shared_faces(tree)
+    faces = shared_faces(tree, periodic)
     partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
     may_be_tied = partition.between_reachable()
     partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))

@@ -113,7 +113,7 @@ class _Rounds:
         """The function of least squared error on the given leaves, in any order."""
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
-        faces = shared_faces(tree)
+        faces = shared_faces(tree, self._sampler.domain.periodic)
         tied = self._face_tests.are_free(tree.leaves, faces)
         unreachable = ~np.any(fit.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False

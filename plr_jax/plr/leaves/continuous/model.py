@@ -95,7 +95,7 @@ class Continuous:
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
         """What :meth:`write` appended."""
-        return read_values(body, cells)
+        return read_values(body, cells, domain.periodic)
 
     def unreachable(self, stored: StoredValues) -> Bool[np.ndarray, "leaves"]:
         """Which leaves have no tied face and no sample that reaches the goal."""

@@ -1,5 +1,8 @@
 """Functions that are multilinear in every leaf and continuous across free faces: which values at corners are free.
 
+Faces across the seam of a periodic axis are like any other: a corner at one end of the axis and one at the other are
+one point.
+
 Every corner of every leaf is a *node*. Across a face that is free the functions of its two leaves must agree at the
 corners of what they share. A corner of both makes their nodes one; a corner of one of them alone, which *hangs* on
 the other, takes the other's interpolation there. A hanging corner has larger denominators than the corners it is
@@ -118,6 +121,7 @@ def _agreement(tree: Tree, tied: SharedFaces) -> _Agreement:
         leaves = np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1)
         leaf.append(leaves)
         t.append(np.ldexp(x, cells.depth[leaves]) - cells.position[leaves])
+        t[-1][:, :, axis] = [[1.0], [0.0]]  # across a seam too, where the upper leaf is at 0 of the domain
     return _Agreement(np.concatenate(leaf, axis=1), np.concatenate(t, axis=1))
 
 
