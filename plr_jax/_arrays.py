@@ -66,14 +66,19 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
+def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
+    """Distances, of whatever kind, in which masked entries are ``inf``: the goal cannot be reached."""
+    if isinstance(value, np.ma.MaskedArray):
+        return np.where(np.ma.getmaskarray(value), np.inf, value.data)
+    return value
+
+
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """What the function of some name said of ``n`` points, one number each, ``(n,)``.
 
     Masked entries are no answer: ``inf``.
     """
-    if isinstance(value, np.ma.MaskedArray):
-        value = np.where(np.ma.getmaskarray(value), np.inf, value.data)
-    values = as_numbers(f"{name}'s answer", value, f"real numbers of shape ({n},)")
+    values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}.")
     return values
