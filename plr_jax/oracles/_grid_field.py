@@ -22,13 +22,13 @@ class GridField:
     table ``[x, y, ...]``.
 
     Interpolation is multilinear between the centers of cells with a value: where some around a point have none,
-    weights of the others are scaled to a sum of 1. In the outer half of the cells at the bounds the distance is as at
-    their centers' nearest line.
+    weights of the others are scaled to a sum of 1. In the outer halves of the cells at the bounds the distance is that
+    of the nearest point between centers; along a periodic axis the last cells are neighbors of the first.
 
     Args:
         values: Distance at each center, of any dimension, at least 0; ``inf``, NaN or masked where the goal cannot
             be reached.
-        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the cells, not of their centers.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
 
     Attributes:
         values: As given, ``inf`` where masked or NaN; read-only.
@@ -71,19 +71,20 @@ class GridField:
         distances = np.full(len(x), np.inf)
         inside = np.flatnonzero(self.bounds.contains(x))
         shape = np.array(self.values.shape[::-1])
-        place = (x[inside] - self.bounds.lo) / self.bounds.width * shape
-        has_value = np.isfinite(self._at(np.minimum(np.floor(place), shape - 1).astype(np.intp)))
-        distances[inside[has_value]] = self._interpolated(np.clip(place[has_value] - 0.5, 0, shape - 1))
+        place = (self.bounds.wrapped(x[inside]) - self.bounds.lo) / self.bounds.width * shape
+        has_value = np.isfinite(self._at(np.minimum(place.astype(np.intp), shape - 1)))  # of a point at hi: the last
+        distances[inside[has_value]] = self._interpolated(place[has_value] - 0.5)
         return distances
 
     def _interpolated(self, place: Float[np.ndarray, "n dim"]) -> Distances:
         """Distances at places counted in cells from the center of the first, near a cell with a value."""
         lower = np.floor(place).astype(np.intp)
-        beyond = place - lower
+        beyond, last = place - lower, np.array(self.values.shape[::-1]) - 1
         total, total_weight = np.zeros(len(place)), np.zeros(len(place))
         for corner in product((0, 1), repeat=self.dim):
             weight = np.where(corner, beyond, 1 - beyond).prod(axis=1)
-            value = self._at(np.minimum(lower + corner, np.array(self.values.shape[::-1]) - 1))
+            cell = lower + corner
+            value = self._at(np.where(self.bounds.periodic, cell % (last + 1), np.clip(cell, 0, last)))
             weight *= np.isfinite(value)
             total += weight * np.where(np.isfinite(value), value, 0.0)
             total_weight += weight

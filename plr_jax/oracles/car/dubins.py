@@ -19,9 +19,9 @@ class Dubins:
     """Length of the shortest path of a car that only drives forward, as if there were no obstacles.
 
     The car follows its heading and turns no sharper than its turning radius. The shortest path is one of six words:
-    LSL, RSR, LSR, RSL, RLR, LRL. The distance is not the same there and back. It jumps, as straight behind the goal,
-    where a path that is shorter by up to a circle ceases to exist: there, within 1e-10 turning radii, the shorter one
-    counts.
+    LSL, RSR, LSR, RSL, RLR, LRL. The distance is not the same there and back, and it jumps, by as much as a circle,
+    at poses from which a single turn leads to the goal, or a turn to each side. There the shorter path counts, which
+    may miss the goal by 1e-10 turning radii.
 
     Args:
         goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite.
@@ -91,9 +91,7 @@ def _words(ends: Ends) -> Iterator[Word]:
     x, y = ends.left_to_left()
     distance = np.sqrt(x * x + y * y)
     angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any
-    slack = _SLACK / np.clip(distance, _SLACK, 1)  # a circle nearby is missed by less
-    first = _forward(angle, slack)
-    yield Word("LSL", (first, distance, _forward(ends.heading - first, slack)))
+    yield Word("LSL", _turns_around(angle, distance, _forward(ends.heading, _SLACK)))
 
     half = np.pi - np.arcsin(distance / 4)  # of the turn in the middle: the shorter one is never on a shortest path
     yield Word("LRL", (_forward(angle + half), 2 * half, _forward(ends.heading - angle + half)))
@@ -105,6 +103,19 @@ def _words(ends: Ends) -> Iterator[Word]:
     yield Word("LSR", (_forward(angle), tangent, _forward(angle - ends.heading)))
 
 
-def _forward(angle: Batch, slack: Batch | float = _SLACK) -> Batch:
-    """An angle as a turn forward of less than a circle, or none if only the slack is wanting to one."""
+def _turns_around(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
+    """Of LSL: the first turn, the straight line at an angle, and the last turn, which together make a turn.
+
+    Where one of them lacks next to nothing of a circle it is none: other words do not help there, as where a line or
+    a single turn leads to the goal.
+    """
+    slack = _SLACK / np.maximum(distance, _SLACK)
+    first = _forward(angle, slack)
+    first = np.where(first <= turn + slack, np.minimum(first, turn), first)
+    last = turn - first
+    return first, distance, np.where(last < 0, last + _CIRCLE, last)
+
+
+def _forward(angle: Batch, slack: Batch | float = 0.0) -> Batch:
+    """An angle as a turn forward of less than a circle, or none if no more than the slack is wanting to one."""
     return np.maximum(angle - _CIRCLE * np.floor((angle + slack) / _CIRCLE), 0.0)
