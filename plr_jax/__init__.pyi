@@ -19,7 +19,10 @@ from .optimize import OptimizationInterrupted as OptimizationInterrupted
 from .optimize import OptimizedPaths as OptimizedPaths
 from .optimize import descend as descend
 from .optimize import optimize_paths as optimize_paths
+from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
+from .oracles import GridField as GridField
+from .oracles import ReedsShepp as ReedsShepp
 from .oracles import Roadmap as Roadmap
 from .oracles import VisibilityGraph as VisibilityGraph
 from .oracles import robot_distance_fns as robot_distance_fns

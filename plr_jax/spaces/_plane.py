@@ -121,6 +121,39 @@ class PlaneSpace:
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
         return state
 
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether positions are seen from everywhere in boxes that is free: proven for points, never for discs.
+
+        Args:
+            q: Positions, ``(n, 2)``, in or beside their boxes.
+            lo: Lower corners of boxes, ``(n, 2)``, finite.
+            hi: Upper corners, finite and nowhere below.
+
+        Returns:
+            True where the free part of the box is one polygon without holes, to every edge of which the position is
+            on the inner side.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        """
+        (q, _), (center, half) = as_motions(q, lo, 2), as_boxes(lo, hi, 2)
+        sees = np.zeros(len(q), dtype=bool)
+        if self.robot.circumscribed_radius > 0:
+            return sees
+        boxes: Any = shapely.box(*(center - half).T, *(center + half).T)
+        parts: Any = shapely.intersection(self.workspace.free_space, boxes)
+        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.get_num_interior_rings(parts) == 0)
+        rings: Any = shapely.get_exterior_ring(parts[whole])
+        vertices, ring = shapely.get_coordinates(rings, return_index=True)
+        edge = np.flatnonzero(ring[1:] == ring[:-1])
+        along, to_q = vertices[edge + 1] - vertices[edge], q[whole][ring[edge]] - vertices[edge]
+        inward = np.where(shapely.is_ccw(rings), 1.0, -1.0)[ring[edge]]
+        depth = inward * (along[:, 0] * to_q[:, 1] - along[:, 1] * to_q[:, 0])
+        least = np.full(np.count_nonzero(whole), np.inf)
+        np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
+        sees[whole] = least >= -self.workspace.tolerance / 2
+        return sees
+
     @cached_property
     def _passable(self) -> Any:
         """Where the robot can be at most, prepared for many queries; chords within the arcs around grown corners.

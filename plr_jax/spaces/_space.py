@@ -126,6 +126,18 @@ class ConfigurationSpace(FreeTest, Protocol):
         ...
 
 
+@runtime_checkable
+class SeesBoxes(Protocol):
+    """A configuration space that proves of boxes, which need not be free, that all free parts are seen from a point.
+
+    With it, bounds from above hold beside walls, in boxes that are neither free nor blocked.
+    """
+
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+        """Whether from every free configuration of each box ``lo`` to ``hi`` the straight motion to ``q`` is free."""
+        ...
+
+
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
     """Ends of motions as arrays of one shape; ``ValueError`` if they are none."""
     q0, q1 = as_points("q0", q0, dof), as_points("q1", q1, dof)
