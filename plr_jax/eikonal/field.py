@@ -71,6 +71,22 @@ class CostToGoField:
         )
 
     @cached_property
+    def mean_gap(self) -> float:
+        """Mean distance of the bounds at the corners of cells that have both."""
+        corners = corner_bits(self.mesh.dim).astype(float)
+        cell, corner = np.nonzero(np.isfinite(self._corner_costs))
+        gap = self._corner_costs[cell, corner] - self.lower_at(cell, corners[corner])
+        return float(gap.mean()) if len(gap) else 0.0
+
+    def estimates(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """The estimate at points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
+        mesh = self.mesh
+        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
+        cell = mesh.locate(at)
+        values = np.sum(basis(1, np.clip(mesh.local(cell, at), 0, 1)) * self.corner_values[cell], axis=1)
+        return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
+
+    @cached_property
     def _corner_group(self) -> Int[np.ndarray, "all_corners"]:
         """Corners of open cells by their place; others are alone."""
         mesh = self.mesh
