@@ -15,7 +15,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.motion import shorter_turn
-from plr_jax.spaces._obstacles import Links, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._obstacles import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
@@ -191,7 +191,7 @@ class PlanarArm:
         if self.width > 0:
             links = shapely.linestrings(np.stack([start, end], axis=1)[clear])
             reach = self.width / 2 - self.workspace.tolerance
-            clear[clear] = ~shapely.dwithin(self.workspace.walls, links, reach)
+            clear[clear] = ~come_near(self.workspace, links, reach)
         return clear
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
@@ -219,7 +219,7 @@ class PlanarArm:
             if self.width > 0:
                 rows, hulls = rows[free[rows]], hulls[free[rows]]
                 reach = self.width / 2 - self.workspace.tolerance / 2
-                free[rows] = ~shapely.dwithin(self.workspace.walls, hulls, reach)
+                free[rows] = ~come_near(self.workspace, hulls, reach)
         if self.self_collision:
             free &= (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
         return free

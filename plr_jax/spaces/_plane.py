@@ -15,6 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.point import PointRobot
 from plr_jax.robots.robot import Robot
+from plr_jax.spaces._obstacles import come_near
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _SLIVER = 0.01
@@ -112,7 +113,7 @@ class PlaneSpace:
         center, half = as_boxes(lo, hi, 2)
         # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
-        near = shapely.dwithin(self.workspace.walls, boxes, self.robot.rounding)
+        near = come_near(self.workspace, boxes, self.robot.rounding)
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         near = np.flatnonzero(near)

@@ -139,9 +139,9 @@ class RigidBodySpace:
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
-        free[wide] = ~come_near(self.workspace.walls, positions, self.robot.circumscribed_radius)
+        free[wide] = ~come_near(self.workspace, positions, self.robot.circumscribed_radius)
         hulls = self._hulls(center[narrow], half[narrow])
-        free[narrow] = ~come_near(self.workspace.walls, hulls, self.robot.rounding)
+        free[narrow] = ~come_near(self.workspace, hulls, self.robot.rounding)
         return free
 
     def _hulls(self, center: Boxes, half: Boxes) -> Any:

@@ -117,7 +117,7 @@ def test_samples_agree_with_what_is_proven(seed, body):
 def test_random_boxes_beside_walls(seed, body):
     workspace, robot = random_workspace(seed % 7), BODIES[body]
     rng = np.random.default_rng(seed)
-    walls = shapely.get_coordinates(shapely.segmentize(workspace.walls, 0.2))
+    walls = shapely.get_coordinates(shapely.segmentize(workspace.free_space.boundary, 0.2))
     center = np.column_stack([rng.choice(walls, 50) + rng.normal(0, 0.3, (50, 2)), rng.uniform(-9, 9, 50)])
     half = rng.choice([0.0, 0.01, 0.1, 0.5], (50, 3))
     check_classification(RigidBodySpace(workspace, robot), twin(workspace, robot), center - half, center + half, 4)
