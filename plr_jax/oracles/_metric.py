@@ -38,9 +38,9 @@ class Metric:
         """No two configurations of the domain are farther apart."""
         return float(np.linalg.norm(self.weights * self.domain.width))
 
-    def lengths(self, a: Points, b: Points) -> Float[np.ndarray, "n"]:
+    def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
         """Lengths of the motions from some configurations to others."""
-        return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=-1)
+        return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
         """A k-d tree of configurations, to be asked for :meth:`places`; its distances are those of the metric."""

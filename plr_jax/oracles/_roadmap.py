@@ -147,7 +147,7 @@ class Roadmap:
         """
         goal = _free_goal(self.domain, self.is_free, goal)
         samples, edges = self.graph.vertices[1:], self.graph.edges
-        near = np.flatnonzero(self._metric.lengths(goal, samples) <= self.radius)
+        near = np.flatnonzero(self._metric.lengths(goal[None], samples) <= self.radius)
         near = near[self.is_visible(np.tile(goal, (len(near), 1)), samples[near])]
         to_goal = np.stack([np.zeros_like(near), 1 + near], axis=1).astype(edges.dtype)
         vertices = np.concatenate([goal[None], samples])
@@ -210,7 +210,7 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(n, dim)``.
         """
-        return self._first_vertices(as_points("x", x, self.domain.dim))[0]
+        return self._first_vertices(self.domain.wrapped(as_points("x", x, self.domain.dim)))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """The path whose length the query answers.
