@@ -20,9 +20,10 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 """Distance to a goal for a batch of points.
 
 ``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain or
-the bounds. A masked entry of an answer means the same. An oracle never answers NaN or a negative number; where a coordinate is NaN it answers ``inf``. A PLR
-approximates one: it may be a little below zero near the goal, answers ``inf`` outside its domain and NaN where a
-coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
+the bounds. A masked entry of an answer means the same. An oracle never answers NaN or a negative number; where a
+coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little below zero near the goal, answers
+``inf`` outside its domain and NaN where a coordinate is NaN, and knows nothing of obstacles. Who uses a distance
+function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
 :class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`SymmetricFn`.
