@@ -20,9 +20,10 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 """Distance to a goal for a batch of points.
 
 ``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain or
-the bounds. An oracle never answers NaN or a negative number; where a coordinate is NaN it answers ``inf``. A PLR
-approximates one: it may be a little below zero near the goal, answers ``inf`` outside its domain and NaN where a
-coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
+the bounds. A masked entry of an answer means the same. An oracle never answers NaN or a negative number; where a
+coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little below zero near the goal, answers
+``inf`` outside its domain and NaN where a coordinate is NaN, and knows nothing of obstacles. Who uses a distance
+function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
 :class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`SymmetricFn`.
@@ -32,7 +33,7 @@ JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 """A batch of joint configurations on the host, one a row."""
 
 HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
-"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf`` where it has no estimate.
+"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf``, or masked, where it has no estimate.
 
 What one may offer besides: :class:`SeparableHeuristic`, :class:`BoundingFn`.
 """

@@ -22,8 +22,8 @@ class GridField:
     table ``[x, y, ...]``.
 
     Interpolation is multilinear between the centers of cells with a value: where some around a point have none,
-    weights of the others are scaled to a sum of 1. In the outer halves of the cells at the bounds the distance is that
-    of the nearest point between centers; along a periodic axis the last cells are neighbors of the first.
+    weights of the others are scaled to a sum of 1. In the outer halves of the cells at the bounds the distance is
+    that of the nearest point between centers; along a periodic axis the last cells are neighbors of the first.
 
     Args:
         values: Distance at each center, of any dimension, at least 0; ``inf``, NaN or masked where the goal cannot

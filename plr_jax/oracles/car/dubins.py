@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_finite_point, as_points
 from plr_jax._types import ArrayLike, Distances, Symmetry
-from plr_jax.oracles.car.words import Batch, Ends, Word, reflection, shortest_lengths, shortest_path
+from plr_jax.oracles.car.words import Batch, EndPoses, Word, reflection, shortest_lengths, shortest_path
 
 _SLACK = 1e-10  # turning radii by which a path may miss the goal
 _CIRCLE = 2 * np.pi
@@ -87,7 +87,7 @@ class Dubins:
         return shortest_path(_words, self.goal, self.radius, as_finite_point("The start pose", x, self.dim))
 
 
-def _words(ends: Ends) -> Iterator[Word]:
+def _words(ends: EndPoses) -> Iterator[Word]:
     x, y = ends.left_to_left()
     distance = np.sqrt(x * x + y * y)
     angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_finite_point, as_points
 from plr_jax._types import ArrayLike, Distances, Symmetry
-from plr_jax.oracles.car.words import Batch, Ends, Word, reflection, shortest_lengths, shortest_path, wrapped
+from plr_jax.oracles.car.words import Batch, EndPoses, Word, reflection, shortest_lengths, shortest_path, wrapped
 
 _QUARTER = np.pi / 2
 _ROUNDING = 4 * np.finfo(np.float64).eps
@@ -88,7 +88,7 @@ class ReedsShepp:
         return shortest_path(_words, self.goal, self.radius, as_finite_point("The start pose", x, self.dim))
 
 
-def _words(ends: Ends) -> Iterator[Word]:
+def _words(ends: EndPoses) -> Iterator[Word]:
     """The words of Reeds and Shepp, free of the rule in which gear a first or last turn is.
 
     Each is the shorter way around, in whichever gear: a path all the same, and one that the rule allows if shortest.

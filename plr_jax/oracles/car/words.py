@@ -2,8 +2,8 @@
 
 Lengths are in turning radii, so that a turn is as long as its angle, and poses are relative: that of the goal is
 ``(0, 0, 0)``. A path to it from ``(x, y, heading)``, driven from its end to its beginning, leads from ``(0, 0, 0)``
-to that pose in the other gears; and mirrored front to back, to ``(-x, y, -heading)`` in its own. Words are spelled for
-this end, and read backward. So no pose's own sine is needed to turn the plane.
+to that pose in the other gears; and mirrored front to back, to ``(-x, y, -heading)`` in its own. Words are spelled
+for this end, and read backward. So no pose's own sine is needed to turn the plane.
 
 A turn goes around a circle on the left or right of the car. Words follow from the heading of the end, and from the
 vectors between the circles of the beginning and those of the end.
@@ -25,7 +25,7 @@ _AT_ONCE = 4096  # poses, of which all that is computed stays in the cache
 _MIRRORED = str.maketrans("LR", "RL")
 
 
-class Ends(NamedTuple):
+class EndPoses(NamedTuple):
     """Poses where words end that begin at ``(0, 0, 0)``; ``versine`` is 1 - cosine, exact for small headings."""
 
     x: Batch
@@ -34,7 +34,7 @@ class Ends(NamedTuple):
     sine: Batch
     versine: Batch
 
-    def mirrored(self) -> "Ends":
+    def mirrored(self) -> "EndPoses":
         """Where the same words end when left is right."""
         return self._replace(y=-self.y, heading=-self.heading, sine=-self.sine)
 
@@ -66,8 +66,8 @@ class Word(NamedTuple):
         return reduce(np.add, map(np.abs, self.segments))
 
 
-Speller: TypeAlias = Callable[[Ends], Iterator[Word]]
-"""Words that begin with a turn to the left, such that the shortest of them and the mirrored ones is a shortest path."""
+Speller: TypeAlias = Callable[[EndPoses], Iterator[Word]]
+"""Words that begin with a turn to the left. Of these and the mirrored ones the shortest is a shortest path."""
 
 
 def wrapped(angle: Batch) -> Batch:
@@ -107,19 +107,21 @@ def reflection(goal: Pose, direction: float) -> Symmetry:
     return Symmetry.about(goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
 
-def _words(spell: Speller, ends: Ends) -> Iterator[Word]:
+def _words(spell: Speller, ends: EndPoses) -> Iterator[Word]:
     yield from spell(ends)
     yield from (word.mirrored() for word in spell(ends.mirrored()))
 
 
-def _ends(goal: Pose, radius: float, x: Float[np.ndarray, "n 3"]) -> Ends:
+def _ends(goal: Pose, radius: float, x: Float[np.ndarray, "n 3"]) -> EndPoses:
     """Where words end that, read backward, lead from poses to the goal."""
     cosine, sine = np.cos(goal[2]), np.sin(goal[2])
     dx, dy = (x[:, 0] - goal[0]) / radius, (x[:, 1] - goal[1]) / radius
-    heading = wrapped(np.fmod(goal[2] - x[:, 2], 2 * np.pi))  # by many turns the remainder is exact, `wrapped` is not
+    heading = wrapped(np.fmod(goal[2] - x[:, 2], 2 * np.pi))  # of many turns the remainder is exact, wrapping is not
     half = np.tan(heading / 2)
     sine_of_heading = 2 * half / (1 + half * half)
-    return Ends(-cosine * dx - sine * dy, cosine * dy - sine * dx, heading, sine_of_heading, half * sine_of_heading)
+    return EndPoses(
+        -cosine * dx - sine * dy, cosine * dy - sine * dx, heading, sine_of_heading, half * sine_of_heading
+    )
 
 
 def _straight_lengths(goal: Pose, x: Float[np.ndarray, "n 3"]) -> Distances:

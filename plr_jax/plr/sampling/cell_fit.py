@@ -197,9 +197,5 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
             f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
             f"value and half-differences a cell, got {np.shape(center)} and {np.shape(half)}."
         )
-    if (
-        np.ma.is_masked(center)
-        or np.ma.is_masked(half)
-        or not (np.isfinite(center).all() and np.isfinite(half).all())
-    ):
+    if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")

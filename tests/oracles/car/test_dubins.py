@@ -76,19 +76,18 @@ def test_no_path_driven_is_shorter(letters, lengths):
 
 @given(POSE)
 def test_gears_and_room_to_turn_save_length(pose):
-    direct, both_ways, forward = (
-        fn([pose[: fn.dim]])[0] for fn in (Euclidean(GOAL[:2]), ReedsShepp(GOAL, RADIUS), ORACLE)
-    )
+    fns = Euclidean(GOAL[:2]), ReedsShepp(GOAL, RADIUS), ORACLE
+    direct, both_ways, forward = (fn([pose[: fn.dim]])[0] for fn in fns)
     assert direct <= both_ways + 1e-9 and both_ways <= forward + 1e-7
 
 
 def test_it_jumps_where_a_single_turn_leads_to_the_goal():
     quarter = np.array([[-1.0, 1.0, -np.pi / 2]])
     for offset, turns in ((0, 0.25), (1e-12, 0.25), (-1e-12, 0.25), (1e-6, 1.25), (-1e-6, 0.25)):
-        pose = in_frame_of(GOAL, quarter + [offset, 0, 0])
+        pose = in_frame_of(GOAL, quarter + np.array([offset, 0, 0]))
         np.testing.assert_allclose(Dubins(GOAL, 1)(pose), [turns * 2 * np.pi], atol=1e-5)
-    assert Dubins(GOAL, 1)([GOAL + [0, 0, 1e-6]])[0] > 6
-    assert Dubins(GOAL, 1)([GOAL + [0, 0, 1e-12]])[0] < 1e-11
+    assert Dubins(GOAL, 1)([GOAL + np.array([0, 0, 1e-6])])[0] > 6
+    assert Dubins(GOAL, 1)([GOAL + np.array([0, 0, 1e-12])])[0] < 1e-11
 
 
 def test_it_is_not_as_far_back_as_there():
@@ -99,7 +98,7 @@ def test_it_is_not_as_far_back_as_there():
 def test_whole_turns_are_no_way():
     poses = random_poses(500)
     for turns in (-1, 3):
-        np.testing.assert_allclose(ORACLE(poses + [0, 0, 2 * np.pi * turns]), ORACLE(poses), rtol=1e-11)
+        np.testing.assert_allclose(ORACLE(poses + np.array([0, 0, 2 * np.pi * turns])), ORACLE(poses), rtol=1e-11)
     assert Dubins((1, 2, 0.5), 3)([(1, 2, 0.5 + 2 * np.pi)]) < 1e-15
 
 

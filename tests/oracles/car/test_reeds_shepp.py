@@ -72,7 +72,7 @@ def test_there_is_as_far_as_back(pose):
 def test_whole_turns_are_no_way():
     poses = random_poses(500)
     for turns in (-1, 3):
-        np.testing.assert_allclose(ORACLE(poses + [0, 0, 2 * np.pi * turns]), ORACLE(poses), atol=1e-7)
+        np.testing.assert_allclose(ORACLE(poses + np.array([0, 0, 2 * np.pi * turns])), ORACLE(poses), atol=1e-7)
     assert ReedsShepp((1, 2, 0.5), 3)([(1, 2, 0.5 + 2 * np.pi)]) < 1e-15
     assert 0 <= ORACLE([(0, 0, 1e300)])[0] < 20
 
