@@ -1,14 +1,18 @@
 """Distances known on a grid."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_numbers, as_points, with_inf_for_masked
-from plr_jax._types import ArrayLike, Distances
+from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
+
+_AT_ONCE = 8192  # points, of which all that is computed stays in the cache
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -69,35 +73,45 @@ class GridField:
         """
         x = as_points("x", x, self.dim)
         distances = np.full(len(x), np.inf)
-        inside = np.flatnonzero(self.bounds.contains(x))
-        shape = np.array(self.values.shape[::-1])
-        place = (self.bounds.wrapped(x[inside]) - self.bounds.lo) / self.bounds.width * shape
-        has_value = np.isfinite(self._at(np.minimum(place.astype(np.intp), shape - 1)))  # of a point at hi: the last
-        distances[inside[has_value]] = self._interpolated(place[has_value] - 0.5)
+        for begin in range(0, len(x), _AT_ONCE):
+            part = x[begin : begin + _AT_ONCE]
+            inside = np.flatnonzero(self.bounds.contains(part))
+            distances[begin + inside] = self._interpolated(part[inside])
         return distances
 
-    def _interpolated(self, place: Float[np.ndarray, "n dim"]) -> Distances:
-        """Distances at places counted in cells from the center of the first, near a cell with a value."""
-        lower = np.floor(place).astype(np.intp)
-        beyond, last = place - lower, np.array(self.values.shape[::-1]) - 1
-        total, total_weight = np.zeros(len(place)), np.zeros(len(place))
-        for corner in product((0, 1), repeat=self.dim):
-            weight = np.where(corner, beyond, 1 - beyond).prod(axis=1)
-            cell = lower + corner
-            value = self._at(np.where(self.bounds.periodic, cell % (last + 1), np.clip(cell, 0, last)))
-            weight *= np.isfinite(value)
+    def _interpolated(self, x: Points) -> Distances:
+        """Distances at points of the box."""
+        sizes = self.values.shape[::-1]
+        places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width * sizes).T
+        nearest = [np.minimum(place.astype(np.intp), size - 1) for place, size in zip(places, sizes, strict=True)]
+        sides = [_sides(*axis) for axis in zip(places, sizes, self.bounds.periodic, strict=True)]
+        total, total_weight = np.zeros(len(x)), np.zeros(len(x))
+        for corner in product(*sides):
+            value = self._at([cell for cell, _ in corner])
+            weight = reduce(np.multiply, (weight for _, weight in corner)) * np.isfinite(value)
             total += weight * np.where(np.isfinite(value), value, 0.0)
             total_weight += weight
-        return total / total_weight
+        # Where the nearest cell has a value, weights sum to a part of 1 at least.
+        return np.divide(total, total_weight, out=np.full(len(x), np.inf), where=np.isfinite(self._at(nearest)))
 
-    def _at(self, cell: Int[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Values of cells given along the coordinates."""
-        return self.values[tuple(cell.T[::-1])]
+    def _at(self, cell: Sequence[Int[np.ndarray, "n"]]) -> Float[np.ndarray, "n"]:
+        """Values of cells, given by their number along each coordinate."""
+        return self.values.take(np.ravel_multi_index(tuple(cell[::-1]), self.values.shape))
+
+
+def _sides(
+    place: Float[np.ndarray, "n"], size: int, is_periodic: bool
+) -> list[tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]]:
+    """Of places along an axis, in cells: the cells whose centers are below and above, and their weights."""
+    lower = np.floor(place - 0.5).astype(np.intp)
+    beyond = place - 0.5 - lower
+    below, above = ((cell % size if is_periodic else np.clip(cell, 0, size - 1)) for cell in (lower, lower + 1))
+    return [(below, 1 - beyond), (above, beyond)]
 
 
 def _checked_values(values: ArrayLike, dim: int) -> Float[np.ndarray, "..."]:
     expected = f"distances on a grid of {dim} axes"
-    numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected))
+    numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
     if numbers.ndim != dim or numbers.size == 0:
         raise ValueError(f"values must be {expected}, as the bounds have, at least one, got shape {numbers.shape}.")
     numbers[np.isnan(numbers)] = np.inf
