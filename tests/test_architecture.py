@@ -18,7 +18,7 @@ LAYERS = [
     ["_problem"],
     ["_validate"],
     ["oracles", "plr", "planners", "spaces"],
-    ["optimize", "metrics", "plot", "scenes"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal"],
     ["cli"],
     ["__main__"],
 ]

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.leaves.continuous.space import resolve
+from plr_jax.plr.partition.dependencies import resolve
 
 
 class _Ties(NamedTuple):
@@ -53,14 +53,13 @@ class FunctionSpace:
         """The nodes of a cell, from 0 to 1 along each axis."""
         return _lattice(self.degree, self.mesh.dim)
 
-    def interpolation(
-        self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]
-    ) -> Float[np.ndarray, "n dofs"] | csr_array:
+    def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
         """Maps degrees of freedom to values at points ``t``, from 0 to 1, of cells."""
         weight = basis(self.degree, t)
         num, size = weight.shape
         columns = (cell[:, None] * size + np.arange(size)).ravel()
-        rows = csr_array((weight.ravel(), (np.repeat(np.arange(num), size), columns)), (num, self.values.shape[0]))
+        shape = (num, len(self.mesh.state) * size)
+        rows = csr_array((weight.ravel(), (np.repeat(np.arange(num), size), columns)), shape)
         return csr_array(rows @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
@@ -100,9 +99,12 @@ def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n no
         along = np.stack([1 - t, t], axis=-1)
     else:
         along = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=-1)
-    return reduce(
-        lambda a, b: (a[:, :, None] * b[:, None]).reshape(len(a), a.shape[1] * b.shape[1]), along.transpose(1, 0, 2)
-    )
+    return reduce(_products, along.transpose(1, 0, 2))
+
+
+def _products(a: Float[np.ndarray, "n i"], b: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n ij"]:
+    """All products of two rows' numbers, row by row."""
+    return (a[:, :, None] * b[:, None]).reshape(len(a), a.shape[1] * b.shape[1])
 
 
 def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:

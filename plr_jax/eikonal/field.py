@@ -60,7 +60,7 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells: midway between the bounds, or as far above the lower one as near by."""
+        """An estimate at the corners of open cells: midway between the bounds, as nearby where there is no upper one."""
         corners = corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
         lower = self.lower_at(cell, corners[corner].astype(float))
@@ -151,13 +151,11 @@ class CostToGoField:
         hi: Float[np.ndarray, "n dim"],
         corners: Float[np.ndarray, "n corners"],
     ) -> Float[np.ndarray, "n"]:
-        """By straight motions to corners of the cell: their costs are convex, so the most is at a vertex of a part."""
+        """By straight motions to corners of the cell, whose costs are convex: the most is at a vertex of a part."""
         mesh, dim = self.mesh, self.mesh.dim
         lattice = np.stack(np.meshgrid(*[_HALVES] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-        parts = [
-            np.flatnonzero(np.all(np.abs(lattice - middle) <= 0.25, axis=1)) for middle in 0.25 + corner_bits(dim) / 2
-        ]
-        vertices = np.stack(parts)
+        middles = 0.25 + corner_bits(dim) / 2
+        vertices = np.stack([np.flatnonzero(np.all(np.abs(lattice - middle) <= 0.25, axis=1)) for middle in middles])
         at = lo[:, None] + (hi - lo)[:, None] * lattice
         function = corners @ basis(1, lattice).T
         most = np.full((len(cell), len(vertices)), np.inf)

@@ -110,7 +110,7 @@ def slope_program(
 
 
 def _degree(dim: int) -> int:
-    """Of the polynomials: 2 errs far less for its cells, but its equations take too long in more than two dimensions."""
+    """Of the polynomials: 2 errs far less for its cells, but takes too long in more than two dimensions."""
     return 2 if dim <= 2 else 1
 
 

@@ -24,6 +24,7 @@ class Rescaling:
     value: Float[np.ndarray, "levels"]
 
     def __call__(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The values bent down."""
         return np.interp(u, self.level, self.value)
 
 

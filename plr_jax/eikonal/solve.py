@@ -66,7 +66,9 @@ def solve_eikonal(
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
     """
     if not isinstance(space, FreeTest):
-        raise ValueError(f"space must be a configuration space, such as PlaneSpace(workspace), got {shortened(space)}.")
+        raise ValueError(
+            f"space must be a configuration space, such as PlaneSpace(workspace), got {shortened(space)}."
+        )
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     require_integer("seed", seed, 0)

@@ -15,9 +15,8 @@ from plr_jax.plr.certificate.branch_and_bound import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import best_axis, largest_error
-from plr_jax.plr.leaves.base import Rules
-from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
-from plr_jax.plr.leaves.continuous.model import Continuous
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import CornerLeafModel, Rules
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Tree, corner_bits, levels_of, tree_of
 from plr_jax.plr.sampling.cell_fit import Sampler
@@ -31,21 +30,16 @@ _SMALLEST_STEP = 2.0**-22  # of the largest value
 
 def plr_on_mesh(field: CostToGoField, is_proven: bool) -> PLR:
     """One leaf a cell of the mesh: estimates at corners, tied across open faces."""
-    mesh = field.mesh
-    closed = mesh.state == CellState.BLOCKED
-    partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
-    space, values = partition.space, field.corner_values
-    of_group = np.zeros(int(space.group.max()) + 1)
-    of_group[space.group] = values.ravel()
-    masters = of_group[space.masters]
-    stored = StoredValues.rounded(partition, masters, _step(field, masters))
-    contents = Contents(mesh.domain, Continuous(), levels_of(mesh.cells)[0], mesh.cells, stored)
+    mesh, model = field.mesh, _model()
+    closed, values = mesh.state == CellState.BLOCKED, field.corner_values
+    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, _step(field))
+    contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
     return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
 
 
 def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: bool) -> PLR:
     """The best partition whose file has at most so many bytes, grown from the estimate."""
-    model, domain = Continuous(), field.mesh.domain
+    model, domain = _model(), field.mesh.domain
     proof = Proof.OPEN_LEAVES if is_proven else Proof.NONE
     limits = check_limits(
         domain.dim, model.least_bytes, False, model.bytes_without_budget, None, None, max_bytes, None, proof
@@ -57,8 +51,14 @@ def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: boo
     return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
 
 
-def _step(field: CostToGoField, values: Float[np.ndarray, "masters"]) -> float:
-    least = max(_SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
+def _model() -> CornerLeafModel:
+    model = leaf_model("continuous")
+    assert isinstance(model, CornerLeafModel)
+    return model
+
+
+def _step(field: CostToGoField) -> float:
+    least = max(_SMALLEST_STEP * float(np.abs(field.corner_values).max()), float(np.finfo(np.float32).tiny))
     return max(_STEP_PER_GAP * field.mean_gap, least)
 
 
@@ -81,11 +81,11 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     np.minimum.at(lower, leaf, below)
     np.maximum.at(upper, leaf, np.where(is_inf, math.inf, above))
-    rounding = contents.leaf.rounding(contents.domain, contents.cells, np.where(np.isinf(coefficients), 0.0, coefficients))
-    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
-    return Contents(
-        contents.domain, contents.leaf, contents.levels, contents.cells, contents.stored, certificate
+    rounding = contents.leaf.rounding(
+        contents.domain, contents.cells, np.where(np.isinf(coefficients), 0.0, coefficients)
     )
+    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
+    return Contents(contents.domain, contents.leaf, contents.levels, contents.cells, contents.stored, certificate)
 
 
 def _overlaps(a: Tree, b: Tree) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
@@ -126,5 +126,8 @@ def _intersections(
     a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"]]:
     """What pairs of cells have in common, as fractions of the domain."""
-    ends = [(np.ldexp(c.position[k], -c.depth[k]), np.ldexp(c.position[k] + 1.0, -c.depth[k])) for c, k in ((a, i), (b, j))]
+    ends = [
+        (np.ldexp(c.position[k], -c.depth[k]), np.ldexp(c.position[k] + 1.0, -c.depth[k]))
+        for c, k in ((a, i), (b, j))
+    ]
     return np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])

@@ -143,7 +143,9 @@ class PlaneSpace:
             return sees
         boxes: Any = shapely.box(*(center - half).T, *(center + half).T)
         parts: Any = shapely.intersection(self.workspace.free_space, boxes)
-        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.get_num_interior_rings(parts) == 0)
+        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (
+            shapely.get_num_interior_rings(parts) == 0
+        )
         rings: Any = shapely.get_exterior_ring(parts[whole])
         vertices, ring = shapely.get_coordinates(rings, return_index=True)
         edge = np.flatnonzero(ring[1:] == ring[:-1])
