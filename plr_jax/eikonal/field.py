@@ -60,7 +60,7 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells: midway between the bounds, as nearby where there is no upper one."""
+        """An estimate at the corners of open cells: midway between the bounds, or as nearby if there is none above."""
         corners = corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
         lower = self.lower_at(cell, corners[corner].astype(float))
