@@ -66,13 +66,14 @@ def test_lenders_are_those_of_all_pairs(seed, dim, wraps):
     cells, periodic = random_partition(seed, dim, 25), tuple(bool(wraps >> axis & 1) for axis in range(dim))
     blocked = np.random.default_rng(seed).random(len(cells)) < 0.6
     lo, hi = cells.boxes(Box(np.zeros(dim), np.ones(dim)))
+    slot = 0.5 ** cells.depth.max(axis=0)  # the narrowest there is
     for leaf, lender in zip(np.flatnonzero(blocked), lenders(cells, blocked, periodic), strict=True):
         shares = np.ones(len(cells))
         for axis in range(dim):
             overlap = np.minimum(hi[:, axis], hi[leaf, axis]) - np.maximum(lo[:, axis], lo[leaf, axis])
             around = (np.minimum(lo[:, axis], lo[leaf, axis]) == 0) & (np.maximum(hi[:, axis], hi[leaf, axis]) == 1)
             touch = (overlap == 0) | (around if periodic[axis] else False)
-            shares *= np.where(overlap > 0, overlap, np.where(touch, 1e-9, 0.0))
+            shares *= np.where(overlap > 0, overlap, np.where(touch, slot[axis] / 2**20, 0.0))
         shares[blocked] = 0.0
         assert lender == (np.argmax(shares) if shares.any() else -1)
 
