@@ -6,6 +6,7 @@ from oracle_helpers import CUT, GAP, NOTHING, UNIT, free_points, roadmap
 
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import Roadmap
+from plr_jax.oracles._metric import Metric
 from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible, prm_star_radius
 
 LINE = Box([0.0], [10.0])
@@ -19,7 +20,8 @@ def sampled_test(resolution, is_free=lambda x: np.ones(len(x), dtype=bool)):
         tested.append(x)
         return is_free(x)
 
-    return checked_is_visible(checked_is_free(LINE, recorded), None, resolution), tested
+    metric = Metric(LINE, np.ones(1))
+    return checked_is_visible(metric, checked_is_free(LINE, recorded), None, resolution), tested
 
 
 @pytest.mark.parametrize(("length", "num_inner"), [(0.0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (2.0, 3), (2.1, 4)])
