@@ -1,6 +1,6 @@
 """Distance functions over configuration spaces, compressed into kilobytes of planes.
 
-Discover distance (``VisibilityGraph``, ``Roadmap``, ``Euclidean`` or any function of a batch of points), store it
+Discover distance (``VisibilityGraph``, ``Roadmap``, ``ReedsShepp`` or any function of a batch of points), store it
 (``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; or as the
 heuristic of ``bl_plan``, which plans for several robots at once). ``descend`` follows a distance function to its
 goal, and ``optimize_paths`` shortens paths.

@@ -11,6 +11,7 @@ from ._types import DistanceFn as DistanceFn
 from ._types import HeuristicFn as HeuristicFn
 from ._validate import ValidationReport as ValidationReport
 from ._validate import validate as validate
+from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
 from .geometry.workspace import Workspace as Workspace
 from .optimize import Descent as Descent
@@ -19,7 +20,10 @@ from .optimize import OptimizationInterrupted as OptimizationInterrupted
 from .optimize import OptimizedPaths as OptimizedPaths
 from .optimize import descend as descend
 from .optimize import optimize_paths as optimize_paths
+from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
+from .oracles import GridField as GridField
+from .oracles import ReedsShepp as ReedsShepp
 from .oracles import Roadmap as Roadmap
 from .oracles import VisibilityGraph as VisibilityGraph
 from .oracles import robot_distance_fns as robot_distance_fns
@@ -59,3 +63,13 @@ from .robots.point import PointRobot as PointRobot
 from .robots.polygon import PolygonRobot as PolygonRobot
 from .robots.rectangle import RectangleRobot as RectangleRobot
 from .robots.robot import Robot as Robot
+from .spaces import CellState as CellState
+from .spaces import ConfigurationSpace as ConfigurationSpace
+from .spaces import CostMap as CostMap
+from .spaces import FreeTest as FreeTest
+from .spaces import LipschitzCost as LipschitzCost
+from .spaces import MotionCost as MotionCost
+from .spaces import PlanarArm as PlanarArm
+from .spaces import PlaneSpace as PlaneSpace
+from .spaces import RigidBodySpace as RigidBodySpace
+from .spaces import SeesBoxes as SeesBoxes

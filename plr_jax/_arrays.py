@@ -11,7 +11,7 @@ from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax._types import ArrayLike
 
@@ -66,17 +66,34 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
+def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
+    """Distances, or what passes for some, with ``inf`` for masked entries: from there the goal cannot be reached."""
+    if isinstance(value, np.ma.MaskedArray):
+        return np.where(np.ma.getmaskarray(value), np.inf, value.data)
+    return value
+
+
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """What the function of some name said of ``n`` points, one number each, ``(n,)``.
 
     Masked entries are no answer: ``inf``.
     """
-    if isinstance(value, np.ma.MaskedArray):
-        value = np.where(np.ma.getmaskarray(value), np.inf, value.data)
-    values = as_numbers(f"{name}'s answer", value, f"real numbers of shape ({n},)")
+    values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         raise ValueError(f"{name} must give one number a point, shape ({n},), got {values.shape}.")
     return values
+
+
+def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
+    """What the test of some name said of ``n`` points, one boolean each, ``(n,)``; none may be masked."""
+    booleans = np.asarray(value)
+    if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
+        masked = ", some masked" if np.ma.is_masked(value) else ""
+        raise ValueError(
+            f"{name} must return one boolean a point, shape ({n},), got {booleans.dtype} of shape {booleans.shape}"
+            f"{masked}."
+        )
+    return booleans
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:

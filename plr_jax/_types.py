@@ -20,19 +20,20 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 """Distance to a goal for a batch of points.
 
 ``inf`` means that the goal cannot be reached from there: the point is cut off, in an obstacle, outside the domain or
-the bounds. An oracle never answers NaN or a negative number; where a coordinate is NaN it answers ``inf``. A PLR
-approximates one: it may be a little below zero near the goal, answers ``inf`` outside its domain and NaN where a
-coordinate is NaN, and knows nothing of obstacles. Who uses a distance function must cope with both.
+the bounds. A masked entry of an answer means the same. An oracle never answers NaN or a negative number; where a
+coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little below zero near the goal, answers
+``inf`` outside its domain and NaN where a coordinate is NaN, and knows nothing of obstacles. Who uses a distance
+function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`.
+:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`SymmetricFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 """A batch of joint configurations on the host, one a row."""
 
 HeuristicFn: TypeAlias = Callable[[JointConfigurations], Float[np.ndarray, "n"]]
-"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf`` where it has no estimate.
+"""Estimated cost-to-go of a batch of joint configurations, never NaN; ``inf``, or masked, where it has no estimate.
 
 What one may offer besides: :class:`SeparableHeuristic`, :class:`BoundingFn`.
 """
@@ -204,6 +205,36 @@ class BoundingFn(Protocol):
     @property
     def is_lower_bound(self) -> bool: ...
     def __call__(self, x: Any, /) -> ArrayLike: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """An affine map of points that keeps the lengths between them: ``x`` to ``matrix @ x + offset``.
+
+    Attributes:
+        matrix: An orthogonal matrix.
+        offset: What is added; where a coordinate is an angle, the sum is one modulo a whole turn.
+    """
+
+    matrix: Float[np.ndarray, "dim dim"]
+    offset: Float[np.ndarray, "dim"]
+
+    @classmethod
+    def about(cls, point: Float[np.ndarray, "dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
+        """That with a matrix which leaves a point where it is."""
+        return cls(matrix, point - matrix @ point)
+
+
+@runtime_checkable
+class SymmetricFn(Protocol):
+    """A distance function that states symmetries: the distance of a point is that of its image, up to rounding.
+
+    They are generators: one after the other, in any order, they are symmetries as well.
+    """
+
+    @property
+    def symmetries(self) -> Sequence[Symmetry]: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

@@ -45,7 +45,8 @@ def shapes(robot, q):
     angle = np.exp(1j * (q[:, 2] if robot.dof == 3 else np.zeros(len(q))))[:, None]
     corners = (q[:, 0] + 1j * q[:, 1])[:, None] + angle * (robot.core[:, 0] + 1j * robot.core[:, 1])
     corners = np.stack([corners.real, corners.imag], axis=2)
-    return shapely.points(corners[:, 0]) if len(robot.core) == 1 else shapely.polygons(corners)
+    kind = (shapely.points, shapely.linestrings, shapely.polygons)[min(len(robot.core), 3) - 1]
+    return kind(corners[:, 0] if len(robot.core) == 1 else corners)
 
 
 def along(q0, q1, num_samples):

@@ -17,8 +17,8 @@ LAYERS = [
     ["collision"],
     ["_problem"],
     ["_validate"],
-    ["oracles", "plr", "planners"],
-    ["optimize", "metrics", "plot", "scenes"],
+    ["oracles", "plr", "planners", "spaces"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal"],
     ["cli"],
     ["__main__"],
 ]

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from plr_jax._arrays import (
+    as_booleans,
     as_distances,
     as_finite,
     as_finite_point,
@@ -140,6 +141,18 @@ def test_values_may_be_anything_but_masked_ones_are_infinite():
 def test_answers_of_another_kind_are_refused(value, message):
     with pytest.raises(ValueError, match=message):
         as_values("f", value, 2)
+
+
+def test_booleans_are_one_a_point_and_none_is_masked():
+    assert as_booleans("f", [True, False], 2).tolist() == [True, False]
+    assert as_booleans("f", np.ma.masked_array([True], [False]), 1).tolist() == [True]
+    for value, got in (
+        ([1, 0], r"int64 of shape \(2,\)\."),
+        ([True], r"bool of shape \(1,\)\."),
+        (np.ma.masked_array([True, True], [False, True]), r"bool of shape \(2,\), some masked\."),
+    ):
+        with pytest.raises(ValueError, match=r"f must return one boolean a point, shape \(2,\), got " + got):
+            as_booleans("f", value, 2)
 
 
 def test_distances_are_never_nan():

@@ -130,14 +130,15 @@ class Workspace:
         return grown
 
     @cached_property
-    def _walls(self) -> Any:
-        """The boundary of free space as lines, prepared for many queries."""
+    def walls(self) -> Any:
+        """The boundary of free space as Shapely lines, prepared for many queries."""
         walls = self.free_space.boundary
         shapely.prepare(walls)
         return walls
 
     @cached_property
-    def _edge_tree(self) -> shapely.STRtree:
+    def edge_tree(self) -> shapely.STRtree:
+        """The edges of ``boundary``, in their order, as Shapely lines in a tree."""
         segments: Any = shapely.linestrings(self.boundary.segments)
         return shapely.STRtree(segments)
 
@@ -178,9 +179,9 @@ class Workspace:
         result = np.full(len(x), np.nan)
         points: Any = shapely.points(x[finite])
         if len(self.boundary.edges) > _MANY_EDGES:
-            distance = self._edge_tree.query_nearest(points, return_distance=True, all_matches=False)[1]
+            distance = self.edge_tree.query_nearest(points, return_distance=True, all_matches=False)[1]
         else:
-            distance = shapely.distance(points, self._walls)
+            distance = shapely.distance(points, self.walls)
         free = shapely.intersects_xy(self.free_space, x[finite, 0], x[finite, 1])
         result[finite] = np.where(free, distance, -distance)
         return result

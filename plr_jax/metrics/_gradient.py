@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite_point, as_points
+from plr_jax._arrays import as_booleans, as_finite_point, as_numbers, as_points
 from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.workspace import Workspace
 
@@ -194,7 +194,7 @@ def _differentiated(distance_fn: Callable[[ArrayLike], ArrayLike]) -> ValuesAndG
 
 
 def _directions_at(directions: Directions, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    exact = np.asarray(directions(x), np.float64)
+    exact = as_numbers("The exact directions", directions(x), f"numbers of shape {x.shape}")
     if exact.shape != x.shape:
         raise ValueError(f"The exact directions must have shape {x.shape}, got {exact.shape}.")
     return exact
@@ -203,12 +203,7 @@ def _directions_at(directions: Directions, x: Float[np.ndarray, "n 2"]) -> Float
 def _share_reached(
     reaches: Callable[[Float[np.ndarray, "n 2"]], Bool[np.ndarray, "n"]], points: Float[np.ndarray, "n 2"]
 ) -> float:
-    reached = np.asarray(reaches(points))
-    if reached.shape != (len(points),) or reached.dtype != bool:
-        raise ValueError(
-            f"reaches must give one bool a point, shape ({len(points)},), got {reached.shape} of {reached.dtype}."
-        )
-    return float(reached.mean())
+    return float(as_booleans("reaches", reaches(points), len(points)).mean())
 
 
 def _angles(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:

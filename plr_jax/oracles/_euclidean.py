@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite_point, as_points
-from plr_jax._types import ArrayLike, Distances
+from plr_jax._types import ArrayLike, Distances, Symmetry
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -34,6 +34,11 @@ class Euclidean:
     def dim(self) -> int:
         """Number of coordinates of a point."""
         return self.goal.size
+
+    @property
+    def symmetries(self) -> tuple[Symmetry, ...]:
+        """Reflections along each axis, about the goal."""
+        return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Distance of each point to the goal.

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._arrays import as_finite, runs
-from plr_jax._types import ArrayLike, Points
+from plr_jax._arrays import as_booleans, as_finite, runs
+from plr_jax._types import Points
 from plr_jax.geometry.box import Box
 from plr_jax.oracles._metric import Metric
 
@@ -72,7 +72,7 @@ def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
     def checked(x: Points) -> Bool[np.ndarray, "n"]:
         inside = domain.contains(x)
         if inside.any():
-            inside[inside] = _booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
+            inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
         return inside
 
     return checked
@@ -97,19 +97,9 @@ def checked_is_visible(
     def checked(a: Points, b: Points) -> Bool[np.ndarray, "n"]:
         if len(a) == 0:
             return np.zeros(0, dtype=bool)
-        return _booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
+        return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
     return checked
-
-
-def _booleans(name: str, answer: ArrayLike, num_points: int) -> Bool[np.ndarray, "n"]:
-    answer = np.asarray(answer)
-    if answer.shape != (num_points,) or answer.dtype != bool:
-        raise ValueError(
-            f"{name} must return one boolean for each of {num_points} rows, shape ({num_points},); "
-            f"got {answer.dtype} of shape {answer.shape}."
-        )
-    return answer
 
 
 def _is_visible_sampled(

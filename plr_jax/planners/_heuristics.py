@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened
+from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened, with_inf_for_masked
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import (
     ArrayLike,
@@ -120,7 +120,7 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
-        return _without_nan(q, evaluate(q))
+        return _without_nan(q, with_inf_for_masked(evaluate(q)))
 
     bounds = all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns)
     return SumOverRobots(per_robot, is_lower_bound=bounds)
@@ -148,8 +148,11 @@ def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarra
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """What a heuristic returned, 0 for negative numbers, or ``ValueError`` if it is NaN or not of a shape."""
-    numbers = as_numbers("What a heuristic returns", values, "numbers")
+    """What a heuristic returned, 0 for negative numbers, or ``ValueError`` if it is NaN or not of a shape.
+
+    A masked entry is no estimate: ``inf``.
+    """
+    numbers = as_numbers("What a heuristic returns", with_inf_for_masked(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
     if np.isnan(numbers).any():

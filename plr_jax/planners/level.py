@@ -15,7 +15,7 @@ from plr_jax.planners.lattice.edges import Kind, by_robot, kinds_of
 from plr_jax.planners.lattice.joint import JointLattice
 from plr_jax.robots.robot import Robot
 
-_MOTION_BYTES = 80  # what a motion takes while its table is built
+_MOTION_BYTES = 92  # what a motion takes while its table is built
 _COLUMN_BYTES = 16  # what a robot's costs to and from a node take
 _TURNING = 4  # times as long as a round robot's motion one takes to test that turns
 _GOALS, _NODES = 8, 1 << 19  # costs-to-go, and nodes that have one, at a time, between two looks at the clock

@@ -10,6 +10,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
+from plr_jax._arrays import as_numbers
 from plr_jax._types import ArrayLike, PiecewiseFunction
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
@@ -146,11 +147,12 @@ def plot_error(
         The axes.
 
     Raises:
-        ValueError: If no error is finite.
+        ValueError: If no error is finite, or one is masked.
 
     References:
         Putman et al., Section IV-A, Fig. 2: ``epsilon_g(x) = |L_g(x) - V_g(x)|``.
     """
+    errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]
     if finite.size == 0:
         raise ValueError("There is nothing to draw: no error is finite.")

@@ -219,8 +219,20 @@ def test_gradients_are_finite_differences_inside_cells(maze):
         (dict(approximation=distance, directions=lambda x: x[:, 0]), "exact directions must have shape"),
         (dict(approximation=distance, directions=lambda x: np.full_like(x, np.nan)), "none has both"),
         (dict(approximation=distance, goal=(1, 2, 3)), "The goal must be one point"),
-        (dict(approximation=distance, reaches=lambda x: np.full(len(x), np.nan)), "one bool a point, .* of float64"),
-        (dict(approximation=distance, reaches=lambda x: np.ones(1, bool)), r"one bool a point, .* got \(1,\)"),
+        (
+            dict(approximation=distance, reaches=lambda x: np.full(len(x), np.nan)),
+            "one boolean a point, .* got float64",
+        ),
+        (
+            dict(approximation=distance, reaches=lambda x: np.ones(1, bool)),
+            r"one boolean a point, .* of shape \(1,\)",
+        ),
+        (
+            dict(approximation=distance, reaches=lambda x: np.ma.masked_array(np.ones(len(x), bool), x[:, 0] > 0)),
+            "reaches must return one boolean a point, .* some masked",
+        ),
+        (dict(approximation=distance, directions=lambda x: np.ma.masked_greater(x, 0)), "directions .* are masked"),
+        (dict(approximation=lambda x: np.ma.masked_greater(np.ones(len(x)), 0)), "JAX cannot differentiate"),
         (dict(approximation=distance, x=np.zeros((3, 3))), "x must have shape"),
         (dict(approximation=distance, x=np.empty((0, 2))), "Of 0 points none"),
     ],

@@ -25,6 +25,7 @@ from plr_jax.oracles import Roadmap
         ({"is_visible": None, "resolution": np.nan}, "resolution must be a positive finite number"),
         ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
         ({"is_visible": lambda a, b: True}, "is_visible must return one boolean"),
+        ({"is_visible": lambda a, b: np.ma.masked_equal(a[:, 0] < 2, True)}, "is_visible .* some masked"),
     ],
 )
 def test_bad_arguments_are_refused(change, message):

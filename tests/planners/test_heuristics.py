@@ -20,7 +20,7 @@ from plr_jax import (
 )
 from plr_jax._types import DimensionedFn, SeparableHeuristic, StackableDistanceFn
 from plr_jax.oracles import Euclidean
-from plr_jax.planners._heuristics import _distance_fns, straight_line, sum_of_distances, zero
+from plr_jax.planners._heuristics import _distance_fns, estimates, straight_line, sum_of_distances, zero
 
 ROOM = Workspace(((0, 0), (10, 10)))
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
@@ -300,6 +300,27 @@ def test_results_of_another_shape_name_the_robot(result):
 def test_masked_distances_are_infinite():
     heuristic = sum_of_distances([lambda x: np.ma.masked_greater(x[:, 0], 5)])
     np.testing.assert_array_equal(heuristic([[(1, 0)], [(9, 0)]]), [1, np.inf])
+
+
+class Stacked:
+    """Functions that answer all at once, with masks."""
+
+    def __call__(self, x):
+        return np.ma.masked_greater(x[:, 0], 5)
+
+    @staticmethod
+    def stack(fns):
+        return lambda q: np.ma.masked_greater(q[..., 0], 5)
+
+
+def test_masked_distances_of_a_stack_are_infinite():
+    terms = sum_of_distances([Stacked(), Stacked()]).per_robot([[(1, 0), (9, 0)]])
+    assert type(terms) is np.ndarray and terms.tolist() == [[1, np.inf]]
+
+
+def test_masked_estimates_are_infinite():
+    q = np.array([[(1.0, 0)], [(9, 0)], [(-1, 0)]])
+    np.testing.assert_array_equal(estimates(lambda q: np.ma.masked_greater(q[:, 0, 0], 5), q), [1, np.inf, 0])
 
 
 def test_nan_from_a_function_names_the_robot_and_the_place():

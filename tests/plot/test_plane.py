@@ -129,6 +129,8 @@ def test_error_picture_shows_the_errors_and_marks_missing_answers():
 def test_a_picture_of_no_error_at_all_is_refused():
     with pytest.raises(ValueError, match="no error is finite"):
         plot.plot_error(np.full((2, 2), np.nan), WORKSPACE)
+    with pytest.raises(ValueError, match=r"errors must be numbers .*, and some are masked"):
+        plot.plot_error(np.ma.masked_less([[0.1, 0.2]], 0.15), WORKSPACE)
 
 
 def test_surface_pieces_lie_in_the_planes_of_their_leaves():

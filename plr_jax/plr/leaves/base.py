@@ -14,6 +14,8 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.faces import SharedFaces
+from plr_jax.plr.partition.tree import Tree
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -169,6 +171,23 @@ class LeafModel(Protocol):
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
+        ...
+
+
+@runtime_checkable
+class CornerLeafModel(LeafModel, Protocol):
+    """Leaves that hold values at their corners, tied across faces."""
+
+    def of_corners(
+        self,
+        tree: Tree,
+        faces: SharedFaces,
+        tied: Bool[np.ndarray, "faces"],
+        unreachable: Bool[np.ndarray, "leaves"],
+        values: Float[np.ndarray, "leaves corners"],
+        step: float,
+    ) -> Any:
+        """What is stored of leaves with these values, to multiples of a step; hanging corners follow from others."""
         ...
 
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened
+from plr_jax._arrays import as_number, as_numbers, as_points, require_integer, shortened, with_inf_for_masked
 from plr_jax._types import ArrayLike
 from plr_jax.plr._assembly import with_stored
 from plr_jax.plr._plr import PLR
@@ -60,7 +60,7 @@ def refine(
     Args:
         plr: The PLR to start from, of any leaf model. Its functions matter only where a leaf has too few points.
         x: Points inside the domain, ``(n, dim)``; many more than leaves. Where they are dense, accuracy matters.
-        distance: Distance to the goal at each, ``(n,)``. Points of infinite distance are left out.
+        distance: Distance to the goal at each, ``(n,)``. Points of infinite (or masked) distance are left out.
         loss: Loss of the errors ``plr(x) - distance``: ``squared``, ``quantile(share)``, or your own function in
             JAX. One that is made anew for each call is compiled anew for each call.
         weight: Weight of each point in the mean loss, ``(n,)``, finite and >= 0; None: all 1. Points of weight 0
@@ -159,7 +159,7 @@ def _check_points(
 ) -> tuple[WeightedPoints, int]:
     """The points of finite distance, and how many others there are."""
     x = as_points("x", x, plr.dim)
-    distance = _column("distance", distance, len(x))
+    distance = _column("distance", with_inf_for_masked(distance), len(x))
     weight = np.ones(len(x)) if weight is None else _column("weight", weight, len(x))
     outside = ~plr.domain.contains(x)
     if outside.any():

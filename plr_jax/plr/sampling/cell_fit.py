@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_distances, as_values
+from plr_jax._arrays import as_distances, as_numbers, as_values
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
@@ -173,8 +173,9 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
-    """Weights at points, checked."""
-    weight = as_values("weight_fn", weight_fn(x.copy()), len(x))
+    """Weights at points, checked; what is masked is no weight."""
+    answer = as_numbers("weight_fn's answer", weight_fn(x.copy()), f"real numbers of shape ({len(x)},)")
+    weight = as_values("weight_fn", answer, len(x))
     if not np.isfinite(weight).all() or (weight < 0).any():
         raise ValueError(
             f"weight_fn must return finite weights >= 0, got values from {weight.min(initial=np.inf):g} to "
@@ -196,5 +197,5 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
             f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
             f"value and half-differences a cell, got {np.shape(center)} and {np.shape(half)}."
         )
-    if not (np.isfinite(center).all() and np.isfinite(half).all()):
-        raise ValueError("compute_coefficients must return finite planes, got NaN or infinity.")
+    if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
+        raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")

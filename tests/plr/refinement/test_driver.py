@@ -213,6 +213,15 @@ def test_no_warning_without_an_interrupt(wall):
         assert refine(plr, x, distance, num_steps=1)[1].num_steps == 50
 
 
+def test_masked_distances_are_left_out_as_infinite_ones_are(wall):
+    plr, x, distance = wall
+    far = distance > np.median(distance)
+    masked, infinite = np.ma.masked_array(np.where(far, 0.0, distance), far), np.where(far, np.inf, distance)
+    refined = [refine(plr, x, values, num_steps=60) for values in (masked, infinite)]
+    assert refined[0][0].to_bytes() == refined[1][0].to_bytes()
+    assert refined[0][1].num_unreachable == far.sum()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -225,6 +234,8 @@ def test_no_warning_without_an_interrupt(wall):
         ({"distance": np.full(5, np.nan)}, "A distance must be a number, or inf"),
         ({"distance": np.full(5, -np.inf)}, "A distance must be a number, or inf"),
         ({"distance": np.full(5, np.inf)}, "No leaf of .* points of positive weight"),
+        ({"distance": np.ma.masked_less(np.ones(5), 2)}, "No leaf of .* points of positive weight"),
+        ({"weight": np.ma.masked_less(np.ones(5), 2)}, "weight must be numbers .* some are masked"),
         ({"weight": np.full(5, -1.0)}, "A weight must be finite and >= 0, got -1"),
         ({"weight": np.zeros(3)}, "weight must have one number a point"),
         ({}, "No leaf of .* has 12 points"),

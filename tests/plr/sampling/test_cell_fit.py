@@ -77,6 +77,7 @@ def test_a_root_without_a_reachable_sample_is_refused():
     [
         (lambda pattern, value, weight: (value[:, 0], value[:, 1]), "compute_coefficients must return shapes"),
         (lambda pattern, value, weight: (value[:, 0] * np.nan, value[:, :1]), "must return finite planes"),
+        (lambda pattern, value, weight: (np.ma.masked_all(len(value)), value[:, :1]), "or masked numbers"),
     ],
 )
 def test_bad_fits_are_refused(rule, message):
@@ -107,6 +108,11 @@ def test_masked_distances_are_infinite(dtype):
     """What stands under a mask means nothing."""
     masked = lambda x: np.ma.masked_array(np.array([7, 0, -3], dtype), [False, True, True])  # noqa: E731
     assert call_oracle(masked, points(3, 0)).tolist() == [7, np.inf, np.inf]
+
+
+def test_masked_weights_are_refused():
+    with pytest.raises(ValueError, match=r"weight_fn's answer must be .*, and some are masked"):
+        fit(lambda x: x[:, 0], lambda x: np.ma.masked_less(np.ones(len(x)), 2))
 
 
 def test_what_stands_under_a_mask_may_be_anything():

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.plr.leaves.continuous.space import NodalSpace, resolve
+from plr_jax.plr.leaves.continuous.space import NodalSpace
+from plr_jax.plr.partition.dependencies import resolve
 from plr_jax.plr.partition.tree import corner_bits
 
 if TYPE_CHECKING:

@@ -29,10 +29,12 @@ from plr_jax.plr.leaves.continuous.basis import (
     numbers_of_leaves,
     numbers_of_planes,
 )
-from plr_jax.plr.leaves.continuous.codec import StoredValues, read_values, write_values
+from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
 from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
 from plr_jax.plr.leaves.continuous.growth import grow_tied
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.faces import SharedFaces
+from plr_jax.plr.partition.tree import Tree
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -88,6 +90,22 @@ class Continuous:
         """Grow the partition, all values fitted again in every round."""
         stored = grow_tied(self.order, sampler, rules, limits)
         return stored.partition.tree.leaves, stored
+
+    def of_corners(
+        self,
+        tree: Tree,
+        faces: SharedFaces,
+        tied: Bool[np.ndarray, "faces"],
+        unreachable: Bool[np.ndarray, "leaves"],
+        values: Float[np.ndarray, "leaves corners"],
+        step: float,
+    ) -> StoredValues:
+        """What is stored of leaves with these values, of order 0; hanging corners follow from others."""
+        partition = TiedPartition(tree, unreachable, faces, tied)
+        space = partition.space
+        of_group = np.zeros(int(space.group.max()) + 1)
+        of_group[space.group] = values.ravel()
+        return StoredValues.rounded(partition, of_group[space.masters], step)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         """Append what the file keeps of the leaves."""

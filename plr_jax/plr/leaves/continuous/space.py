@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax.plr.partition.dependencies import resolve
 from plr_jax.plr.partition.faces import SharedFaces, face_points, parents_of_corners
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
@@ -98,17 +99,6 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     values = csr_array(of_groups[group][:, masters])
     prediction = _prediction(tree, unreachable, group, masters, values)
     return NodalSpace(tree, group, hanging, on_leaf, at, masters, level[masters], values, prediction)
-
-
-def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """From what every dependent value is made of to what it is made of in the end: free values alone."""
-    from scipy.sparse import csr_array, diags_array
-
-    step = csr_array(step + diags_array(is_free))
-    while step[:, np.flatnonzero(is_free == 0)].nnz:
-        step = csr_array(step @ step)
-        step.eliminate_zeros()
-    return step
 
 
 def _agreement(tree: Tree, tied: SharedFaces) -> _Agreement:

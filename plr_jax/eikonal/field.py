@@ -1,0 +1,199 @@
+"""What has been found of the cost-to-go: a proven lower and a proven upper bound, and an estimate between them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.eikonal.costs import CellCosts
+from plr_jax.eikonal.elements import basis, to_bernstein
+from plr_jax.eikonal.mesh import Mesh
+from plr_jax.eikonal.paths import NodePaths
+from plr_jax.eikonal.program import SlopeProgram
+from plr_jax.eikonal.rescaling import Rescaling, rescaling_of
+from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
+
+_ROUNDING = 1e-9  # share of values and of slopes, many times what their evaluation rounds
+_HALVES = np.array([0.0, 0.5, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class CostToGoField:
+    """Bounds of the cost-to-go on a mesh.
+
+    Attributes:
+        program: The program whose solution bounds it from below.
+        values: That solution, 0 at the goal; its slopes may be a little too steep.
+        paths: The paths that bound it from above.
+        costs: Of motions in each cell.
+        space: The configuration space.
+    """
+
+    program: SlopeProgram
+    values: Float[np.ndarray, "dofs"]
+    paths: NodePaths
+    costs: CellCosts
+    space: ConfigurationSpace
+
+    @property
+    def mesh(self) -> Mesh:
+        """The cells."""
+        return self.program.space.mesh
+
+    @cached_property
+    def _nodal(self) -> Float[np.ndarray, "cells nodes"]:
+        """Values at the nodes of each cell."""
+        return (self.program.space.values @ self.values).reshape(len(self.mesh.state), -1)
+
+    @cached_property
+    def _rescaling(self) -> Rescaling:
+        space, mesh = self.program.space, self.mesh
+        control = self._nodal[mesh.open_cells] @ to_bernstein(space.degree, mesh.dim).T
+        factor = (1 + _ROUNDING) * self.program.slopes(self.values).reshape(control.shape).max(axis=1)
+        return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
+
+    def lower_at(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """The lower bound at points ``t``, from 0 to 1, of cells, but for what is rounded."""
+        return self._rescaling(np.sum(basis(self.program.space.degree, t) * self._nodal[cell], axis=1))
+
+    @cached_property
+    def corner_values(self) -> Float[np.ndarray, "cells corners"]:
+        """An estimate at the corners of open cells: midway between the bounds, as near by if one is missing."""
+        corners = corner_bits(self.mesh.dim)
+        cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
+        lower = self.lower_at(cell, corners[corner].astype(float))
+        gap = self._corner_costs.ravel() - lower
+        group = self._corner_group
+        return (lower + _filled(np.where(np.isfinite(gap), gap, np.nan), group, len(corners)) / 2).reshape(
+            -1, len(corners)
+        )
+
+    @cached_property
+    def mean_gap(self) -> float:
+        """Mean distance of the bounds at the corners of cells that have both."""
+        corners = corner_bits(self.mesh.dim).astype(float)
+        cell, corner = np.nonzero(np.isfinite(self._corner_costs))
+        gap = self._corner_costs[cell, corner] - self.lower_at(cell, corners[corner])
+        return float(gap.mean()) if len(gap) else 0.0
+
+    def estimates(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """The estimate at points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
+        mesh = self.mesh
+        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
+        cell = mesh.locate(at)
+        values = np.sum(basis(1, np.clip(mesh.local(cell, at), 0, 1)) * self.corner_values[cell], axis=1)
+        return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
+
+    @cached_property
+    def _corner_group(self) -> Int[np.ndarray, "all_corners"]:
+        """Corners of open cells by their place; others are alone."""
+        mesh = self.mesh
+        x = mesh.fractions(np.arange(len(mesh.state))[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
+        group = np.unique(np.where(mesh.domain.periodic, x % 1.0, x), axis=0, return_inverse=True)[1].reshape(-1)
+        closed = np.repeat(mesh.state == CellState.BLOCKED, 2**mesh.dim)
+        group[closed] = group.max() + 1 + np.arange(np.count_nonzero(closed))
+        return group
+
+    @cached_property
+    def _corner_costs(self) -> Float[np.ndarray, "cells corners"]:
+        """The cost of a path from each cell's corners; ``inf`` where there is none."""
+        mesh = self.mesh
+        costs = np.full((len(mesh.state), 2**mesh.dim), np.inf)
+        costs[mesh.state == CellState.FREE] = self.paths.cost[self.paths.corners]
+        least = np.full(int(self._corner_group.max()) + 1, np.inf)
+        np.minimum.at(least, self._corner_group, costs.ravel())
+        return least[self._corner_group].reshape(costs.shape)
+
+    def bounds_over(
+        self,
+        cell: Int[np.ndarray, "n"],
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        corners: Float[np.ndarray, "n corners"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of the cost-to-go minus multilinear functions over boxes in open cells.
+
+        Args:
+            cell: The cell of each box.
+            lo: Its lower corner in the cell, from 0 to 1.
+            hi: Its upper corner.
+            corners: The function's values at the box's corners.
+
+        Returns:
+            Lower bounds, and upper ones: ``inf`` where no path is known from all free points of the box.
+        """
+        return self._lowest(cell, lo, hi, corners), self._highest(cell, lo, hi, corners)
+
+    def _lowest(
+        self,
+        cell: Int[np.ndarray, "n"],
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        corners: Float[np.ndarray, "n corners"],
+    ) -> Float[np.ndarray, "n"]:
+        space = self.program.space
+        lattice = space.lattice
+        at = lo[:, None] + (hi - lo)[:, None] * lattice
+        weights = basis(space.degree, at.reshape(-1, self.mesh.dim)).reshape(*at.shape[:2], -1)
+        control = np.einsum("nij,nj->ni", weights, self._nodal[cell]) @ to_bernstein(space.degree, self.mesh.dim).T
+        function = corners @ basis(1, lattice).T
+        highest = control.max(axis=1)
+        bent = self._rescaling(highest) - highest  # most where the value is largest
+        rounding = _ROUNDING * np.abs(self._nodal).max()
+        return (control - function).min(axis=1) + bent - rounding
+
+    def _highest(
+        self,
+        cell: Int[np.ndarray, "n"],
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        corners: Float[np.ndarray, "n corners"],
+    ) -> Float[np.ndarray, "n"]:
+        """By straight motions to corners of the cell, whose costs are convex: the most is at a vertex of a part."""
+        mesh, dim = self.mesh, self.mesh.dim
+        lattice = np.stack(np.meshgrid(*[_HALVES] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+        middles = 0.25 + corner_bits(dim) / 2
+        vertices = np.stack([np.flatnonzero(np.all(np.abs(lattice - middle) <= 0.25, axis=1)) for middle in middles])
+        at = lo[:, None] + (hi - lo)[:, None] * lattice
+        function = corners @ basis(1, lattice).T
+        most = np.full((len(cell), len(vertices)), np.inf)
+        for corner, place in enumerate(corner_bits(dim)):
+            change = ((at - place) * mesh.widths[cell][:, None]).reshape(-1, dim)
+            straight = self.costs.lengths(change).reshape(at.shape[:2]) * self.costs.upper[cell, None]
+            above = self._corner_costs[cell, corner, None] + straight - function
+            above[~self._sees[cell, corner]] = np.inf
+            most = np.minimum(most, above[:, vertices].max(axis=2))
+        return most.max(axis=1) + _ROUNDING * np.abs(self._nodal).max()
+
+    @cached_property
+    def _sees(self) -> Bool[np.ndarray, "cells corners"]:
+        """Whether a straight motion to a corner is free from all free points of a cell."""
+        mesh = self.mesh
+        sees = np.repeat((mesh.state == CellState.FREE)[:, None], 2**mesh.dim, axis=1)
+        if isinstance(self.space, SeesBoxes):
+            lo, hi = mesh.boxes
+            cell, corner = np.nonzero(np.isfinite(self._corner_costs) & (mesh.state == CellState.MIXED)[:, None])
+            q = np.where(corner_bits(mesh.dim)[corner] == 1, hi[cell], lo[cell])
+            sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
+        return sees
+
+
+def _filled(values: Float[np.ndarray, "m"], group: Int[np.ndarray, "m"], num_corners: int) -> Float[np.ndarray, "m"]:
+    """Values of groups of corners, unknown ones (NaN) from the known ones of their cells, cell by cell outward."""
+    values = values.copy()
+    num = int(group.max()) + 1
+    while True:
+        of_cell = values.reshape(-1, num_corners)
+        known = np.isfinite(of_cell)
+        count = known.sum(axis=1)
+        mean = np.where(count > 0, np.where(known, of_cell, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+        near = np.repeat(mean, num_corners)
+        use = np.isnan(values) & np.isfinite(near)
+        if not use.any():
+            return np.where(np.isnan(values), 0.0, values)
+        total = np.bincount(group[use], near[use], num)
+        weight = np.bincount(group[use], minlength=num)
+        fill = np.divide(total, weight, out=np.full(num, np.nan), where=weight > 0)
+        values = np.where(np.isnan(values), fill[group], values)

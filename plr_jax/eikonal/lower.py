@@ -1,0 +1,142 @@
+"""Proven lower bounds of the cost-to-go: the slope program on meshes that are refined where the flow loses most."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array, vstack
+from tqdm import tqdm
+
+from plr_jax.eikonal.costs import axis_scale, cell_costs
+from plr_jax.eikonal.elements import function_space
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax.eikonal.program import Iterate, SlopeProgram
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
+
+_COARSEST = 1 / 16  # share of the cells that the first mesh has
+_SHARE = 0.7  # of the loss, in cells that are refined
+_GROWTH = 1.3, 2.0  # least and most, of the number of cells
+_FIRST, _NEXT, _LAST = 150, 40, 150  # iterations on the first mesh, on those after it, and at the end
+_FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
+_DEEPEST = 13  # splits along an axis, which a query resolves
+_INSET = 1e-9  # of a cell, by which points keep off its faces
+
+
+class SlopeSolver:
+    """The slope program on finer and finer meshes.
+
+    Args:
+        space: What is free.
+        cost_map: A factor of the cost of motions, or None.
+        goal: The goal, a fraction of the domain.
+        max_cells: Most cells.
+        tolerance: Mean loss at which the mesh is fine enough.
+
+    Attributes:
+        program: The program on the finest mesh so far.
+    """
+
+    def __init__(
+        self,
+        space: ConfigurationSpace,
+        cost_map: CostMap | None,
+        goal: Float[np.ndarray, "dim"],
+        max_cells: int,
+        tolerance: float,
+    ):
+        self.space, self.cost_map, self.goal = space, cost_map, goal
+        self.max_cells, self.tolerance = max_cells, tolerance
+        mesh = coarse_mesh(space, axis_scale(space.motion_cost), int(_COARSEST * max_cells))
+        self.program = self._program(mesh)
+        self._iterate: Iterate | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        """The finest mesh so far."""
+        return self.program.space.mesh
+
+    @property
+    def has_solution(self) -> bool:
+        """Whether there is one."""
+        return self._iterate is not None
+
+    @property
+    def values(self) -> Float[np.ndarray, "dofs"]:
+        """The solution, 0 at the goal."""
+        assert self._iterate is not None
+        return self._iterate.values - self.program.at_goal(self._iterate.values)
+
+    def _program(self, mesh: Mesh) -> SlopeProgram:
+        return slope_program(mesh, self.space, self.cost_map, self.goal)
+
+    def refine(self, progress: tqdm) -> None:
+        """Solve, refine where the flow loses most, and solve again, to the limit; then once more, thoroughly."""
+        self._iterate = self.program.solve(_FIRST, self.program.zero(), _FACTORED_FIRST)
+        progress.update(len(self.mesh.state))
+        while len(which := self._marked()):
+            finer = self._program(self.mesh.refined(which, self.space))
+            iterate = finer.solve(_NEXT, _prolonged(self.program, self._iterate, finer), (_NEXT // 2,))
+            progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
+            self.program, self._iterate = finer, iterate
+        self._iterate = self.program.solve(_LAST, self._iterate, (_LAST // 4,), at_last=True)
+
+    def _marked(self) -> Int[np.ndarray, "some"]:
+        """The cells that lose most, to be refined next."""
+        assert self._iterate is not None
+        mesh, loss = self.mesh, losses(self.program, self._iterate)
+        if loss.sum() <= self.tolerance * self.program.weight.sum():
+            return np.zeros(0, np.int64)
+        num_cells, parts = len(mesh.state), 2**mesh.dim - 1
+        order = np.argsort(-loss, kind="stable")
+        enough = np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1
+        least, most = (int((growth - 1) * num_cells / parts) for growth in _GROWTH)
+        num = min(max(enough, least), most, (self.max_cells - num_cells) // parts, np.count_nonzero(loss))
+        deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
+        return mesh.open_cells[order[~deepest][: max(num, 0)]]
+
+
+def slope_program(
+    mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"]
+) -> SlopeProgram:
+    """The program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
+    cell = mesh.locate(goal[None])
+    mesh = mesh.without(~mesh.connected_to(int(cell[0])))
+    functions = function_space(mesh, _degree(mesh.dim))
+    gradient = csr_array(vstack(functions.gradients(axis_scale(space.motion_cost))))
+    num_controls = len(functions.lattice)
+    volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
+    value_at_goal = functions.interpolation(cell, mesh.local(cell, goal[None])).toarray()[0]
+    blocks = [axes for axes, _ in space.motion_cost.blocks]
+    cost = np.repeat(cell_costs(space, cost_map, mesh).lower[mesh.open_cells], num_controls)
+    return SlopeProgram(functions, gradient, blocks, cost, volume, functions.integrals(), value_at_goal)
+
+
+def _degree(dim: int) -> int:
+    """Of the polynomials: 2 errs far less for its cells, but takes too long in more than two dimensions."""
+    return 2 if dim <= 2 else 1
+
+
+def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]:
+    """What the flow through each open cell costs, less what it gains in value, and all of it in a mixed cell.
+
+    Their sum is about how far the integral of the function is below that of the cost-to-go.
+    """
+    mesh, num_controls = program.space.mesh, len(program.space.lattice)
+    gradient = (program.gradient @ iterate.values).reshape(program.dim, -1, num_controls).mean(axis=2)
+    flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2)
+    cost = program.flow_norm(flow) * program.cost[::num_controls]
+    gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=0))
+    return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
+
+
+def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> Iterate:
+    """The same function and flow on a finer mesh."""
+    space, mesh = fine.space, coarse.space.mesh
+    size = len(space.lattice)
+    inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
+    x = space.mesh.fractions(space.node_of // size, inset)
+    cell = mesh.locate(x)
+    values = coarse.space.interpolation(cell, mesh.local(cell, x)) @ iterate.values
+    parent = mesh.locate(space.mesh.fractions(space.mesh.open_cells, np.full(mesh.dim, 0.5)))
+    place = np.full(len(mesh.state), 0)
+    place[mesh.open_cells] = np.arange(len(mesh.open_cells))
+    flow = iterate.flow.reshape(coarse.dim, -1, size).mean(axis=2)[:, place[parent]]
+    return Iterate(values, np.repeat(flow, size, axis=1))

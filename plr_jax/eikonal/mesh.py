@@ -1,0 +1,185 @@
+"""The mesh of a configuration space: dyadic cells, halved along all axes at once, that are free, blocked or mixed."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int8
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.faces import SharedFaces, shared_faces
+from plr_jax.plr.partition.tree import Tree, tree_of
+from plr_jax.spaces import CellState, ConfigurationSpace
+
+_TABLE_BITS = 20  # of the number of slots with which cells are found
+_LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Cells of a domain, in the order of the tree's traversal, and what is known of them.
+
+    Args:
+        domain: What they fill.
+        tree: Their tree.
+        state: What is proven of each, as :class:`CellState` has it.
+    """
+
+    domain: Box
+    tree: Tree
+    state: Int8[np.ndarray, "cells"]
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.domain.dim
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The cells."""
+        return self.tree.leaves
+
+    @cached_property
+    def open_cells(self) -> Int[np.ndarray, "open"]:
+        """Those that are not blocked."""
+        return np.flatnonzero(self.state != CellState.BLOCKED)
+
+    @cached_property
+    def faces(self) -> SharedFaces:
+        """Faces between cells that are not blocked."""
+        return self.all_faces[self.is_open_face]
+
+    @cached_property
+    def is_open_face(self) -> Bool[np.ndarray, "faces"]:
+        """Which of all faces are."""
+        is_open = self.state != CellState.BLOCKED
+        return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
+
+    @cached_property
+    def all_faces(self) -> SharedFaces:
+        """Faces between any two cells."""
+        return shared_faces(self.tree, self.domain.periodic)
+
+    @cached_property
+    def boxes(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        """Lower and upper corners of the cells."""
+        return self.cells.boxes(self.domain)
+
+    @cached_property
+    def widths(self) -> Float[np.ndarray, "cells dim"]:
+        """Of the cells, along each axis."""
+        return np.ldexp(self.domain.width, -self.cells.depth)
+
+    @property
+    def volumes(self) -> Float[np.ndarray, "cells"]:
+        """Of the cells."""
+        return self.widths.prod(axis=1)
+
+    def fractions(self, cell: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Float[np.ndarray, "*n dim"]:
+        """Points ``t``, from 0 to 1, of cells as fractions of the domain; exact for dyadic ones."""
+        return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
+
+    def local(self, cell: Int[np.ndarray, "*n"], x: Float[np.ndarray, "*n dim"]) -> Float[np.ndarray, "*n dim"]:
+        """Fractions of the domain as points of cells, the inverse of :meth:`fractions`."""
+        return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
+
+    def locate(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
+        """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
+        table, shape = self._table
+        index = tuple(np.clip((x.T * np.array(shape)[:, None]).astype(np.int64), 0, np.array(shape)[:, None] - 1))
+        cell = table[index]
+        deep = np.flatnonzero(cell < 0)
+        cell[deep] = self._descend(x[deep])
+        return cell
+
+    @cached_property
+    def _table(self) -> tuple[Int[np.ndarray, "*slots"], tuple[int, ...]]:
+        """Equal slots of the domain, with the cell that holds each; -1 where a slot holds several."""
+        bits = np.minimum(self.cells.depth.max(axis=0), _TABLE_BITS // self.dim)
+        table = np.full(tuple((1 << bits).tolist()), -1)
+        shallow = np.flatnonzero(np.all(self.cells.depth <= bits, axis=1))
+        first = self.cells.position[shallow] << (bits - self.cells.depth[shallow])
+        last = first + (1 << (bits - self.cells.depth[shallow]))
+        for cell, *slots in zip(shallow.tolist(), first.tolist(), last.tolist(), strict=True):
+            table[tuple(slice(*ends) for ends in zip(*slots, strict=True))] = cell
+        return table, table.shape
+
+    def _descend(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
+        tree = self.tree
+        node = np.zeros(len(x), np.int64)
+        rows = np.arange(len(x))
+        for _ in range(int(tree.cells.depth.sum(axis=1).max())):
+            axis, child = tree.axis[node], tree.child[node]
+            inner = child >= 0
+            middle = np.ldexp(tree.cells.position[node, axis] + 0.5, -tree.cells.depth[node, axis])
+            node = np.where(inner, child + (x[rows, axis] >= middle), node)
+        return self._leaf_of_node[node]
+
+    @cached_property
+    def _leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
+        leaf = np.full(len(self.tree.child), -1)
+        leaf[self.tree.node_of_leaf] = np.arange(len(self.state))
+        return leaf
+
+    def connected_to(self, cell: int) -> Bool[np.ndarray, "cells"]:
+        """Which cells are connected to one by open faces."""
+        num, faces = len(self.state), self.faces
+        graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
+        part = connected_components(graph, directed=False)[1]
+        return part == part[cell]
+
+    def without(self, is_closed: Bool[np.ndarray, "cells"]) -> "Mesh":
+        """The mesh with some cells counted as blocked."""
+        state = self.state.copy()
+        state[is_closed] = CellState.BLOCKED
+        return Mesh(self.domain, self.tree, state)
+
+    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> "Mesh":
+        """The mesh with some cells halved along every axis; the parts of mixed ones are classified anew."""
+        stays = np.ones(len(self.state), bool)
+        stays[which] = False
+        children, state = _split(self.cells[which]), np.repeat(self.state[which], 2**self.dim)
+        mixed = state == CellState.MIXED
+        state[mixed] = _classify(children[mixed], self.domain, space)
+        return _mesh(self.domain, self.cells[stays].append(children), np.append(self.state[stays], state))
+
+
+def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int) -> Mesh:
+    """A mesh of at least so many cells, about as wide along every axis by a scale of the coordinates."""
+    domain, depth = space.domain, np.zeros(space.domain.dim, np.int64)
+    width = domain.width * scale
+    depth = np.maximum(0, np.rint(np.log2(width / width.min()))).astype(np.int64)
+    depth[np.array(domain.periodic)] = np.maximum(depth[np.array(domain.periodic)], _LEAST_PERIODIC)
+    while 2.0 ** depth.sum() < num_cells:
+        depth += 1
+    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1).reshape(
+        -1, domain.dim
+    )
+    cells = Cells(np.tile(depth, (len(position), 1)), position)
+    return _mesh(domain, cells, _classify(cells, domain, space))
+
+
+def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"]) -> Mesh:
+    tree = tree_of(cells)
+    return Mesh(domain, tree, state[tree.order])
+
+
+def _split(cells: Cells) -> Cells:
+    for axis in range(cells.dim):
+        cells = cells.split(np.full(len(cells), axis))
+    return cells
+
+
+def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> Int8[np.ndarray, "cells"]:
+    """What is proven of cells; blocked ones hold no free point that a query, which rounds, may place in them."""
+    if not len(cells):
+        return np.zeros(0, np.int8)
+    state = space.classify(*cells.boxes(domain))
+    blocked = np.flatnonzero(state == CellState.BLOCKED)
+    lo, hi = cells[blocked].grown_boxes(domain)
+    lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in (lo, hi))
+    state[blocked] = np.where(space.classify(lo, hi) == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
+    return state

@@ -1,0 +1,193 @@
+"""Upper bounds of the cost-to-go: paths through free cells, straight wherever free cells allow.
+
+Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
+cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
+node of its path, or to the next node of a neighbor's, where that runs through free cells alone. Every bound is the
+cost of a path that is there.
+
+References:
+    Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from plr_jax.eikonal.costs import CellCosts
+from plr_jax.eikonal.mesh import Mesh
+from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.spaces import CellState
+
+_ROUNDS = 24
+_GAIN = 1e-9  # share of its cost by which a path must become cheaper
+_ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
+_AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
+_ROUNDING = 1e-12  # of costs
+
+Nodes = Int[np.ndarray, "nodes"]
+Costs = Float[np.ndarray, "nodes"]
+
+
+@dataclass(frozen=True, eq=False)
+class NodePaths:
+    """A path to the goal from every corner of the free cells.
+
+    Attributes:
+        points: Where the nodes are, as fractions of the domain; the last is the goal.
+        corners: The nodes at each free cell's corners; free cells are in the order of the mesh.
+        cost: Of each node's path, nowhere below what it costs; ``inf`` where none was found.
+        next: The node that each path goes to first; the goal's number for the goal, and where there is none.
+    """
+
+    points: Float[np.ndarray, "nodes dim"]
+    corners: Int[np.ndarray, "free corners"]
+    cost: Costs
+    next: Nodes
+
+
+def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]) -> NodePaths:
+    """Short paths to a goal, a fraction of the domain, from the corners of the free cells."""
+    graph = _FreeGraph(mesh, costs, goal)
+    next_, leg = graph.cheapest_edges()
+    cost = _along(next_, leg)
+    for _ in range(_ROUNDS):
+        before = cost
+        for ahead in (next_[next_], graph.next_of_neighbors(cost, next_)):
+            straight = graph.straight_costs(ahead, cost)
+            better = straight + cost[ahead] < (1 - _GAIN) * cost
+            next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
+            cost = _along(next_, leg)
+        known = np.isfinite(cost)
+        if np.sum(before[known] - cost[known]) <= _ENOUGH * np.sum(cost[known]):
+            break
+    return NodePaths(graph.points, graph.corners, (1 + _ROUNDING) * cost, next_)
+
+
+def _along(next_: Nodes, leg: Costs) -> Costs:
+    """Costs of whole paths, whose nodes become cheaper along them: by ever larger strides."""
+    cost = leg
+    while (next_ != next_[next_]).any():
+        cost, next_ = cost + cost[next_], next_[next_]
+    return cost
+
+
+class _FreeGraph:
+    """Corners of free cells, the goal last, and straight motions between those of one cell."""
+
+    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]):
+        self.mesh, self.costs = mesh, costs
+        self.free = np.flatnonzero(mesh.state == CellState.FREE)
+        x = mesh.fractions(self.free[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
+        x = np.where(mesh.domain.periodic, x % 1.0, x)
+        points, node = np.unique(x, axis=0, return_inverse=True)
+        self.corners = node.reshape(len(self.free), -1)
+        self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
+        self.begin, self.end, cell = self._edges(goal)
+        self.cost = costs.lengths(self._changes(self.begin, self.end)) * costs.upper[cell]
+
+    def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
+        """Motions between nodes, around periodic axes the short way."""
+        change = self.points[end] - self.points[begin]
+        return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
+
+    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Nodes, Nodes, Nodes]:
+        """Pairs of nodes in one closed free cell, and the cell."""
+        place = np.full(len(self.mesh.state), -1)
+        place[self.free] = np.arange(len(self.free))
+        within = np.flatnonzero(place[self.mesh.locate(goal[None])] >= 0)
+        nodes = [self.corners.ravel(), np.full(len(within), self.goal)]
+        cells = [np.repeat(self.free, self.corners.shape[1]), self.mesh.locate(goal[None])[within]]
+        for axis, bits in enumerate(corner_bits(self.mesh.dim).T):  # corners of one cell on the face of another
+            faces = self.mesh.faces[self.mesh.faces.axis == axis]
+            for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
+                both = (place[cell] >= 0) & (place[other] >= 0)
+                cell, other, on_face = cell[both], other[both], np.flatnonzero(bits == end)
+                t = self.mesh.local(
+                    other[:, None], self.mesh.fractions(cell[:, None], corner_bits(self.mesh.dim)[on_face])
+                )
+                t[:, :, axis] = 1 - end
+                row, corner = np.nonzero(np.all((t >= 0) & (t <= 1), axis=2))
+                nodes.append(self.corners[place[cell[row]], on_face[corner]])
+                cells.append(other[row])
+        node, cell = np.concatenate(nodes), np.concatenate(cells)
+        begin, end = np.repeat(node, self.corners.shape[1]), self.corners[place[cell]].ravel()
+        cell, other = np.repeat(cell, self.corners.shape[1]), begin != end
+        begin, end, cell = begin[other], end[other], cell[other]
+        return np.append(begin, end), np.append(end, begin), np.append(cell, cell)
+
+    def cheapest_edges(self) -> tuple[Nodes, Costs]:
+        """The first edge of the cheapest way along edges from each node: its end, and its cost."""
+        num = len(self.points)
+        order = np.lexsort((self.cost, self.begin, self.end))
+        key = self.end[order] * num + self.begin[order]
+        first = order[np.append(True, key[1:] != key[:-1])]
+        graph = csr_array((self.cost[first], (self.end[first], self.begin[first])), (num, num))
+        cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
+        next_ = np.where(previous < 0, self.goal, previous)
+        leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
+        leg[self.goal] = 0.0
+        return next_, leg
+
+    @cached_property
+    def _runs(self) -> tuple[Nodes, Nodes]:
+        """Edges by their beginnings, and where those of each node that has some begin."""
+        order = np.argsort(self.begin, kind="stable")
+        begin = self.begin[order]
+        return order, np.flatnonzero(np.append(True, begin[1:] != begin[:-1]))
+
+    def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
+        """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
+        order, first = self._runs
+        ahead, begin = next_[self.end[order]], self.begin[order]
+        total = self._lengths(begin, ahead) + cost[ahead]
+        least = np.minimum.reduceat(total, first)
+        run = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(order))))
+        is_best = np.flatnonzero(total == least[run])
+        best = next_.copy()
+        best[begin[is_best]] = ahead[is_best]
+        return best
+
+    def _lengths(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n"]:
+        """What straight motions cost at the least."""
+        return self.costs.lengths(self._changes(begin, end)) * self._least
+
+    @cached_property
+    def _least(self) -> float:
+        return float(self.costs.lower[self.free].min(initial=np.inf))
+
+    def straight_costs(self, ahead: Nodes, cost: Costs) -> Costs:
+        """What going straight costs at the most; ``inf`` where it leaves free cells, or gains nothing anyway."""
+        node = np.arange(len(ahead))
+        hopeful = self._lengths(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
+        straight = np.full(len(ahead), np.inf)
+        which = np.flatnonzero(hopeful)
+        straight[which] = self._through_free_cells(self.points[which], self._changes(which, ahead[which]))
+        return straight
+
+    def _through_free_cells(
+        self, x: Float[np.ndarray, "n dim"], change: Float[np.ndarray, "n dim"]
+    ) -> Float[np.ndarray, "n"]:
+        """What straight motions cost at the most, cell by cell; ``inf`` if one of their cells is not free."""
+        mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
+        length, rate = self.costs.lengths(change), change / mesh.domain.width
+        ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
+        going = np.flatnonzero(length > 0)
+        while len(going):
+            here = x[going] + np.minimum(t[going] + ahead[going], 1.0)[:, None] * rate[going]
+            here = np.where(mesh.domain.periodic, here % 1.0, here)
+            cell = mesh.locate(here)
+            is_free = mesh.state[cell] == CellState.FREE
+            total[going[~is_free]] = np.inf
+            going, here, cell = going[is_free], here[is_free], cell[is_free]
+            within, speed = mesh.local(cell, here), np.ldexp(rate[going], mesh.cells.depth[cell])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
+            step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
+            total[going] += step * length[going] * self.costs.upper[cell]
+            t[going] += step
+            going = going[t[going] < 1.0]
+        return total

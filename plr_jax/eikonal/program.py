@@ -1,0 +1,185 @@
+"""The largest function below the cost-to-go: a convex program over a finite-element space.
+
+A function that is 0 at the goal, continuous across every face that is not proven blocked, and nowhere steeper than a
+step there costs, is nowhere above the cost of any path. Of a polynomial cell by cell, the slope is bounded by that of
+its control vectors, so that the largest such function, by its integral, solves
+
+    maximize  sum of w u   subject to  |gradient at each control point| <= cost of a step in the cell.
+
+The multipliers are a flow: from everywhere to the goal, along the cheapest ways. The alternating direction method of
+multipliers solves it, a Poisson equation an iteration, whose matrix is factored once in a while. What it ends with is
+made to satisfy the constraints, rounding included, so that the bound is proven however far it went.
+
+References:
+    Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and degenerate
+    elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csc_matrix, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from plr_jax.eikonal.elements import FunctionSpace
+
+_RELAXATION = 1.6
+_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
+_TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
+_ROUNDING = 1e-9  # of slopes, many times what their evaluation rounds
+
+Flow = Float[np.ndarray, "dim controls"]
+
+
+@dataclass(frozen=True, eq=False)
+class SlopeProgram:
+    """The program on one space.
+
+    Attributes:
+        space: The functions.
+        gradient: Maps degrees of freedom to the control vectors, axis by axis, in coordinates in which a step of
+            length 1 within any block of axes costs the ``cost`` of the cell.
+        blocks: Axes whose gradients are bounded together.
+        cost: Of a step, at the least, in each control point's cell.
+        volume: Of each control point.
+        goal: The value at the goal, in terms of the degrees of freedom.
+    """
+
+    space: FunctionSpace
+    gradient: csr_array
+    blocks: Sequence[Sequence[int]]
+    cost: Float[np.ndarray, "controls"]
+    volume: Float[np.ndarray, "controls"]
+    weight: Float[np.ndarray, "dofs"]
+    goal: Float[np.ndarray, "dofs"]
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.space.mesh.dim
+
+    def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
+        """Slopes at the control points over the cost of a step."""
+        g = (self.gradient @ u).reshape(self.dim, -1)
+        return self._norm(g) / self.cost
+
+    def at_goal(self, u: Float[np.ndarray, "dofs"]) -> float:
+        """The value at the goal."""
+        return float(self.goal @ u)
+
+    def mean(self, u: Float[np.ndarray, "dofs"]) -> float:
+        """Mean over open cells."""
+        return float(self.weight @ u / self.weight.sum())
+
+    def _norm(self, g: Flow) -> Float[np.ndarray, "controls"]:
+        """The largest norm among those of the blocks."""
+        return np.sqrt(np.max([sum(g[axis] ** 2 for axis in block) for block in self.blocks], axis=0))
+
+    def _project(self, g: Flow, bound: Float[np.ndarray, "controls"]) -> Flow:
+        """The nearest vectors within the bounds."""
+        nearest = np.empty_like(g)
+        for block in self.blocks:
+            axes = list(block)
+            length = np.sqrt(np.sum(g[axes] ** 2, axis=0))
+            nearest[axes] = g[axes] * np.minimum(1.0, bound / np.maximum(length, np.finfo(float).tiny))
+        return nearest
+
+    def flow_norm(self, flow: Flow) -> Float[np.ndarray, "controls"]:
+        """What a flow costs to move a unit."""
+        return np.sum([np.sqrt(np.sum(flow[list(block)] ** 2, axis=0)) for block in self.blocks], axis=0)
+
+    def zero(self) -> "Iterate":
+        """No flow, and 0 everywhere."""
+        return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.cost))))
+
+    def solve(
+        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], at_last: bool = False
+    ) -> "Iterate":
+        """So many iterations from a start.
+
+        Args:
+            num_iterations: Iterations.
+            start: Values and flow to begin with.
+            factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
+            at_last: Whether to tighten the bounds where slopes exceed them, so that the result nearly satisfies them.
+        """
+        u, flow, least = start.values.copy(), start.flow, _LEAST_PENALTY_AT_LAST if at_last else _LEAST_PENALTY
+        load = self.weight - self.weight.sum() * self.goal
+        bound = self.cost.copy()
+        penalty = self._penalties(flow, least) if flow.any() else np.ones(len(self.cost))
+        system = _Poisson(self, penalty)
+        y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
+        z = self._project(g, bound)
+        for iteration in range(num_iterations):
+            if iteration in factor_at:
+                flow = penalty * y
+                penalty = self._penalties(flow, least)
+                y, system = flow / penalty, _Poisson(self, penalty)
+            u = system.solve(load, z - y)
+            g = (self.gradient @ u).reshape(self.dim, -1)
+            if at_last and iteration % _TIGHTEN_EVERY == 0:
+                bound = np.minimum(bound, bound * self.cost / np.maximum(self._norm(g), np.finfo(float).tiny))
+            v = _RELAXATION * g + (1 - _RELAXATION) * z + y
+            z = self._project(v, bound)
+            y = v - z
+        return Iterate(u, penalty * y)
+
+    def _penalties(self, flow: Flow, least: float) -> Float[np.ndarray, "controls"]:
+        norm = self.flow_norm(flow)
+        return np.maximum(norm, least * np.median(norm[norm > 0]))
+
+    def feasible(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "dofs"]:
+        """Values scaled so that all constraints hold, and nothing is above 0 at the goal, rounding included."""
+        u = u - self.at_goal(u)
+        scaled = u / ((1 + _ROUNDING) * max(1.0, float(self.slopes(u).max())))
+        return scaled - _ROUNDING * np.abs(scaled).max()
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Values of the degrees of freedom, and the flow at the control points."""
+
+    values: Float[np.ndarray, "dofs"]
+    flow: Flow
+
+
+class _Poisson:
+    """The equation of an iteration; one degree of freedom is held at 0."""
+
+    def __init__(self, program: SlopeProgram, penalty: Float[np.ndarray, "controls"]):
+        weights = np.tile(penalty * program.volume, program.dim)
+        self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
+        matrix, self.free = self.divergence @ program.gradient, np.arange(1, len(program.goal))
+        if program.dim > 2:
+            order = elimination_order(program.space)
+            self.free = order[order != 0]
+        matrix = csc_matrix(matrix[self.free][:, self.free])
+        ordering = "NATURAL" if program.dim > 2 else "MMD_AT_PLUS_A"
+        self.factors: Any = splu(matrix, ordering, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+    def solve(self, load: Float[np.ndarray, "dofs"], field: Flow) -> Float[np.ndarray, "dofs"]:
+        u = np.zeros(len(load))
+        u[self.free] = self.factors.solve((load + self.divergence @ field.ravel())[self.free])
+        return u
+
+
+def elimination_order(space: FunctionSpace) -> Int[np.ndarray, "dofs"]:
+    """Nested dissection along the tree: what lies on either side of a split first, then what lies on it.
+
+    References:
+        George, "Nested dissection of a regular finite element mesh", 1973.
+    """
+    tree, x = space.mesh.tree, space.points
+    node, rows = np.zeros(len(x), np.int64), np.arange(len(x))
+    keys = []
+    for _ in range(int(tree.cells.depth.sum(axis=1).max())):
+        axis, child = tree.axis[node], tree.child[node]
+        middle = np.ldexp(tree.cells.position[node, axis] + 0.5, -tree.cells.depth[node, axis])
+        at = x[rows, axis]
+        key = np.where(child < 0, 0, np.where(at == middle, 2, (at > middle).astype(np.int64)))
+        node = np.where(child < 0, node, child + (at > middle))
+        keys.append(key.astype(np.int8))
+    return np.lexsort(keys[::-1])

@@ -1,0 +1,51 @@
+"""Cells classified by samples: all that can be said where configurations alone can be tested."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.spaces import CellState, FreeTest, MotionCost
+
+_NUM_SAMPLES = 8  # beside the corners and the center
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSpace:
+    """A configuration space whose boxes are what all their samples are; nothing of it is proven."""
+
+    space: FreeTest
+    seed: int
+
+    @property
+    def domain(self) -> Box:
+        """That of the space."""
+        return self.space.domain
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        """That of the space."""
+        return self.space.motion_cost
+
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether configurations are free."""
+        return self.space.is_free(q)
+
+    @cached_property
+    def _samples(self) -> Float[np.ndarray, "k dim"]:
+        return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
+
+    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
+        """Free or blocked if all samples are, else mixed."""
+        x = lo[:, None] + (hi - lo)[:, None] * self._samples
+        free = np.asarray(self.space.is_free(x.reshape(-1, x.shape[2]))).reshape(x.shape[:2])
+        state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
+        return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Nothing is proven of motions."""
+        return np.zeros(len(np.asarray(q0)), bool)

@@ -1,0 +1,133 @@
+"""PLRs of what has been found of a cost-to-go, with the proof: on its own mesh, or on a smaller partition."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax.eikonal.elements import basis
+from plr_jax.eikonal.field import CostToGoField
+from plr_jax.plr._assembly import plr_of_leaves
+from plr_jax.plr._file import Contents
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.certificate.branch_and_bound import LeafBounds
+from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.growth.limits import check_limits
+from plr_jax.plr.growth.rules import best_axis, largest_error
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import CornerLeafModel, Rules
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import Tree, corner_bits, levels_of, tree_of
+from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.plane_fits import least_squares
+from plr_jax.spaces import CellState
+
+_STEP_PER_GAP = 0.1  # of stored values, over the mean distance of the bounds
+_SMALLEST_STEP = 2.0**-22  # of the largest value
+
+
+def plr_on_mesh(field: CostToGoField, is_proven: bool) -> PLR:
+    """One leaf a cell of the mesh: estimates at corners, tied across open faces."""
+    mesh, model = field.mesh, _model()
+    closed, values = mesh.state == CellState.BLOCKED, field.corner_values
+    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, _step(field))
+    contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
+    return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
+
+
+def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: bool) -> PLR:
+    """The best partition whose file has at most so many bytes, grown from the estimate."""
+    model, domain = _model(), field.mesh.domain
+    proof = Proof.OPEN_LEAVES if is_proven else Proof.NONE
+    limits = check_limits(
+        domain.dim, model.least_bytes, False, model.bytes_without_budget, None, None, max_bytes, None, proof
+    )
+    pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
+    sampler = Sampler(field.estimates, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
+    cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
+    contents = Contents(domain, model, levels_of(cells)[0], cells, stored)
+    return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
+
+
+def _model() -> CornerLeafModel:
+    model = leaf_model("continuous")
+    assert isinstance(model, CornerLeafModel)
+    return model
+
+
+def _step(field: CostToGoField) -> float:
+    least = max(_SMALLEST_STEP * float(np.abs(field.corner_values).max()), float(np.finfo(np.float32).tiny))
+    return max(_STEP_PER_GAP * field.mean_gap, least)
+
+
+def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
+    """The leaves, with bounds of each over all cells of the mesh that meet it."""
+    mesh, num_leaves = field.mesh, len(contents.cells)
+    leaves = tree_of(contents.cells)
+    leaf, cell = _overlaps(leaves, mesh.tree)
+    is_open = mesh.state[cell] != CellState.BLOCKED
+    leaf, cell = leaf[is_open], cell[is_open]
+    lo, hi = _intersections(contents.cells, leaf, mesh.cells, cell)
+    corners = corner_bits(mesh.dim)
+    coefficients = filled_coefficients(contents)
+    is_inf = np.isinf(coefficients[leaf, 0])
+    at = lo[:, None] + (hi - lo)[:, None] * corners
+    t = np.ldexp(at, contents.cells.depth[leaf][:, None]) - contents.cells.position[leaf][:, None]
+    weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
+    values = np.einsum("nij,nj->ni", weights, np.where(is_inf[:, None], 0.0, coefficients[leaf]))
+    below, above = field.bounds_over(cell, mesh.local(cell, lo), mesh.local(cell, hi), values)
+    lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
+    np.minimum.at(lower, leaf, below)
+    np.maximum.at(upper, leaf, np.where(is_inf, math.inf, above))
+    rounding = contents.leaf.rounding(
+        contents.domain, contents.cells, np.where(np.isinf(coefficients), 0.0, coefficients)
+    )
+    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
+    return Contents(contents.domain, contents.leaf, contents.levels, contents.cells, contents.stored, certificate)
+
+
+def _overlaps(a: Tree, b: Tree) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
+    """All pairs of leaves of two trees of one domain whose interiors meet."""
+    pairs, found = np.zeros((2, 1), np.int64), []
+    trees = (a, b)
+    while pairs.shape[1]:
+        inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=True)])
+        found.append(pairs[:, ~inner.any(axis=0)])
+        # The larger of two nodes gives way to its children, or the one that has some.
+        volume = np.stack([-tree.cells.depth[nodes].sum(axis=1) for tree, nodes in zip(trees, pairs, strict=True)])
+        first = inner[0] & (~inner[1] | (volume[0] >= volume[1]))
+        children = []
+        for side, which in enumerate((first, inner.any(axis=0) & ~first)):
+            tree, some = trees[side], pairs[:, which]
+            for half in range(2):
+                child = some.copy()
+                child[side] = tree.child[some[side]] + half
+                axis = tree.axis[some[side]]
+                children.append(child[:, _meet(a.cells, child[0], b.cells, child[1], axis)])
+        pairs = np.concatenate(children, axis=1)
+    leaf_of = [np.full(len(tree.child), -1) for tree in trees]
+    for of, tree in zip(leaf_of, trees, strict=True):
+        of[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
+    first, second = np.concatenate(found, axis=1)
+    return leaf_of[0][first], leaf_of[1][second]
+
+
+def _meet(
+    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
+) -> np.ndarray:
+    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
+    common = np.minimum(a.depth[i, axis], b.depth[j, axis])
+    return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
+
+
+def _intersections(
+    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"]]:
+    """What pairs of cells have in common, as fractions of the domain."""
+    ends = [
+        (np.ldexp(c.position[k], -c.depth[k]), np.ldexp(c.position[k] + 1.0, -c.depth[k]))
+        for c, k in ((a, i), (b, j))
+    ]
+    return np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])

@@ -1,0 +1,1 @@
+"""Lengths of a car's shortest paths, in closed form."""

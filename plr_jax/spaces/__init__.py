@@ -1,0 +1,12 @@
+"""Configuration spaces: what is free, of points and of whole boxes, and what a motion costs."""
+
+from plr_jax.spaces._arm import PlanarArm as PlanarArm
+from plr_jax.spaces._cost_map import CostMap as CostMap
+from plr_jax.spaces._cost_map import LipschitzCost as LipschitzCost
+from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
+from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
+from plr_jax.spaces._space import CellState as CellState
+from plr_jax.spaces._space import ConfigurationSpace as ConfigurationSpace
+from plr_jax.spaces._space import FreeTest as FreeTest
+from plr_jax.spaces._space import MotionCost as MotionCost
+from plr_jax.spaces._space import SeesBoxes as SeesBoxes

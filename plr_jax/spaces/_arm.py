@@ -1,0 +1,271 @@
+"""The configuration space of an arm: links one after the other in the plane, turned by revolute joints."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any, TypeAlias
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int8
+
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.motion import shorter_turn
+from plr_jax.spaces._obstacles import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+
+_BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
+_MOST_BISECTIONS = 12
+_SIDES = 12
+"""Corners of the polygons around what ends of links sweep: they reach 3.5 % farther than the discs within them."""
+
+_PROBES = np.array([0.0, 0.5, 1.0])  # shares of each link at which it is looked for in obstacles
+
+Angles: TypeAlias = Float[np.ndarray, "n joints"]
+Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
+Positions: TypeAlias = Float[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class PlanarArm:
+    """Joint angles of an arm in a workspace; a motion costs its length in joint space, in radians.
+
+    The first angle is that of the first link to the x axis, each other one that of a link to the link before, all
+    counterclockwise and modulo a full turn. Free is what keeps all links off obstacles and within the bounds, to
+    ``workspace.tolerance``, and on request off one another. What is proven of a box of configurations is the closer
+    to the truth the smaller the box is.
+
+    Args:
+        workspace: Where the arm moves.
+        lengths: Lengths of the links, in workspace units, positive; one joint a link.
+        base: Where the first joint is, ``(2,)``.
+        width: Width of the links, at least 0: each is all that is within half of it of a segment.
+        self_collision: Whether links that are not neighbors must not overlap; needs a positive width.
+
+    Attributes:
+        workspace, width, self_collision: As given.
+        lengths: As given, ``(joints,)``.
+        base: As given, ``(2,)``.
+
+    Raises:
+        ValueError: If a length is not positive and finite, the width is negative or not finite, the base is no point
+            or has no room in the workspace, or links of no width are to keep off one another.
+    """
+
+    workspace: Workspace
+    lengths: Float[np.ndarray, "joints"]
+    base: Float[np.ndarray, "2"]
+    width: float
+    self_collision: bool
+
+    def __init__(
+        self,
+        workspace: Any,
+        lengths: ArrayLike,
+        base: ArrayLike,
+        width: float | int = 0.0,
+        self_collision: bool = False,
+    ):
+        if not isinstance(workspace, Workspace):
+            raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
+        lengths, base = as_finite_point("lengths", lengths), as_finite_point("base", base, 2)
+        if (lengths <= 0).any():
+            raise ValueError(f"The lengths of an arm's links must be positive, got {lengths.tolist()}.")
+        width, self_collision = as_finite("width", width), as_bool("self_collision", self_collision)
+        if self_collision and width == 0:
+            raise ValueError("Links keep off one another by their width: give one above 0, or no self_collision.")
+        clearance = workspace.clearance(base[None])[0]
+        if clearance < width / 2 - workspace.tolerance:
+            raise ValueError(
+                f"The base of the arm at {base.tolist()} has no room for links of width {width:g}: its clearance is "
+                f"{clearance:.3g}."
+            )
+        vars(self).update(workspace=workspace, lengths=lengths, base=base, width=width, self_collision=self_collision)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.lengths)
+
+    @property
+    def domain(self) -> Box:
+        """Angles from ``-pi`` to ``pi``, all periodic."""
+        return Box([-math.pi] * self.dof, [math.pi] * self.dof, periodic=(True,) * self.dof)
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        """Length in joint space."""
+        return MotionCost(((tuple(range(self.dof)), 1.0),))
+
+    def forward(self, q: ArrayLike) -> Ends:
+        """Where the joints are, and last the arm's tip.
+
+        Args:
+            q: Joint angles, ``(n, joints)``, in radians.
+
+        Returns:
+            The ends of the links, ``(n, joints + 1, 2)``, the base first.
+
+        Raises:
+            ValueError: If ``q`` has another shape.
+        """
+        heading = np.cumsum(as_points("q", q, self.dof), axis=1)
+        links = self.lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=2)
+        return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
+
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether configurations are free.
+
+        Args:
+            q: Joint angles, ``(n, joints)``, in radians.
+
+        Returns:
+            True where no link overlaps an obstacle or the outside of the bounds, nor, on request, a link that is not
+            its neighbor, to ``workspace.tolerance``; False for configurations that are not finite.
+
+        Raises:
+            ValueError: If ``q`` has another shape.
+        """
+        q = as_points("q", q, self.dof)
+        free = np.isfinite(q).all(axis=1)
+        ends = self.forward(np.where(free[:, None], q, 0.0))
+        for i in range(self.dof):
+            rows = np.flatnonzero(free)
+            free[rows] = self._is_clear(ends[rows, i], ends[rows, i + 1])
+        if self.self_collision:
+            free &= (self._distances_within(ends) >= self.width - self.workspace.tolerance).all(axis=1)
+        return free
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether straight motions, which turn each joint the shorter way, are proven free all along.
+
+        Args:
+            q0: Where they begin, ``(n, joints)``, in radians.
+            q1: Where they end, ``(n, joints)``.
+
+        Returns:
+            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite, and for some
+            motions along which the arm comes closer to a wall than about 1e-3 of its way.
+
+        Raises:
+            ValueError: If the shapes are others or differ.
+        """
+        q0, q1 = as_motions(q0, q1, self.dof)
+        free = self.is_free(q0) & self.is_free(q1)
+        rows = np.flatnonzero(free)
+        for begin in range(0, len(rows), _MOTIONS):
+            part = rows[begin : begin + _MOTIONS]
+            free[part] = self._are_free(q0[part], shorter_turn(q0[part], q1[part]))
+        return free
+
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+        """What is proven of boxes of joint angles.
+
+        Args:
+            lo: Lower corners, ``(n, joints)``, in radians, finite.
+            hi: Upper corners, ``(n, joints)``, finite and nowhere below; angles may leave the domain.
+
+        Returns:
+            The :class:`CellState` of each, ``(n,)``.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        """
+        center, half = as_boxes(lo, hi, self.dof)
+        state = np.full(len(center), CellState.MIXED, dtype=np.int8)
+        for begin in range(0, len(center), _BOXES):
+            part = slice(begin, begin + _BOXES)
+            state[part][self._sweeps_free(center[part], half[part])] = CellState.FREE
+        rows = np.flatnonzero(state == CellState.MIXED)
+        rows = rows[~self.is_free(center[rows])]
+        state[rows[self._is_hit(center[rows], half[rows])]] = CellState.BLOCKED
+        return state
+
+    def _is_clear(self, start: Positions, end: Positions) -> Bool[np.ndarray, "n"]:
+        """Whether a link between two points keeps off obstacles and within the bounds."""
+        clear = self.workspace.is_visible(start, end)
+        if self.width > 0:
+            links = shapely.linestrings(np.stack([start, end], axis=1)[clear])
+            reach = self.width / 2 - self.workspace.tolerance
+            clear[clear] = ~come_near(self.workspace, links, reach)
+        return clear
+
+    def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
+        """Whether motions are proven free, in pieces that are bisected until each is, or the middle of one is not."""
+        free = np.ones(len(q0), dtype=bool)
+        owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
+        for _ in range(_MOST_BISECTIONS):
+            unsure = ~self._sweeps_free(center, np.abs(half))
+            owner, center, half = owner[unsure], center[unsure], half[unsure]
+            free[owner[~self.is_free(center)]] = False
+            left = free[owner]
+            owner, half = np.tile(owner[left], 2), np.tile(half[left] / 2, (2, 1))
+            center = np.tile(center[left], (2, 1)) + np.repeat([[-1], [1]], left.sum(), axis=0) * half
+        free[owner] = False
+        return free
+
+    def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+        """Whether all that the arm covers within boxes of angles certainly is clear."""
+        ends, reaches = self.forward(center), half @ self._spans
+        free = np.ones(len(center), dtype=bool)
+        for i in reversed(range(self.dof)):
+            rows = np.flatnonzero(free)
+            hulls = _hulls(ends[rows, i : i + 2], reaches[rows, i : i + 2])
+            free[rows] = shapely.covers(self.workspace.free_space, hulls)
+            if self.width > 0:
+                rows, hulls = rows[free[rows]], hulls[free[rows]]
+                reach = self.width / 2 - self.workspace.tolerance / 2
+                free[rows] = ~come_near(self.workspace, hulls, reach)
+        if self.self_collision:
+            free &= (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
+        return free
+
+    def _is_hit(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+        """Whether a link certainly overlaps obstacles, the outside of the bounds or another link, all over a box."""
+        ends, reaches = self.forward(center), half @ self._spans + 2 * self.workspace.tolerance
+        hit = np.zeros(len(center), dtype=bool)
+        for i in range(self.dof):
+            rows = np.flatnonzero(~hit)
+            hit[rows] = crosses_walls(self.workspace, ends[rows, i : i + 2], reaches[rows, i : i + 2])
+            for share in _PROBES:
+                rows = np.flatnonzero(~hit)
+                x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
+                moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
+                hit[rows] = have_walls_within(self.workspace, x, self.width / 2 - moves)
+        if self.self_collision:
+            deep = self.width - self._motions_within(half) - 2 * self.workspace.tolerance
+            hit |= (self._distances_within(ends) <= deep).any(axis=1)
+        return hit
+
+    @cached_property
+    def _spans(self) -> Float[np.ndarray, "joints joints_plus_one"]:
+        """How far the ends of links are from joints at most, 0 from joints that do not move them."""
+        along = np.append(0.0, np.cumsum(self.lengths))
+        return np.maximum(0.0, along - along[:-1, None])
+
+    @property
+    def _others(self) -> list[tuple[int, int]]:
+        """Pairs of links that are no neighbors."""
+        return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1]
+
+    def _distances_within(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
+        """Distances of pairs of links."""
+        distances = [distances_of_segments(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._others]
+        return np.stack(distances, axis=1) if distances else np.zeros((len(ends), 0))
+
+    def _motions_within(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
+        """How far points of the later link of pairs move at most as seen from the other within boxes."""
+        moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._others]
+        return np.stack(moves, axis=1) if moves else np.zeros((len(half), 0))
+
+
+def _hulls(links: Links, reaches: Float[np.ndarray, "n 2"]) -> Any:
+    """Convex polygons around links whose ends move by some reaches: a point between them moves by as much between."""
+    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
+    points = links[:, :, None] + reaches[:, :, None, None] * rim
+    return shapely.convex_hull(shapely.linestrings(points.reshape(len(links), 2 * _SIDES, 2)))

@@ -1,0 +1,174 @@
+"""The configuration space of a point or a disc: the plane."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int8
+
+from plr_jax._arrays import as_points, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.collision.walls import motion_test
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.point import PointRobot
+from plr_jax.robots.robot import Robot
+from plr_jax.spaces._obstacles import come_near
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+
+_SLIVER = 0.01
+"""Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances."""
+
+
+@dataclass(frozen=True)
+class PlaneSpace:
+    """Positions of a point or of a disc in a workspace; the cost of a motion is its length.
+
+    Free is what keeps the robot off obstacles and within the bounds, to ``workspace.tolerance``. Boxes are classified
+    exactly, but for discs beside corners: there, boxes within the grown obstacle may be called MIXED up to 0.5 % of
+    the radius below its rim.
+
+    Args:
+        workspace: Where the robot moves.
+        robot: A PointRobot or a DiscRobot.
+
+    Raises:
+        ValueError: If the robot is another, or nothing is free for it.
+    """
+
+    workspace: Workspace
+    robot: Robot = field(default_factory=PointRobot)
+
+    def __post_init__(self):
+        if not isinstance(self.workspace, Workspace):
+            raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
+        if not isinstance(self.robot, Robot) or self.robot.dof != 2 or len(self.robot.core) > 1:
+            raise ValueError(
+                f"The robot of a PlaneSpace must be a point or a disc, got {shortened(self.robot)}; use "
+                f"RigidBodySpace for one with a heading."
+            )
+        _ = self._passable  # refuses what leaves no free space
+
+    @property
+    def domain(self) -> Box:
+        """The bounds of the workspace."""
+        return self.workspace.bounds
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        """Length."""
+        return MotionCost((((0, 1), 1.0),))
+
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether positions are free.
+
+        Args:
+            q: Positions, ``(n, 2)``.
+
+        Returns:
+            True where the robot overlaps neither obstacles nor the outside of the bounds, to ``workspace.tolerance``;
+            False for positions that are not finite.
+
+        Raises:
+            ValueError: If ``q`` has another shape.
+        """
+        q = as_points("q", q, 2)
+        return self.are_free(q, q)
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether straight motions are free all along; exact.
+
+        Args:
+            q0: Where they begin, ``(n, 2)``.
+            q1: Where they end, ``(n, 2)``.
+
+        Returns:
+            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite.
+
+        Raises:
+            ValueError: If the shapes are others or differ.
+        """
+        q0, q1 = as_motions(q0, q1, 2)
+        finite = np.isfinite(q0 + q1).all(axis=1)
+        free = np.zeros(len(q0), dtype=bool)
+        free[finite] = motion_test(self.workspace, self.robot)(q0[finite], q1[finite])
+        return free
+
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+        """What is proven of boxes of positions.
+
+        Args:
+            lo: Lower corners, ``(n, 2)``, finite.
+            hi: Upper corners, ``(n, 2)``, finite and nowhere below.
+
+        Returns:
+            The :class:`CellState` of each, ``(n,)``. A box in which free space is thinner than a hundredth of
+            ``workspace.tolerance`` counts as BLOCKED, since walls touch that are no farther apart.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        """
+        center, half = as_boxes(lo, hi, 2)
+        # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
+        boxes = _shrunk(center, half, self.workspace.tolerance / 2)
+        near = come_near(self.workspace, boxes, self.robot.rounding)
+        inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
+        state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
+        near = np.flatnonzero(near)
+        boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
+        passable = shapely.intersects(self._passable, boxes)
+        state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
+        return state
+
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether positions are seen from everywhere in boxes that is free: proven for points, never for discs.
+
+        Args:
+            q: Positions, ``(n, 2)``, in or beside their boxes.
+            lo: Lower corners of boxes, ``(n, 2)``, finite.
+            hi: Upper corners, finite and nowhere below.
+
+        Returns:
+            True where the free part of the box is one polygon without holes, to every edge of which the position is
+            on the inner side.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or corners are not those of boxes.
+        """
+        (q, _), (center, half) = as_motions(q, lo, 2), as_boxes(lo, hi, 2)
+        sees = np.zeros(len(q), dtype=bool)
+        if self.robot.circumscribed_radius > 0:
+            return sees
+        boxes: Any = shapely.box(*(center - half).T, *(center + half).T)
+        parts: Any = shapely.intersection(self.workspace.free_space, boxes)
+        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (
+            shapely.get_num_interior_rings(parts) == 0
+        )
+        rings: Any = shapely.get_exterior_ring(parts[whole])
+        vertices, ring = shapely.get_coordinates(rings, return_index=True)
+        edge = np.flatnonzero(ring[1:] == ring[:-1])
+        along, to_q = vertices[edge + 1] - vertices[edge], q[whole][ring[edge]] - vertices[edge]
+        inward = np.where(shapely.is_ccw(rings), 1.0, -1.0)[ring[edge]]
+        depth = inward * (along[:, 0] * to_q[:, 1] - along[:, 1] * to_q[:, 0])
+        least = np.full(np.count_nonzero(whole), np.inf)
+        np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
+        sees[whole] = least >= -self.workspace.tolerance / 2
+        return sees
+
+    @cached_property
+    def _passable(self) -> Any:
+        """Where the robot can be at most, prepared for many queries; chords within the arcs around grown corners.
+
+        Grown by less than the radius, so that passages exactly as wide as a disc stay open.
+        """
+        passable = self.workspace.inflate(max(0.0, self.robot.rounding - self.workspace.tolerance)).free_space
+        shapely.prepare(passable)
+        return passable
+
+
+def _shrunk(center: Float[np.ndarray, "n 2"], half: Float[np.ndarray, "n 2"], margin: float) -> Any:
+    """Boxes less a margin along each side, at most half of what they have, as Shapely polygons."""
+    half = np.maximum(half - margin, half / 2)
+    return shapely.box(*(center - half).T, *(center + half).T)

@@ -1,0 +1,176 @@
+"""What a configuration space is: a domain, the cost of a motion in it, and what of it is proven free."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+
+from plr_jax._arrays import as_finite, as_points, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+
+Configurations = Float[np.ndarray, "n dof"]
+
+
+class CellState(IntEnum):
+    """What is known of a box of configurations."""
+
+    BLOCKED = 0
+    """No path passes: no configuration in the interior of the box is free."""
+
+    FREE = 1
+    """Every configuration of the closed box is free."""
+
+    MIXED = 2
+    """Neither is proven."""
+
+
+@dataclass(frozen=True, init=False)
+class MotionCost:
+    """Cost of motions: an infinitesimal one, ``dq``, costs the sum over blocks of ``weight * |dq[axes]|``.
+
+    Length in the plane is ``(((0, 1), 1.0),)``; length and weighted turn of a rigid body are
+    ``(((0, 1), 1.0), ((2,), rotation_weight))``. It is a norm of the motion, the same everywhere, so a straight
+    motion is a cheapest one where nothing is in its way.
+
+    Args:
+        blocks: Pairs of axes and a weight, positive: the cost of a motion of length 1 along these axes alone. Every
+            axis is in one block.
+
+    Raises:
+        ValueError: If an axis is in no block or in several, or a weight is not positive and finite.
+    """
+
+    blocks: tuple[tuple[tuple[int, ...], float], ...]
+
+    def __init__(self, blocks: Any):
+        blocks = tuple(_as_block(block) for block in _as_tuple(blocks))
+        axes = sorted(axis for block in blocks for axis in block[0])
+        if not axes or axes != list(range(len(axes))):
+            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {axes}.")
+        object.__setattr__(self, "blocks", blocks)
+
+    @property
+    def dof(self) -> int:
+        """Number of axes."""
+        return sum(len(axes) for axes, _ in self.blocks)
+
+    def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
+        """Cost of straight motions, around periodic axes the short way.
+
+        Args:
+            q0: Where they begin, ``(n, dof)``.
+            q1: Where they end, ``(n, dof)``.
+            domain: The box that says which axes are periodic, and how wide.
+
+        Returns:
+            Their costs, ``(n,)``; NaN where a configuration is not finite. Obstacles make no difference.
+
+        Raises:
+            ValueError: If the shapes are others or differ, or the domain has another dimension.
+        """
+        if domain.dim != self.dof:
+            raise ValueError(f"A cost of {self.dof} axes needs a domain of as many, got {domain}.")
+        q0, q1 = as_motions(q0, q1, self.dof)
+        change = domain.difference(q1, q0)
+        return np.sum([weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks], axis=0)
+
+
+@runtime_checkable
+class FreeTest(Protocol):
+    """The least that a configuration space says of itself: where one may be, and what motions cost.
+
+    It suffices for estimates. What is to be proven needs a :class:`ConfigurationSpace`.
+    """
+
+    @property
+    def domain(self) -> Box:
+        """The box of all configurations; what lies outside, but around a periodic axis, is not free."""
+        ...
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        """Cost of motions, of as many axes as the domain."""
+        ...
+
+    def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+        """Whether configurations ``(n, dof)`` are free; False for those that are not finite."""
+        ...
+
+
+@runtime_checkable
+class ConfigurationSpace(FreeTest, Protocol):
+    """A configuration space that proves of whole boxes and whole motions whether they are free.
+
+    Both answers are conservative, errors of rounding included. The free configurations are a closed set: what only
+    touches is free.
+    """
+
+    def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, "n"]:
+        """What is proven of boxes of configurations with corners ``lo`` and ``hi``, each ``(n, dof)``.
+
+        Returns:
+            The :class:`CellState` of each, ``(n,)``: FREE only if every configuration of the closed box is free,
+            BLOCKED only if no path of positive length passes through its interior, else MIXED.
+        """
+        ...
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+        """Whether straight motions between configurations ``(n, dof)`` are proven free all along.
+
+        All axes change in proportion, periodic ones the short way, of half a period upward.
+        """
+        ...
+
+
+@runtime_checkable
+class SeesBoxes(Protocol):
+    """A configuration space that proves of boxes, which need not be free, that all free parts are seen from a point.
+
+    With it, bounds from above hold beside walls, in boxes that are neither free nor blocked.
+    """
+
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+        """Whether from every free configuration of each box ``lo`` to ``hi`` the straight motion to ``q`` is free."""
+        ...
+
+
+def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
+    """Ends of motions as arrays of one shape; ``ValueError`` if they are none."""
+    q0, q1 = as_points("q0", q0, dof), as_points("q1", q1, dof)
+    if len(q0) != len(q1):
+        raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
+    return q0, q1
+
+
+def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
+    """Centers of boxes and half their widths; ``ValueError`` if the corners are not those of boxes."""
+    lo, hi = as_points("lo", lo, dof), as_points("hi", hi, dof)
+    if len(lo) != len(hi):
+        raise ValueError(f"Boxes need as many lower corners as upper ones, got {len(lo)} and {len(hi)}.")
+    bad = np.flatnonzero(~(np.isfinite(hi - lo) & (lo <= hi)).all(axis=1))
+    if bad.size:
+        raise ValueError(
+            f"Boxes must have finite corners, hi nowhere below lo, got {lo[bad[0]].tolist()} and "
+            f"{hi[bad[0]].tolist()} for box {bad[0]}."
+        )
+    return lo + (hi - lo) / 2, (hi - lo) / 2
+
+
+def _as_tuple(value: object) -> tuple:
+    if not isinstance(value, Iterable):
+        raise ValueError(f"The blocks of a MotionCost must be pairs of axes and a weight, got {shortened(value)}.")
+    return tuple(value)
+
+
+def _as_block(block: object) -> tuple[tuple[int, ...], float]:
+    pair = _as_tuple(block)
+    axes = _as_tuple(pair[0]) if len(pair) == 2 else ()
+    if not axes or not all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in axes):
+        raise ValueError(
+            f"A block of a MotionCost must be its axes, some integers, and a weight, got {shortened(block)}."
+        )
+    return tuple(int(axis) for axis in axes), as_finite("The weight of a block", pair[1], positive=True)

@@ -1,0 +1,77 @@
+"""What the tests of configuration spaces share: random workspaces and boxes, and what dense samples say of them."""
+
+import itertools
+
+import numpy as np
+import shapely
+
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.spaces._space import CellState
+
+BOUNDS = ((0.0, 0.0), (4.0, 3.0))
+
+
+def rectangle(x0, y0, x1, y1):
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def random_workspace(seed):
+    """Some triangles and rectangles, which overlap, and two that touch along a side."""
+    rng = np.random.default_rng(seed)
+    corner, size = rng.uniform(0, (3.5, 2.5), (4, 2)), rng.uniform(0.1, 0.9, (4, 2))
+    obstacles = [rectangle(*a, *(a + b)) for a, b in zip(corner, size, strict=True)]
+    x, y = corner[0] + size[0]
+    obstacles.append(rectangle(x, y - 0.3, x + 0.4, y + 0.2))
+    for center in rng.uniform(0, (4, 3), (3, 2)):
+        obstacles.append(center + rng.uniform(0.1, 0.5, 1) * [[1, 0], [-0.6, 0.8], [-0.6, -0.8]])
+    return Workspace(BOUNDS, obstacles)
+
+
+def random_boxes(rng, domain, n, deepest=7):
+    """Cells of dyadic grids over a domain, from two a side on."""
+    count = 2 ** rng.integers(1, deepest + 1, (n, domain.dim))
+    width = domain.width / count
+    lo = domain.lo + np.floor(rng.random((n, domain.dim)) * count) * width
+    return lo, lo + width
+
+
+def samples_of(lo, hi, per_axis):
+    """A lattice over each box, its boundary included, ``(n, samples, dof)``."""
+    share = np.array(list(itertools.product(np.linspace(0, 1, per_axis), repeat=lo.shape[1])))
+    return lo[:, None] + share * (hi - lo)[:, None]
+
+
+def keep_clear(workspace, shapes, distance):
+    """The twin: whether shapes, grown by a distance, lie in free space, up to rounding."""
+    free = workspace.free_space.buffer(1e-8)
+    inside = shapely.covers(free, shapes)
+    return inside & (shapely.distance(shapes, workspace.free_space.boundary) >= distance - 1e-8)
+
+
+def check_classification(space, is_free, lo, hi, per_axis, margin=1e-6):
+    """Fails unless samples of boxes agree with what is proven of them; the states.
+
+    Those of blocked boxes keep off their boundary by a share, the margin: what only touches is free.
+    """
+    state = space.classify(lo, hi)
+    assert state.dtype == np.int8 and state.shape == (len(lo),)
+    free, blocked = state == CellState.FREE, state == CellState.BLOCKED
+    inner = samples_of(lo + margin * (hi - lo), hi - margin * (hi - lo), per_axis)
+    of_free, of_blocked = samples_of(lo, hi, per_axis)[free], inner[blocked]
+    for test in (is_free, space.is_free):
+        assert test(of_free.reshape(-1, lo.shape[1])).all()
+        assert not test(of_blocked.reshape(-1, lo.shape[1])).any()
+    return state
+
+
+def check_motions(space, is_free, q0, q1, num_samples=65):
+    """Fails unless samples of motions that are proven free are free; the answers, and whether all samples are."""
+    share = np.linspace(0, 1, num_samples)[None, :, None]
+    width, periodic = space.domain.width, np.array(space.domain.periodic)
+    change = q1 - q0
+    change = np.where(periodic, (change + width / 2) % width - width / 2, change)
+    samples = q0[:, None] + share * change[:, None]
+    sampled = is_free(samples.reshape(-1, q0.shape[1])).reshape(samples.shape[:2]).all(axis=1)
+    proven = space.are_free(q0, q1)
+    assert sampled[proven].all()
+    return proven, sampled

@@ -1,0 +1,192 @@
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from robot_helpers import BAR, DISC, PEBBLE, WING, AnyShape, random_motions, shapes, sled
+from space_helpers import (
+    BOUNDS,
+    check_classification,
+    check_motions,
+    keep_clear,
+    random_boxes,
+    random_workspace,
+    rectangle,
+)
+
+from plr_jax import (
+    Box,
+    CellState,
+    ConfigurationSpace,
+    MotionCost,
+    Problem,
+    RectangleRobot,
+    RigidBodySpace,
+    Workspace,
+    validate,
+)
+
+BLOCKED, FREE, MIXED = CellState
+STADIUM = AnyShape(((-0.1, 0.0), (0.5, 0.0)), rounding=0.1)
+OFF_CENTER = AnyShape(((0.1, -0.1), (0.5, -0.1), (0.5, 0.1), (0.1, 0.1)), rounding=0.15)
+NEEDLE = RectangleRobot(1.0, 0.02)
+BODIES = {"bar": BAR, "wing": WING, "pebble": PEBBLE, "stadium": STADIUM, "off center": OFF_CENTER, "needle": NEEDLE}
+TUNNEL = Workspace(BOUNDS, [rectangle(0.5, 0, 3.5, 1.25), rectangle(0.5, 1.75, 3.5, 3)])
+
+
+def states(space, *boxes):
+    lo, hi = np.array(boxes, dtype=float).reshape(-1, 2, 3).transpose(1, 0, 2)
+    return space.classify(lo, hi).tolist()
+
+
+def twin(workspace, robot):
+    return lambda q: keep_clear(workspace, shapes(robot, q), robot.rounding)
+
+
+def test_a_rigid_body_has_a_configuration_space():
+    space = RigidBodySpace(Workspace(BOUNDS), BAR)
+    assert isinstance(space, ConfigurationSpace)
+    assert space.domain == Box((0, 0, -np.pi), (4, 3, np.pi), periodic=(False, False, True))
+    assert space.motion_cost == MotionCost((((0, 1), 1.0), ((2,), np.hypot(0.45, 0.15))))
+    assert RigidBodySpace(Workspace(BOUNDS), BAR, 2).motion_cost == MotionCost((((0, 1), 1.0), ((2,), 2.0)))
+
+
+def test_a_bar_in_a_tunnel_lies_along_it():
+    space = RigidBodySpace(TUNNEL, BAR)  # 0.9 by 0.3 in a tunnel 0.5 wide
+    along = (1.5, 1.48, -0.05), (2.5, 1.52, 0.05)
+    across = (1.5, 1.4, 1.4), (1.6, 1.6, 1.7)
+    assert states(space, *along, *across) == [FREE, BLOCKED]
+    assert states(space, (0, 0, -np.pi), (4, 3, np.pi), (1.5, 1.4, 0), (1.6, 1.6, 1.7)) == [MIXED, MIXED]
+    assert states(space, (0.02, 0.02, -np.pi), (0.1, 0.1, np.pi), (1.5, 0.5, -9), (1.6, 0.6, 9)) == [BLOCKED] * 2
+
+
+def test_a_box_with_room_all_around_is_free_for_every_heading():
+    space = RigidBodySpace(Workspace(BOUNDS), BAR)
+    assert states(space, (1, 1, -np.pi), (3, 2, np.pi), (0.5, 0.5, -9), (3.5, 2.5, 9)) == [FREE, FREE]
+    assert states(space, (4.1, 1, -np.pi), (4.2, 1.1, np.pi), (3.95, 1, -np.pi), (4, 1.1, np.pi)) == [
+        BLOCKED,
+        BLOCKED,
+    ]
+
+
+def test_two_walls_that_touch_block_what_each_alone_would_not():
+    workspace = Workspace(BOUNDS, [rectangle(1, 0.5, 2, 2.5), rectangle(2, 0.5, 3, 2.5)])
+    assert states(RigidBodySpace(workspace, BAR), (1.6, 1.2, -np.pi), (2.4, 1.8, np.pi)) == [BLOCKED]
+
+
+def test_a_thin_wall_through_the_body_blocks():
+    workspace = Workspace(BOUNDS, [rectangle(2, 0, 2 + 1e-6, 3)])
+    space = RigidBodySpace(workspace, BAR)
+    assert states(space, (1.98, 1, -0.05), (2.02, 1.04, 0.05), (1.5, 1, 1.5), (1.55, 1.1, 1.6)) == [BLOCKED, FREE]
+    assert states(space, (1, 1, -np.pi), (3, 2, np.pi)) == [MIXED]
+
+
+def test_headings_are_the_same_after_a_full_turn():
+    workspace, rng = random_workspace(3), np.random.default_rng(3)
+    space = RigidBodySpace(workspace, WING)
+    lo, hi = random_boxes(rng, space.domain, 300)
+    state = space.classify(lo, hi)
+    assert len(set(state)) == 3
+    for turns in (-1, 2):
+        shift = np.array([0, 0, 2 * np.pi * turns])
+        assert (space.classify(lo + shift, hi + shift) == state).mean() > 0.99
+        check_classification(space, twin(workspace, WING), lo + shift, hi + shift, 4)
+    assert (space.is_free(lo) == space.is_free(lo + np.array([0, 0, 2 * np.pi]))).all()
+
+
+def test_turns_go_the_shorter_way_over_the_seam():
+    space = RigidBodySpace(TUNNEL, BAR)
+    q0, q1 = np.array([[2.0, 1.5, np.pi - 0.1]]), np.array([[2.2, 1.5, 0.1 - np.pi]])
+    assert space.are_free(q0, q1)[0]
+    assert not space.are_free(q0, [[2.2, 1.5, 0.2]])[0]
+    np.testing.assert_allclose(space.motion_cost.lengths(q0, q1, space.domain), 0.2 + 0.2 * np.hypot(0.45, 0.15))
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("seed", range(2))
+def test_samples_agree_with_what_is_proven(seed, body):
+    workspace, robot = random_workspace(seed), BODIES[body]
+    space = RigidBodySpace(workspace, robot)
+    lo, hi = random_boxes(np.random.default_rng(seed), space.domain, 600)
+    state = check_classification(space, twin(workspace, robot), lo, hi, 5)
+    assert set(state) == set(CellState)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(sorted(BODIES)))
+def test_random_boxes_beside_walls(seed, body):
+    workspace, robot = random_workspace(seed % 7), BODIES[body]
+    rng = np.random.default_rng(seed)
+    walls = shapely.get_coordinates(shapely.segmentize(workspace.free_space.boundary, 0.2))
+    center = np.column_stack([rng.choice(walls, 50) + rng.normal(0, 0.3, (50, 2)), rng.uniform(-9, 9, 50)])
+    half = rng.choice([0.0, 0.01, 0.1, 0.5], (50, 3))
+    check_classification(RigidBodySpace(workspace, robot), twin(workspace, robot), center - half, center + half, 4)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_small_boxes_are_told(body):
+    """Of boxes a thousandth wide most are free or blocked, and none is blocked the center of which is free."""
+    workspace, robot = random_workspace(1), BODIES[body]
+    space = RigidBodySpace(workspace, robot)
+    q = np.random.default_rng(1).uniform(space.domain.lo, space.domain.hi, (400, 3))
+    state = space.classify(q - 5e-4, q + 5e-4)
+    free = twin(workspace, robot)(q)
+    assert (state == MIXED).mean() < 0.1 and (state[free] != BLOCKED).all() and (state[~free] != FREE).all()
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_motions_are_free_where_their_samples_are(body):
+    workspace, robot = random_workspace(5), BODIES[body]
+    space = RigidBodySpace(workspace, robot)
+    q0, q1 = random_motions(np.random.default_rng(5), 400, 3, 0.3, 2)
+    proven, sampled = check_motions(space, twin(workspace, robot), q0, q1, 129)
+    assert (sampled & ~proven).sum() <= 2 and proven.sum() >= 5
+
+
+def test_motions_are_those_that_validate_accepts():
+    workspace = random_workspace(2)
+    space = RigidBodySpace(workspace, BAR)
+    q0, q1 = random_motions(np.random.default_rng(2), 300, 3, 0.4, 1)
+    ends = space.is_free(q0) & space.is_free(q1)
+    q0, q1 = q0[ends], q1[ends]
+    problems = [problem for ab in zip(q0, q1, strict=True) if (problem := connected(workspace, *ab))]
+    expected = [validate(p, np.stack([p.starts, p.goals])).valid for p in problems]
+    starts, goals = (np.concatenate(rows) for rows in zip(*((p.starts, p.goals) for p in problems), strict=True))
+    assert space.are_free(starts, goals).tolist() == expected
+    assert len(set(expected)) == 2
+
+
+def connected(workspace, q0, q1):
+    """The problem, unless it has no solution."""
+    try:
+        return Problem(workspace, [BAR], [q0], [q1])
+    except ValueError:
+        return None
+
+
+def test_what_is_not_finite_is_not_free():
+    space = RigidBodySpace(Workspace(BOUNDS), BAR)
+    q = np.array([[1.0, 1, 0], [np.nan, 1, 0], [1, 1, np.inf], [-1, 1, 0]])
+    assert space.is_free(q).tolist() == [True, False, False, False]
+    assert space.are_free(q[[0] * 4], q).tolist() == [True, False, False, False]
+
+
+def test_bad_input_is_refused():
+    workspace = Workspace(BOUNDS)
+    for robot in (DISC, sled(), "bar"):
+        with pytest.raises(ValueError, match=r"must have a heading.*PlaneSpace"):
+            RigidBodySpace(workspace, robot)
+    with pytest.raises(ValueError, match="convex"):
+        RigidBodySpace(workspace, AnyShape(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0))))
+    for weight in (0, -1.0, np.inf):
+        with pytest.raises(ValueError, match="rotation_weight must be a positive finite number"):
+            RigidBodySpace(workspace, BAR, weight)
+    with pytest.raises(ValueError, match="must be a Workspace"):
+        RigidBodySpace(None, BAR)
+    with pytest.raises(ValueError, match=r"lo must have shape \(n, 3\)"):
+        RigidBodySpace(workspace, BAR).classify(np.zeros((1, 2)), np.ones((1, 2)))
+
+
+def test_no_boxes_and_no_motions_are_fine():
+    space, none = RigidBodySpace(Workspace(BOUNDS), BAR), np.zeros((0, 3))
+    assert space.classify(none, none).shape == space.is_free(none).shape == space.are_free(none, none).shape == (0,)
