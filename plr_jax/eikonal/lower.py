@@ -14,7 +14,7 @@ from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _SHARE = 0.7  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
-_FIRST, _NEXT, _LAST = 150, 40, 150  # iterations on the first mesh, on those after it, and at the end
+_FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
 _DEEPEST = 13  # splits along an axis, which a query resolves
 _INSET = 1e-9  # of a cell, by which points keep off its faces
@@ -73,10 +73,12 @@ class SlopeSolver:
         progress.update(len(self.mesh.state))
         while len(which := self._marked()):
             finer = self._program(self.mesh.refined(which, self.space))
-            iterate = finer.solve(_NEXT, _prolonged(self.program, self._iterate, finer), (_NEXT // 2,))
+            iterate = _prolonged(self.program, self._iterate, finer)
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
+            if len(finer.space.mesh.state) + 2**self.mesh.dim <= self.max_cells:
+                iterate = finer.solve(_NEXT, iterate, (_NEXT // 2,))
             self.program, self._iterate = finer, iterate
-        self._iterate = self.program.solve(_LAST, self._iterate, (_LAST // 4,), at_last=True)
+        self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
 
     def _marked(self) -> Int[np.ndarray, "some"]:
         """The cells that lose most, to be refined next."""

@@ -15,6 +15,7 @@ References:
     elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -96,7 +97,7 @@ class SlopeProgram:
         return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.cost))))
 
     def solve(
-        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], at_last: bool = False
+        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], tighten_from: float = math.inf
     ) -> "Iterate":
         """So many iterations from a start.
 
@@ -104,23 +105,25 @@ class SlopeProgram:
             num_iterations: Iterations.
             start: Values and flow to begin with.
             factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
-            at_last: Whether to tighten the bounds where slopes exceed them, so that the result nearly satisfies them.
+            tighten_from: The iteration from which bounds are tightened where slopes exceed them, so that the result
+                nearly satisfies them.
         """
-        u, flow, least = start.values.copy(), start.flow, _LEAST_PENALTY_AT_LAST if at_last else _LEAST_PENALTY
+        u, flow = start.values, start.flow
         load = self.weight - self.weight.sum() * self.goal
         bound = self.cost.copy()
-        penalty = self._penalties(flow, least) if flow.any() else np.ones(len(self.cost))
+        penalty = self._penalties(flow, _LEAST_PENALTY) if flow.any() else np.ones(len(self.cost))
         system = _Poisson(self, penalty)
         y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
         z = self._project(g, bound)
         for iteration in range(num_iterations):
             if iteration in factor_at:
                 flow = penalty * y
+                least = _LEAST_PENALTY if iteration < tighten_from else _LEAST_PENALTY_AT_LAST
                 penalty = self._penalties(flow, least)
                 y, system = flow / penalty, _Poisson(self, penalty)
             u = system.solve(load, z - y)
             g = (self.gradient @ u).reshape(self.dim, -1)
-            if at_last and iteration % _TIGHTEN_EVERY == 0:
+            if iteration >= tighten_from and iteration % _TIGHTEN_EVERY == 0:
                 bound = np.minimum(bound, bound * self.cost / np.maximum(self._norm(g), np.finfo(float).tiny))
             v = _RELAXATION * g + (1 - _RELAXATION) * z + y
             z = self._project(v, bound)
