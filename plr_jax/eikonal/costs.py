@@ -1,45 +1,76 @@
-"""What motions cost in the cells of a mesh: bounds over each."""
+"""What motions cost in the cells of a mesh: bounds over each.
+
+In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)``, and at most ``upper |dq| + max(pulls . dq)``,
+where ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way
+a motion goes. What it costs at least is the support function of a convex set, whose negative holds all gradients that
+a lower bound of the cost-to-go may have.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost
+from plr_jax.spaces import ConfigurationSpace, CostMap, DirectionalCost, MotionCost
+
+_LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
 
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """The cost of motions, times bounds of a factor over each cell.
+    """Bounds of the cost of motions in each cell.
 
     Attributes:
-        motion: The cost of a motion where the factor is 1.
+        motion: The cost of a motion, times a factor.
         lower: The least factor in each cell.
         upper: The largest.
+        pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
     """
 
     motion: MotionCost
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
+    pulls: Float[np.ndarray, "2 cells dim"] | None = None
 
     def lengths(self, change: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Costs of straight motions where the factor is 1."""
+        """Costs of straight motions where the factor is 1 and nothing pulls."""
         return np.sum(
             [weight * np.sqrt(np.sum(change[:, axes] ** 2, axis=1)) for axes, weight in self.motion.blocks], axis=0
         )
 
+    def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """What straight motions within cells cost at the most."""
+        cost = self.lengths(change) * self.upper[cell]
+        if self.pulls is None:
+            return cost
+        return cost + np.einsum("kij,ij->ki", self.pulls[:, cell], change).max(axis=0)
+
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
+    motion = space.motion_cost
     if cost_map is None:
-        return CellCosts(space.motion_cost, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
+        return CellCosts(motion, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
     lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(*mesh.boxes))
+    if lower.shape != mesh.state.shape or upper.shape != mesh.state.shape:
+        raise ValueError(
+            f"A cost map must bound each of {len(mesh.state)} boxes, got {lower.shape} and {upper.shape}."
+        )
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if lower.shape != mesh.state.shape or bad.size:
-        where = f"; got {lower[bad[0]]} and {upper[bad[0]]}" if bad.size and lower.shape == upper.shape else ""
-        raise ValueError(f"A cost map's bounds must be positive and finite, lower nowhere above upper{where}.")
-    return CellCosts(space.motion_cost, lower, upper)
+    if bad.size:
+        raise ValueError(
+            "A cost map's bounds must be positive and finite, lower nowhere above upper, got "
+            f"{lower[bad[0]]} and {upper[bad[0]]}."
+        )
+    if not isinstance(cost_map, DirectionalCost):
+        return CellCosts(motion, lower, upper)
+    if len(motion.blocks) > 1 or motion.blocks[0][1] != 1:
+        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
+    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(*mesh.boxes))
+    use = least > _LEAST_SHARE * most
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return CellCosts(motion, np.where(use, least, lower), np.where(use, most, upper), pulls)
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

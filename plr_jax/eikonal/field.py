@@ -160,8 +160,8 @@ class CostToGoField:
         function = corners @ basis(1, lattice).T
         most = np.full((len(cell), len(vertices)), np.inf)
         for corner, place in enumerate(corner_bits(dim)):
-            change = ((at - place) * mesh.widths[cell][:, None]).reshape(-1, dim)
-            straight = self.costs.lengths(change).reshape(at.shape[:2]) * self.costs.upper[cell, None]
+            change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
+            straight = self.costs.most(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))

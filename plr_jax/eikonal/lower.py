@@ -5,10 +5,11 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
-from plr_jax.eikonal.costs import axis_scale, cell_costs
+from plr_jax.eikonal.costs import CellCosts, axis_scale, cell_costs
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.program import Iterate, SlopeProgram
+from plr_jax.eikonal.slopes import SlopeSets
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
@@ -106,9 +107,14 @@ def slope_program(
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
     value_at_goal = functions.interpolation(cell, mesh.local(cell, goal[None])).toarray()[0]
-    blocks = [axes for axes, _ in space.motion_cost.blocks]
-    cost = np.repeat(cell_costs(space, cost_map, mesh).lower[mesh.open_cells], num_controls)
-    return SlopeProgram(functions, gradient, blocks, cost, volume, functions.integrals(), value_at_goal)
+    sets = _slope_sets(cell_costs(space, cost_map, mesh), np.repeat(mesh.open_cells, num_controls))
+    return SlopeProgram(functions, gradient, sets, volume, functions.integrals(), value_at_goal)
+
+
+def _slope_sets(costs: CellCosts, cell: Int[np.ndarray, "controls"]) -> SlopeSets:
+    blocks = [axes for axes, _ in costs.motion.blocks]
+    pulls = None if costs.pulls is None else np.moveaxis(costs.pulls[:, cell], 2, 1)
+    return SlopeSets(blocks, costs.lower[cell], pulls)
 
 
 def _degree(dim: int) -> int:
@@ -124,7 +130,7 @@ def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]
     mesh, num_controls = program.space.mesh, len(program.space.lattice)
     gradient = (program.gradient @ iterate.values).reshape(program.dim, -1, num_controls).mean(axis=2)
     flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2)
-    cost = program.flow_norm(flow) * program.cost[::num_controls]
+    cost = program.sets.costs(iterate.flow).reshape(-1, num_controls).mean(axis=1)
     gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=0))
     return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 

@@ -87,7 +87,7 @@ class _FreeGraph:
         self.corners = node.reshape(len(self.free), -1)
         self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
         self.begin, self.end, cell = self._edges(goal)
-        self.cost = costs.lengths(self._changes(self.begin, self.end)) * costs.upper[cell]
+        self.cost = costs.most(self._changes(self.begin, self.end), cell)
 
     def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
         """Motions between nodes, around periodic axes the short way."""
@@ -187,7 +187,7 @@ class _FreeGraph:
             with np.errstate(divide="ignore", invalid="ignore"):
                 to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
             step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
-            total[going] += step * length[going] * self.costs.upper[cell]
+            total[going] += self.costs.most(step[:, None] * change[going], cell)
             t[going] += step
             going = going[t[going] < 1.0]
         return total

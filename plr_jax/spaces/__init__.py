@@ -1,7 +1,9 @@
 """Configuration spaces: what is free, of points and of whole boxes, and what a motion costs."""
 
 from plr_jax.spaces._arm import PlanarArm as PlanarArm
+from plr_jax.spaces._cost_map import Climbing as Climbing
 from plr_jax.spaces._cost_map import CostMap as CostMap
+from plr_jax.spaces._cost_map import DirectionalCost as DirectionalCost
 from plr_jax.spaces._cost_map import LipschitzCost as LipschitzCost
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
 from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
