@@ -1,9 +1,8 @@
 """What motions cost in the cells of a mesh: bounds over each.
 
-In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)``, and at most ``upper |dq| + max(pulls . dq)``,
-where ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way
-a motion goes. What it costs at least is the support function of a convex set, whose negative holds all gradients that
-a lower bound of the cost-to-go may have.
+In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)`` and at most ``upper |dq| + max(pulls . dq)``.
+Here ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which
+way a motion goes.
 """
 
 from dataclasses import dataclass
@@ -54,9 +53,8 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
         return CellCosts(motion, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
     lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(*mesh.boxes))
     if lower.shape != mesh.state.shape or upper.shape != mesh.state.shape:
-        raise ValueError(
-            f"A cost map must bound each of {len(mesh.state)} boxes, got {lower.shape} and {upper.shape}."
-        )
+        num = len(mesh.state)
+        raise ValueError(f"A cost map must bound each of {num} boxes, got shapes {lower.shape} and {upper.shape}.")
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
     if bad.size:
         raise ValueError(
@@ -65,7 +63,7 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
         )
     if not isinstance(cost_map, DirectionalCost):
         return CellCosts(motion, lower, upper)
-    if len(motion.blocks) > 1 or motion.blocks[0][1] != 1:
+    if [weight for _, weight in motion.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
     first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(*mesh.boxes))
     use = least > _LEAST_SHARE * most

@@ -100,15 +100,16 @@ def slope_program(
     mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"]
 ) -> SlopeProgram:
     """The program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
-    cell = mesh.locate(goal[None])
-    mesh = mesh.without(~mesh.connected_to(int(cell[0])))
+    home = mesh.locate(goal[None])
+    mesh = mesh.without(~mesh.connected_to(int(home[0])))
     functions = function_space(mesh, _degree(mesh.dim))
     gradient = csr_array(vstack(functions.gradients(axis_scale(space.motion_cost))))
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
-    value_at_goal = functions.interpolation(cell, mesh.local(cell, goal[None])).toarray()[0]
-    sets = _slope_sets(cell_costs(space, cost_map, mesh), np.repeat(mesh.open_cells, num_controls))
-    return SlopeProgram(functions, gradient, sets, volume, functions.integrals(), value_at_goal)
+    value_at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
+    costs, cell = cell_costs(space, cost_map, mesh), np.repeat(mesh.open_cells, num_controls)
+    sets, doubt = _slope_sets(costs, cell), costs.upper[cell] / costs.lower[cell]
+    return SlopeProgram(functions, gradient, sets, doubt, volume, functions.integrals(), value_at_goal)
 
 
 def _slope_sets(costs: CellCosts, cell: Int[np.ndarray, "controls"]) -> SlopeSets:
@@ -123,14 +124,14 @@ def _degree(dim: int) -> int:
 
 
 def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]:
-    """What the flow through each open cell costs, less what it gains in value, and all of it in a mixed cell.
+    """What the flow through each open cell costs at the most, less what it gains in value; in a mixed cell all of it.
 
     Their sum is about how far the integral of the function is below that of the cost-to-go.
     """
     mesh, num_controls = program.space.mesh, len(program.space.lattice)
     gradient = (program.gradient @ iterate.values).reshape(program.dim, -1, num_controls).mean(axis=2)
     flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2)
-    cost = program.sets.costs(iterate.flow).reshape(-1, num_controls).mean(axis=1)
+    cost = (program.doubt * program.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
     gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=0))
     return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 

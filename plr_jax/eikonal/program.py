@@ -44,6 +44,7 @@ class SlopeProgram:
         space: The functions.
         gradient: Maps degrees of freedom to the control vectors, axis by axis, in the coordinates of the sets.
         sets: How steep the functions may be at each control point.
+        doubt: Largest over least cost of a step in each control point's cell.
         volume: Of each control point.
         weight: The integral of each degree of freedom's basis function.
         goal: The value at the goal, in terms of the degrees of freedom.
@@ -52,6 +53,7 @@ class SlopeProgram:
     space: FunctionSpace
     gradient: csr_array
     sets: SlopeSets
+    doubt: Float[np.ndarray, "controls"]
     volume: Float[np.ndarray, "controls"]
     weight: Float[np.ndarray, "dofs"]
     goal: Float[np.ndarray, "dofs"]

@@ -37,7 +37,7 @@ class SlopeSets:
         for block in self.blocks:
             axes = list(block)
             length = np.sqrt(np.sum(g[axes] ** 2, axis=0))
-            nearest[axes] = g[axes] * np.minimum(1.0, radius / np.maximum(length, _TINY))
+            nearest[axes] = g[axes] * (radius / np.maximum(length, radius))
         return nearest + offset
 
     def _nearest_offset(self, g: Vectors) -> Vectors | float:

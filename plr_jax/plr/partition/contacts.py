@@ -52,7 +52,7 @@ def _touching(
                 child = pairs[:, which]
                 child[side] = tree.child[child[side]] + half
                 child = child[:, holds[0][child[0]] & holds[1][child[1]]]
-                children.append(child[:, _contacts(tree.cells, *child, is_periodic) > 0])
+                children.append(child[:, _contacts(tree.cells, child[0], child[1], is_periodic) > 0])
         pairs = np.concatenate(children, axis=1)
     mine, others = np.concatenate(found, axis=1)
     mine, others = leaf[mine], leaf[others]
