@@ -1,8 +1,8 @@
 """What motions cost in the cells of a mesh: bounds over each.
 
-In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)`` and at most ``upper |dq| + max(pulls . dq)``.
-Here ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which
-way a motion goes.
+In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
+``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way a
+motion goes.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from plr_jax._arrays import shortened
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.spaces import ConfigurationSpace, CostMap, DirectionalCost, MotionCost
 
@@ -22,12 +23,14 @@ class CellCosts:
 
     Attributes:
         motion: The cost of a motion, times a factor.
+        cost_map: The factor, or None if it is 1 everywhere.
         lower: The least factor in each cell.
-        upper: The largest.
+        upper: The largest in each cell, and beside it where a query may place points in it.
         pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
     """
 
     motion: MotionCost
+    cost_map: CostMap | None
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
     pulls: Float[np.ndarray, "2 cells dim"] | None = None
@@ -48,27 +51,43 @@ class CellCosts:
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
+    lower, _ = bounds_of(cost_map, *mesh.boxes)
+    _, upper = bounds_of(cost_map, *mesh.grown_boxes)
     motion = space.motion_cost
+    if not isinstance(cost_map, DirectionalCost):
+        return CellCosts(motion, cost_map, lower, upper)
+    if [weight for _, weight in motion.blocks] != [1]:
+        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
+    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(*mesh.grown_boxes))
+    use = least > _LEAST_SHARE * most
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return CellCosts(motion, cost_map, np.where(use, least, lower), np.where(use, most, upper), pulls)
+
+
+def bounds_of(
+    cost_map: CostMap | None, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Bounds of the factor over boxes, 1 without a map; ``ValueError`` if they are none."""
     if cost_map is None:
-        return CellCosts(motion, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
-    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(*mesh.boxes))
-    if lower.shape != mesh.state.shape or upper.shape != mesh.state.shape:
-        num = len(mesh.state)
-        raise ValueError(f"A cost map must bound each of {num} boxes, got shapes {lower.shape} and {upper.shape}.")
+        return np.ones(len(lo)), np.ones(len(lo))
+    bounds = cost_map.bounds(lo, hi)
+    try:
+        lower, upper = np.asarray(bounds, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}."
+        ) from None
+    if lower.shape != lo.shape[:1]:
+        raise ValueError(
+            f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}."
+        )
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
     if bad.size:
         raise ValueError(
-            "A cost map's bounds must be positive and finite, lower nowhere above upper, got "
-            f"{lower[bad[0]]} and {upper[bad[0]]}."
+            f"A cost map's bounds must be positive and finite, lower nowhere above upper, got {lower[bad[0]]} and "
+            f"{upper[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
         )
-    if not isinstance(cost_map, DirectionalCost):
-        return CellCosts(motion, lower, upper)
-    if [weight for _, weight in motion.blocks] != [1]:
-        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
-    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(*mesh.boxes))
-    use = least > _LEAST_SHARE * most
-    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
-    return CellCosts(motion, np.where(use, least, lower), np.where(use, most, upper), pulls)
+    return lower, upper
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

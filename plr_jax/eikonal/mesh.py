@@ -68,6 +68,11 @@ class Mesh:
         """Lower and upper corners of the cells."""
         return self.cells.boxes(self.domain)
 
+    @property
+    def grown_boxes(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        """Corners of boxes that hold all points which a query, which rounds, may place in the cells."""
+        return _grown_boxes(self.cells, self.domain)
+
     @cached_property
     def widths(self) -> Float[np.ndarray, "cells dim"]:
         """Of the cells, along each axis."""
@@ -179,7 +184,11 @@ def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> Int8[np.n
         return np.zeros(0, np.int8)
     state = space.classify(*cells.boxes(domain))
     blocked = np.flatnonzero(state == CellState.BLOCKED)
-    lo, hi = cells[blocked].grown_boxes(domain)
-    lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in (lo, hi))
-    state[blocked] = np.where(space.classify(lo, hi) == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
+    grown = space.classify(*_grown_boxes(cells[blocked], domain))
+    state[blocked] = np.where(grown == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
     return state
+
+
+def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+    lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in cells.grown_boxes(domain))
+    return lo, hi

@@ -2,8 +2,8 @@
 
 Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
 cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
-node of its path, or to the next node of a neighbor's, where that runs through free cells alone. Every bound is the
-cost of a path that is there.
+node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
+is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path that is there.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
@@ -17,16 +17,17 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.costs import CellCosts
+from plr_jax.eikonal.costs import CellCosts, bounds_of
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.partition.tree import corner_bits
-from plr_jax.spaces import CellState
+from plr_jax.spaces import CellState, ConfigurationSpace
 
 _ROUNDS = 24
 _GAIN = 1e-9  # share of its cost by which a path must become cheaper
 _ENOUGH = 1e-4  # share of all costs below which another round is not worth its time
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
+_NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free
 
 Nodes = Int[np.ndarray, "nodes"]
 Costs = Float[np.ndarray, "nodes"]
@@ -49,9 +50,11 @@ class NodePaths:
     next: Nodes
 
 
-def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]) -> NodePaths:
+def shortest_paths(
+    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
+) -> NodePaths:
     """Short paths to a goal, a fraction of the domain, from the corners of the free cells."""
-    graph = _FreeGraph(mesh, costs, goal)
+    graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost = _along(next_, leg)
     for _ in range(_ROUNDS):
@@ -78,7 +81,7 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 class _FreeGraph:
     """Corners of free cells, the goal last, and straight motions between those of one cell."""
 
-    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]):
+    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
         self.free = np.flatnonzero(mesh.state == CellState.FREE)
         x = mesh.fractions(self.free[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
@@ -88,6 +91,10 @@ class _FreeGraph:
         self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
         self.begin, self.end, cell = self._edges(goal)
         self.cost = costs.most(self._changes(self.begin, self.end), cell)
+        if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
+            node, cost = self._straight_to_goal(space)
+            self.begin, self.end = np.append(self.begin, node), np.append(self.end, np.full(len(node), self.goal))
+            self.cost = np.append(self.cost, cost)
 
     def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
         """Motions between nodes, around periodic axes the short way."""
@@ -118,6 +125,18 @@ class _FreeGraph:
         cell, other = np.repeat(cell, self.corners.shape[1]), begin != end
         begin, end, cell = begin[other], end[other], cell[other]
         return np.append(begin, end), np.append(end, begin), np.append(cell, cell)
+
+    def _straight_to_goal(self, space: ConfigurationSpace) -> tuple[Nodes, Costs]:
+        """Nodes near the goal that can go straight there, and what that costs at the most."""
+        node = np.arange(self.goal)
+        change = self._changes(node, np.full(len(node), self.goal))
+        near = np.argsort(self.costs.lengths(change), kind="stable")[:_NEAR_GOAL]
+        domain = self.mesh.domain
+        q, change = domain.lo + domain.width * self.points[near], change[near]
+        free = np.flatnonzero(space.are_free(q, q + change))
+        q, change = q[free], change[free]
+        _, upper = bounds_of(self.costs.cost_map, np.minimum(q, q + change), np.maximum(q, q + change))
+        return near[free], self.costs.lengths(change) * upper
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
