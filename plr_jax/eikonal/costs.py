@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,21 +25,14 @@ class CellCosts:
 
     def lengths(self, change: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Costs of straight motions where the factor is 1."""
-        return np.sum(
-            [weight * np.sqrt(np.sum(change[:, axes] ** 2, axis=1)) for axes, weight in self.motion.blocks], axis=0
-        )
+        return self.motion.norm(change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
     if cost_map is None:
         return CellCosts(space.motion_cost, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
-    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(*mesh.boxes))
-    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if lower.shape != mesh.state.shape or bad.size:
-        where = f"; got {lower[bad[0]]} and {upper[bad[0]]}" if bad.size and lower.shape == upper.shape else ""
-        raise ValueError(f"A cost map's bounds must be positive and finite, lower nowhere above upper{where}.")
-    return CellCosts(space.motion_cost, lower, upper)
+    return CellCosts(space.motion_cost, *cost_bounds(cost_map, *mesh.boxes))
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:
