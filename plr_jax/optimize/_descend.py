@@ -22,26 +22,26 @@ def descend(
 ) -> Descent:
     """Follow a distance function, or another cost-to-go, from many starts to its goal, by lookahead.
 
-    *Lengths in a workspace* (no ``cost_map``): shortest paths turn at corners, so that paths go from corner to corner.
-    The field is asked once, at the corners, whose edges it ranks; every leg of every path is tested for visibility.
-    Corners that the field does not lead to the goal are joined to all that they see. So a start
-    reaches the goal whenever there is a way, whatever the field; its paths are the shortest but for places where it
-    errs by more than the best ways on from a corner differ. Most tests are those of starts, of which it saves few.
-    Often, as in the maze, paths are the shortest with a field that is zero as well: that a descent arrives, and how
-    long it is, says little of a field.
+    *Lengths in a workspace*: shortest paths turn at corners alone, so that paths go from corner to corner. The field
+    is asked once, at the corners, whose edges it ranks; every leg of every path is tested for visibility. Corners
+    that the field does not lead to the goal are joined to all that they see. So a start reaches the goal whenever
+    there is a way, whatever the field; its paths are the shortest but for places where it errs by more than the best
+    ways on from a corner differ. Most tests are those of starts, of which it saves few. Often, as in the maze, paths
+    are the shortest with a field that is zero as well: that a descent arrives, and how long it is, says little of a
+    field.
 
-    *Other costs and spaces*: paths go on, step by step, to the place in sight of least cost of the way there plus
-    cost-to-go from there, over steps of many lengths and in many directions: steepest descent for the norm that the
-    cost of motions is, over finite steps. (For the length and the weighted turn of a rigid body, the steepest of all
-    directions turns or moves, and does not do both, as the dual of a sum of norms is their largest.) Only steps along
-    which the cost-to-go falls are taken, by a tenth of what they cost at least. Then paths are pulled straight
-    wherever that costs less. Here a path follows the field, and is STUCK where that has a dent deeper and wider than
-    the longest step, a quarter of the domain, can leave: the better the field, the better the paths.
+    *Other costs and spaces*: paths go on over steps of many lengths and directions, to the place in sight where the
+    field falls most for what the step costs. That is steepest descent for the norm that the cost of motions is, over
+    finite steps, whatever the slope of the field. (Where a cost is length plus weighted turn, the direction that is
+    steepest either moves or turns: the dual of a sum of norms is the largest of their duals.) At last paths are made
+    cheaper where they are: vertices are left out, or shifted to where the two legs cost least. Such a path is STUCK
+    where the field has a dent that no step leads out of, the longest a quarter of the domain: the better the field,
+    the better the paths.
 
     Args:
         distance_fn: The field, such as a PLR: any function of points ``(n, dim)`` to their costs-to-go ``(n,)``
-            through free space, in the units of ``cost_map`` times length, NumPy or JAX; ``inf`` where it has none. It
-            is nowhere asked outside the domain; periodic coordinates are wrapped into it.
+            through free space, NumPy or JAX; ``inf`` where it has none. In units of what motions cost, as cost-to-go
+            is. Of a space, it is asked within the domain alone, into which periodic coordinates are wrapped.
         space: Free space. A Workspace is one of points; for the shortest paths of a disc, the inflated one.
         starts: Where to begin, ``(n, dim)``.
         goal: Where to end, ``(dim,)``, in closed free space.
@@ -52,13 +52,13 @@ def descend(
         0.1 %, and far less where it is smooth.
 
     Raises:
-        ValueError: If the space is none, a shape is wrong, the goal is not free, the field gives NaN or another number
-            of values, or the cost map a number that is not positive and finite.
+        ValueError: If the space is none, a shape is wrong, the goal is not free, the field gives NaN or another
+            number of values, or the cost map a number that is not positive and finite.
 
     References:
         "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
-        visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Steps of least cost plus
-        cost-to-go are those of semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+        visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite
+        steps stand for gradients in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         return along_corners(distance_fn, space, starts, goal)

@@ -22,9 +22,9 @@ class Descent:
 
     Attributes:
         status: How each descent ended, members of :class:`DescentStatus`, ``(n,)``.
-        vertices: The paths, ``(n, longest, dim)``: from the start, along straight legs, to the goal, which is repeated
-            up to the number of vertices of the longest path. Around periodic axes legs go the short way. NaN where
-            there is no path.
+        vertices: The paths, ``(n, longest, dim)``: from the start, along straight legs, to the goal, which is
+            repeated up to the number of vertices of the longest path. Around periodic axes legs go the short way. NaN
+            where there is no path.
         counts: Number of vertices of each path without the repetitions, ``(n,)``: 1 where the start is the goal, 0
             where there is no path.
         lengths: Length of each path, ``(n,)``, ``inf`` where there is none: in workspace units, or by the

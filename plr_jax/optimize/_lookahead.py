@@ -1,34 +1,30 @@
 """Paths of a configuration space along a cost-to-go, by lookahead over finite steps.
 
-From each configuration, steps of many lengths and directions lead to others. The way on goes to the one in sight of
-least ``cost(x, y) + f(y)``, which for the cost-to-go ``f`` of that cost is ``f(x)``: the principle of optimality. No
-slope of ``f`` is looked at, so that it may be a length, a time or a risk, and have kinks and dents smaller than a
-step. A step must let ``f`` fall by a share of its cost, so that a path ends after finitely many.
+From each configuration, steps of many lengths and directions lead to others. The way on goes where the cost-to-go
+``f`` falls most for what the step costs: ``(f(x) - f(y)) / cost(x, y)`` is 1 along cheapest paths and nowhere above,
+by the principle of optimality, whether costs are lengths, times or risks. What is steeper is an error of ``f``, and
+counts as 1; of steps nearly as steep the longest is taken, so that kinks and dents smaller than a step do no harm. A
+step must let ``f`` fall by a share of its cost, so that a path ends after finitely many.
 """
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtri
-from scipy.stats import qmc
 
-from plr_jax._arrays import as_distances, as_finite_point, as_points
+from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible_in_parts
+from plr_jax.optimize._cheaper import made_cheap
 from plr_jax.optimize._descent import Descent
-from plr_jax.optimize._path_costs import PathCosts
-from plr_jax.spaces import MotionCost
+from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts
+from plr_jax.optimize._unit_motions import unit_motions
 
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # step, as a share of the domain; lengths, each half of the one before
-_CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and an axis in more dimensions
 _FALL = 0.1  # least share of a step's cost by which the cost-to-go falls along it
-_LONGER = 0.01  # share of the cost of steps that is not counted, so that of equal ones the longest is taken
+_LONGER = 0.01  # by how much less steep a step may be that is twice as long
 _DEARER = 0.05  # share by which a step may cost more than a few samples of the factor said
-_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # of the costs of steps, and of paths
-_GAIN = 1e-9  # share of its cost by which a path must become cheaper
+_LAST_TOLERANCE = 0.001  # of the costs of paths
 
 Points = Float[np.ndarray, "n dim"]
 Field = Callable[[ArrayLike], ArrayLike]
@@ -43,7 +39,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
     is_free = costs.space.is_free(starts)
     steps = _Lookahead(field, costs, goal)
     nodes, onward, first = steps.follow(starts[is_free])
-    onward = _pulled_straight(costs, nodes, onward)
+    nodes, onward = made_cheap(costs, nodes, onward, first)
     return _assemble(costs, starts, is_free, first, nodes, onward)
 
 
@@ -55,18 +51,20 @@ class _Lookahead:
         self.domain, motion = costs.space.domain, costs.space.motion_cost
         longest = _LONGEST * float((motion.norm(np.eye(motion.dof)) * self.domain.width).max())
         lengths = longest / 2.0 ** np.arange(_NUM_LENGTHS)
+        self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(unit_motions(motion))))
         self.steps = (lengths[:, None, None] * unit_motions(motion)).reshape(-1, motion.dof)
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
         """The field at configurations, 0 where it is negative and ``inf`` outside the domain."""
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
-        values[inside] = as_distances("The field", self.field(x[inside]), x[inside])
+        if inside.any():
+            num = int(np.count_nonzero(inside))
+            asked = padded(x[inside], padded_size(num), x[inside][-1])
+            values[inside] = as_distances("The field", self.field(asked), asked)[:num]
         return np.maximum(values, 0.0)
 
-    def follow(
-        self, starts: Points
-    ) -> tuple[Points, Int[np.ndarray, "nodes"], Int[np.ndarray, "n"]]:
+    def follow(self, starts: Points) -> tuple[Points, Int[np.ndarray, "nodes"], Int[np.ndarray, "n"]]:
         """Follow the field from free starts.
 
         Returns:
@@ -92,80 +90,34 @@ class _Lookahead:
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
-        def scores(rows: slice) -> Float[np.ndarray, "rows ways"]:
-            here = x[rows]
+        def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
+            here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
             there = here[:, None] + change
             cost = promised[rows] = self.costs.estimates(here, change)
             after = self.values(there.reshape(-1, there.shape[2])).reshape(cost.shape)
             after[:, 0] = 0.0  # at the goal, by definition
-            falls = np.isfinite(after) & (after <= value[rows, None] - _FALL * cost)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rate = np.where(np.isinf(before), 1.0, (before - after) / cost)
+            falls = np.isfinite(after) & (rate >= _FALL)
             falls[:, 0] = True
-            return np.where(falls, (1 - _LONGER) * cost + after, np.nan)
+            return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
 
         def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
             here, there = x[row], self._ends(x[row], way)
             free = self.costs.space.are_free(here, there)
-            exact = self.costs.integrals(here[free], there[free], _TOLERANCE)
+            exact = self.costs.integrals(here[free], there[free], STEP_TOLERANCE)
             free[free] = exact <= (1 + _DEARER) * promised[row, way][free]
             return free
 
-        way = first_visible_in_parts(scores, len(x), num_ways, sees)[0][:, 0]
+        way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
         return self._ends(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _ends(self, x: Points, way: Int[np.ndarray, "n"]) -> Points:
         """Where ways from configurations lead; the first is that to the goal."""
         there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
         return np.where(way[:, None] == 0, self.goal, there)
-
-
-def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Motions of cost 1 in many directions: those of all axes, and those of each block alone."""
-    everything = tuple(range(motion.dof))
-    parts = {everything, *(axes for axes, _ in motion.blocks)}
-    scale = motion.norm(np.eye(motion.dof))
-    changes = []
-    for axes in sorted(parts):
-        change = np.zeros((len(directions := _directions(len(axes))), motion.dof))
-        change[:, axes] = directions / scale[list(axes)]
-        changes.append(change / motion.norm(change)[:, None])
-    return np.concatenate(changes)
-
-
-def _directions(dim: int) -> Float[np.ndarray, "n dim"]:
-    """Directions that are spread evenly, of each its opposite as well."""
-    axes = np.eye(dim)
-    if dim == 2:
-        angle = 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    if dim > 2:
-        num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-        share = qmc.Sobol(dim, scramble=False).random(2 * num)[num:]  # the first points include 0
-        axes = np.concatenate([axes, ndtri(share)])
-        axes = axes[np.linalg.norm(axes, axis=1) > 1e-9]
-    directions = np.concatenate([axes, -axes])
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _pulled_straight(costs: PathCosts, nodes: Points, onward: Int[np.ndarray, "nodes"]) -> Int[np.ndarray, "nodes"]:
-    """The next nodes of paths after they go to the next but one straight away, where that is free and cheaper."""
-    stuck = np.flatnonzero(onward < 0)
-    onward = np.where(onward < 0, np.arange(len(nodes)), onward)
-    leg = costs.integrals(nodes, nodes[onward], _TOLERANCE)
-    tried = np.full(len(nodes), -1)
-    while True:
-        ahead = onward[onward]
-        which = np.flatnonzero((ahead != onward) & (ahead != tried))
-        if not len(which):
-            onward[stuck] = -1
-            return onward
-        tried[which] = ahead[which]
-        which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
-        straight = costs.integrals(nodes[which], nodes[ahead[which]], _TOLERANCE)
-        better = straight <= (1 - _GAIN) * (leg[which] + leg[onward[which]])
-        which, straight = which[better], straight[better]
-        onward[which], leg[which] = ahead[which], straight
 
 
 def _assemble(

@@ -8,6 +8,9 @@ from jaxtyping import Float, Int
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import ConfigurationSpace, CostMap, cost_bounds, cost_factors
 
+STEP_TOLERANCE = 0.01
+"""Share by which the cost of a step may err."""
+
 _SAMPLES = 8  # of a motion whose cost is estimated
 _LEAST_SHARE = 1 / 16  # of a motion: shorter pieces may err by as much as one of it
 _MOST_HALVINGS = 40
