@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import shortened
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.spaces import ConfigurationSpace, CostMap, DirectionalCost, MotionCost
+from plr_jax.spaces import ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds
 
 _LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
 
@@ -37,9 +36,7 @@ class CellCosts:
 
     def lengths(self, change: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Costs of straight motions where the factor is 1 and nothing pulls."""
-        return np.sum(
-            [weight * np.sqrt(np.sum(change[:, axes] ** 2, axis=1)) for axes, weight in self.motion.blocks], axis=0
-        )
+        return self.motion.norm(change)
 
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""
@@ -70,24 +67,7 @@ def bounds_of(
     """Bounds of the factor over boxes, 1 without a map; ``ValueError`` if they are none."""
     if cost_map is None:
         return np.ones(len(lo)), np.ones(len(lo))
-    bounds = cost_map.bounds(lo, hi)
-    try:
-        lower, upper = np.asarray(bounds, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}."
-        ) from None
-    if lower.shape != lo.shape[:1]:
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}."
-        )
-    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's bounds must be positive and finite, lower nowhere above upper, got {lower[bad[0]]} and "
-            f"{upper[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
-        )
-    return lower, upper
+    return cost_bounds(cost_map, lo, hi)
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

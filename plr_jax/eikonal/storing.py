@@ -72,8 +72,8 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     coefficients = filled_coefficients(contents)
     if np.isinf(coefficients[leaf, 0]).any():
         raise ValueError(
-            "Nothing can be proven: some leaves answer inf, although some of their points may reach the goal, which no "
-            "sample met. Allow more max_bytes, or leave it out."
+            "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
+            "reach the goal. Allow more max_bytes, or leave it out."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     at = lo[:, None] + (hi - lo)[:, None] * corners

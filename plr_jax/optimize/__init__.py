@@ -1,8 +1,8 @@
 """Above the rooms: descent along a distance field, and trajectories, by their gradients."""
 
-from plr_jax.optimize._descend import Descent as Descent
-from plr_jax.optimize._descend import DescentStatus as DescentStatus
 from plr_jax.optimize._descend import descend as descend
+from plr_jax.optimize._descent import Descent as Descent
+from plr_jax.optimize._descent import DescentStatus as DescentStatus
 from plr_jax.optimize.trajectory.driver import OptimizationInterrupted as OptimizationInterrupted
 from plr_jax.optimize.trajectory.driver import OptimizedPaths as OptimizedPaths
 from plr_jax.optimize.trajectory.driver import optimize_paths as optimize_paths

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, shortened
+from plr_jax._arrays import as_finite, as_values, shortened
 from plr_jax._types import ArrayLike
 
 
@@ -135,6 +135,35 @@ class Climbing:
         uphill = self.rate * self._gradients((lo + hi) / 2)
         spread = self.rate * self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
+
+
+def cost_bounds(
+    cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """A cost map's bounds over boxes; ``ValueError`` if they are none."""
+    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
+    if lower.shape != lo.shape[:1] or upper.shape != lower.shape:
+        raise ValueError(
+            f"A cost map's bounds must be two arrays of shape ({len(lo)},), got {lower.shape} and {upper.shape}."
+        )
+    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's bounds must be positive and finite, lower nowhere above upper; got {lower[bad[0]]} and "
+            f"{upper[bad[0]]}."
+        )
+    return lower, upper
+
+
+def cost_factors(cost_map: CostMap, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n"]:
+    """A cost map's factors at configurations; ``ValueError`` if they are not positive and finite."""
+    factors = as_values("The cost map", cost_map(q), len(q))
+    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
+        )
+    return factors
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,17 @@ class MotionCost:
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of as many, got {domain}.")
         q0, q1 = as_motions(q0, q1, self.dof)
-        change = domain.difference(q1, q0)
+        return self.norm(domain.difference(q1, q0))
+
+    def norm(self, change: Configurations) -> Float[np.ndarray, "n"]:
+        """Cost of straight motions by what they change.
+
+        Args:
+            change: End less beginning, ``(n, dof)``.
+
+        Returns:
+            Their costs, ``(n,)``.
+        """
         return np.sum([weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks], axis=0)
 
 

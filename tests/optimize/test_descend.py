@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 from plr_jax.geometry.corners import find_corners
-from plr_jax.optimize._descend import DescentStatus, descend
+from plr_jax.optimize._descend import descend
+from plr_jax.optimize._descent import DescentStatus
 
 TEN = ((0, 0), (10, 10))
 REACHED, STUCK, NOT_FREE = DescentStatus

@@ -1,0 +1,106 @@
+"""Paths made cheaper within their surroundings: vertices left out, and shifted to where their two legs cost least."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.geometry.first_visible import first_visible_in_parts
+from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts
+from plr_jax.optimize._unit_motions import unit_motions
+
+_GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
+_WIDEST, _NUM_SHIFTS = 1 / 32, 8  # of vertices, as a share of the domain; each half of the one before
+
+Points = Float[np.ndarray, "nodes dim"]
+Next = Int[np.ndarray, "nodes"]
+
+
+def made_cheap(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> tuple[Points, Next]:
+    """Cheaper paths in the place of some.
+
+    Args:
+        costs: Of motions, and the space.
+        nodes: Configurations, the goal first.
+        onward: The one that each goes to next, straight; of the goal itself, -1 where there is none. No two go to
+            the same but to the goal.
+        first: Where paths begin.
+
+    Returns:
+        The configurations, some of them shifted, but none that a path begins at, and which each goes to next.
+    """
+    onward = _pulled_straight(costs, nodes, onward)
+    nodes = _shifted(costs, nodes, onward, first)
+    return nodes, _pulled_straight(costs, nodes, onward)
+
+
+def _pulled_straight(costs: PathCosts, nodes: Points, onward: Next) -> Next:
+    """The next nodes of paths after they go to the next but one straight away, where that is free and cheaper."""
+    stuck = onward < 0
+    onward = np.where(stuck, np.arange(len(nodes)), onward)
+    leg = costs.integrals(nodes, nodes[onward], STEP_TOLERANCE)
+    tried = np.full(len(nodes), -1)
+    while True:
+        ahead = onward[onward]
+        which = np.flatnonzero((ahead != onward) & (ahead != tried))
+        if not len(which):
+            return np.where(stuck, -1, onward)
+        tried[which] = ahead[which]
+        which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
+        straight = costs.integrals(nodes[which], nodes[ahead[which]], STEP_TOLERANCE)
+        better = straight <= (1 - _GAIN) * (leg[which] + leg[onward[which]])
+        which, straight = which[better], straight[better]
+        onward[which], leg[which] = ahead[which], straight
+
+
+def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
+    """The nodes after those between two others are moved to where the legs from and to these cost least."""
+    nodes, motion, domain = nodes.copy(), costs.space.motion_cost, costs.space.domain
+    before, number = _neighbors(onward, first)
+    extent = float((motion.norm(np.eye(motion.dof)) * domain.width).max())
+    for shift in _WIDEST * extent / 2.0 ** np.arange(_NUM_SHIFTS):
+        changes = shift * unit_motions(motion)
+        for parity in (0, 1, 0, 1):  # of two neighbors one stays
+            which = np.flatnonzero((before >= 0) & (number % 2 == parity))
+            nodes[which] = _best_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
+    return nodes
+
+
+def _neighbors(onward: Next, first: Int[np.ndarray, "paths"]) -> tuple[Next, Next]:
+    """Of each node between two others of a path that reaches the goal the one before, and its number, from 1.
+
+    -1 for other nodes.
+    """
+    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)
+    node, count = first, 0
+    while len(node):
+        node, count = node[onward[node] > 0], count + 1
+        before[onward[node]], number[onward[node]] = node, count
+        node = onward[node]
+    return before, number
+
+
+def _best_places(
+    costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
+) -> Points:
+    """Of configurations and others beside them those by which the motion from one to another costs least."""
+    domain, k = costs.space.domain, len(changes)
+
+    def prices(rows: slice) -> Float[np.ndarray, "rows k"]:
+        y = domain.wrapped(x[rows, None] + changes).reshape(-1, x.shape[1])
+        inside = domain.contains(y)
+        a, b = (np.repeat(ends[rows], k, axis=0)[inside] for ends in (before, after))
+        now = _through(costs, before[rows], x[rows], after[rows])
+        price = np.full(len(y), np.nan)
+        price[inside] = _through(costs, a, y[inside], b)
+        price = price.reshape(-1, k)
+        return np.where(price <= (1 - _GAIN) * now[:, None], price, np.nan)
+
+    def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        y = domain.wrapped(x[row] + changes[way])
+        return costs.space.are_free(before[row], y) & costs.space.are_free(y, after[row])
+
+    way = first_visible_in_parts(prices, len(x), k, sees)[0][:, 0]
+    return np.where(way[:, None] < 0, x, domain.wrapped(x + changes[way]))
+
+
+def _through(costs: PathCosts, a: Points, x: Points, b: Points) -> Float[np.ndarray, "nodes"]:
+    return costs.integrals(a, x, STEP_TOLERANCE) + costs.integrals(x, b, STEP_TOLERANCE)
