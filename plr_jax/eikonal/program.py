@@ -109,7 +109,7 @@ class SlopeProgram:
         u, flow, least = start.values.copy(), start.flow, _LEAST_PENALTY_AT_LAST if at_last else _LEAST_PENALTY
         load = self.weight - self.weight.sum() * self.goal
         bound = self.cost.copy()
-        penalty = self._penalties(flow, least) if flow.any() else np.ones(len(self.cost))
+        penalty = self._penalties(flow if flow.any() else self._potential_flow(load), least)
         system = _Poisson(self, penalty)
         y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
         z = self._project(g, bound)
@@ -129,7 +129,13 @@ class SlopeProgram:
 
     def _penalties(self, flow: Flow, least: float) -> Float[np.ndarray, "controls"]:
         norm = self.flow_norm(flow)
-        return np.maximum(norm, least * np.median(norm[norm > 0]))
+        carried = norm[norm > 0]
+        return np.maximum(norm, least * np.median(carried) if carried.size else 1.0) / self.cost
+
+    def _potential_flow(self, load: Float[np.ndarray, "dofs"]) -> Flow:
+        """The flow of least squares that carries a load: of the right size, whatever the units."""
+        gradient = self.gradient @ _Poisson(self, 1 / self.cost).solve(load, np.zeros((self.dim, len(self.cost))))
+        return gradient.reshape(self.dim, -1) / self.cost
 
     def feasible(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "dofs"]:
         """Values scaled so that all constraints hold, and nothing is above 0 at the goal, rounding included."""
