@@ -31,6 +31,7 @@ _NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cel
 
 Nodes = Int[np.ndarray, "nodes"]
 Costs = Float[np.ndarray, "nodes"]
+Edges = Int[np.ndarray, "edges"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class _FreeGraph:
         x = mesh.fractions(self.free[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
         x = np.where(mesh.domain.periodic, x % 1.0, x)
         points, node = np.unique(x, axis=0, return_inverse=True)
-        self.corners = node.reshape(len(self.free), -1)
+        self.corners = node.reshape(len(self.free), 2**mesh.dim)
         self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
         self.begin, self.end, cell = self._edges(goal)
         self.cost = costs.most(self._changes(self.begin, self.end), cell)
@@ -96,12 +97,12 @@ class _FreeGraph:
             self.begin, self.end = np.append(self.begin, node), np.append(self.end, np.full(len(node), self.goal))
             self.cost = np.append(self.cost, cost)
 
-    def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
+    def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Nodes, Nodes, Nodes]:
+    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Edges, Edges, Edges]:
         """Pairs of nodes in one closed free cell, and the cell."""
         place = np.full(len(self.mesh.state), -1)
         place[self.free] = np.arange(len(self.free))
@@ -126,7 +127,9 @@ class _FreeGraph:
         begin, end, cell = begin[other], end[other], cell[other]
         return np.append(begin, end), np.append(end, begin), np.append(cell, cell)
 
-    def _straight_to_goal(self, space: ConfigurationSpace) -> tuple[Nodes, Costs]:
+    def _straight_to_goal(
+        self, space: ConfigurationSpace
+    ) -> tuple[Int[np.ndarray, "near"], Float[np.ndarray, "near"]]:
         """Nodes near the goal that can go straight there, and what that costs at the most."""
         node = np.arange(self.goal)
         change = self._changes(node, np.full(len(node), self.goal))
@@ -143,7 +146,7 @@ class _FreeGraph:
         num = len(self.points)
         order = np.lexsort((self.cost, self.begin, self.end))
         key = self.end[order] * num + self.begin[order]
-        first = order[np.append(True, key[1:] != key[:-1])]
+        first = order[np.diff(key, prepend=-1) != 0]
         graph = csr_array((self.cost[first], (self.end[first], self.begin[first])), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
@@ -152,11 +155,10 @@ class _FreeGraph:
         return next_, leg
 
     @cached_property
-    def _runs(self) -> tuple[Nodes, Nodes]:
+    def _runs(self) -> tuple[Edges, Int[np.ndarray, "beginnings"]]:
         """Edges by their beginnings, and where those of each node that has some begin."""
         order = np.argsort(self.begin, kind="stable")
-        begin = self.begin[order]
-        return order, np.flatnonzero(np.append(True, begin[1:] != begin[:-1]))
+        return order, np.flatnonzero(np.diff(self.begin[order], prepend=-1))
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
         """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
@@ -170,13 +172,13 @@ class _FreeGraph:
         best[begin[is_best]] = ahead[is_best]
         return best
 
-    def _lengths(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n"]:
+    def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
         """What straight motions cost at the least."""
         return self.costs.lengths(self._changes(begin, end)) * self._least
 
     @cached_property
     def _least(self) -> float:
-        return float(self.costs.lower[self.free].min(initial=np.inf))
+        return float(self.costs.lower[self.mesh.open_cells].min())
 
     def straight_costs(self, ahead: Nodes, cost: Costs) -> Costs:
         """What going straight costs at the most; ``inf`` where it leaves free cells, or gains nothing anyway."""

@@ -172,7 +172,8 @@ class PlaneSpace:
     @cached_property
     def _contacts(self) -> shapely.STRtree:
         boundary = self.workspace.boundary
-        return shapely.STRtree(shapely.points(boundary.vertices[boundary.contacts]))
+        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
+        return shapely.STRtree(contacts)
 
     @cached_property
     def _passable(self) -> Any:
