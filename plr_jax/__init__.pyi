@@ -64,8 +64,10 @@ from .robots.polygon import PolygonRobot as PolygonRobot
 from .robots.rectangle import RectangleRobot as RectangleRobot
 from .robots.robot import Robot as Robot
 from .spaces import CellState as CellState
+from .spaces import Climbing as Climbing
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import CostMap as CostMap
+from .spaces import DirectionalCost as DirectionalCost
 from .spaces import FreeTest as FreeTest
 from .spaces import LipschitzCost as LipschitzCost
 from .spaces import MotionCost as MotionCost

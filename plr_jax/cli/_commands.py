@@ -175,7 +175,9 @@ def info(file: _File) -> None:
     plr = load(file)
     typer.echo(f"file       {file}")
     typer.echo(f"leaf       {plr.leaf.name}")
-    typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D)")
+    axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
+    periodic = f", periodic along axes {axes}" if axes else ""
+    typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D{periodic})")
     typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
     typer.echo(f"proof      {'none' if plr.max_error is None else f'largest error {plr.max_error:.3g}'}")

@@ -1,38 +1,51 @@
-"""What motions cost in the cells of a mesh: bounds over each."""
+"""What motions cost in the cells of a mesh: bounds over each.
+
+In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)``, and at most as much with ``upper``. Here
+``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way a
+motion goes.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, pulled
 
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """The cost of motions, times bounds of a factor over each cell.
+    """Bounds of the cost of motions in each cell.
 
     Attributes:
-        motion: The cost of a motion where the factor is 1.
+        motion: The cost of a motion, times a factor.
         lower: The least factor in each cell.
         upper: The largest.
+        pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
     """
 
     motion: MotionCost
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
+    pulls: Float[np.ndarray, "2 cells dim"] | None = None
 
     def lengths(self, change: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Costs of straight motions where the factor is 1."""
+        """Costs of straight motions where the factor is 1 and nothing pulls."""
         return self.motion.norm(change)
+
+    def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """What straight motions within cells cost at the most."""
+        pulls = None if self.pulls is None else self.pulls[:, cell]
+        return self.lengths(change) * self.upper[cell] + pulled(pulls, change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
+    motion = space.motion_cost
     if cost_map is None:
-        return CellCosts(space.motion_cost, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
-    return CellCosts(space.motion_cost, *cost_bounds(cost_map, *mesh.boxes))
+        return CellCosts(motion, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
+    return CellCosts(motion, *cost_bounds(motion, cost_map, *mesh.boxes))
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

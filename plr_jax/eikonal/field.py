@@ -60,7 +60,7 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells: midway between the bounds, or as nearby if there is none above."""
+        """An estimate at the corners of open cells: midway between the bounds, as near by if one is missing."""
         corners = corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
         lower = self.lower_at(cell, corners[corner].astype(float))
@@ -160,8 +160,8 @@ class CostToGoField:
         function = corners @ basis(1, lattice).T
         most = np.full((len(cell), len(vertices)), np.inf)
         for corner, place in enumerate(corner_bits(dim)):
-            change = ((at - place) * mesh.widths[cell][:, None]).reshape(-1, dim)
-            straight = self.costs.lengths(change).reshape(at.shape[:2]) * self.costs.upper[cell, None]
+            change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
+            straight = self.costs.most(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))

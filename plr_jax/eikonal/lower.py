@@ -5,16 +5,17 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
-from plr_jax.eikonal.costs import axis_scale, cell_costs
+from plr_jax.eikonal.costs import CellCosts, axis_scale, cell_costs
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.program import Iterate, SlopeProgram
+from plr_jax.eikonal.slopes import SlopeSets
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _SHARE = 0.7  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
-_FIRST, _NEXT, _LAST = 150, 40, 150  # iterations on the first mesh, on those after it, and at the end
+_FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
 _DEEPEST = 13  # splits along an axis, which a query resolves
 _INSET = 1e-9  # of a cell, by which points keep off its faces
@@ -73,10 +74,12 @@ class SlopeSolver:
         progress.update(len(self.mesh.state))
         while len(which := self._marked()):
             finer = self._program(self.mesh.refined(which, self.space))
-            iterate = finer.solve(_NEXT, _prolonged(self.program, self._iterate, finer), (_NEXT // 2,))
+            iterate = _prolonged(self.program, self._iterate, finer)
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
+            if len(finer.space.mesh.state) + 2**self.mesh.dim <= self.max_cells:
+                iterate = finer.solve(_NEXT, iterate, (_NEXT // 2,))
             self.program, self._iterate = finer, iterate
-        self._iterate = self.program.solve(_LAST, self._iterate, (_LAST // 4,), at_last=True)
+        self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
 
     def _marked(self) -> Int[np.ndarray, "some"]:
         """The cells that lose most, to be refined next."""
@@ -97,16 +100,22 @@ def slope_program(
     mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"]
 ) -> SlopeProgram:
     """The program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
-    cell = mesh.locate(goal[None])
-    mesh = mesh.without(~mesh.connected_to(int(cell[0])))
+    home = mesh.locate(goal[None])
+    mesh = mesh.without(~mesh.connected_to(int(home[0])))
     functions = function_space(mesh, _degree(mesh.dim))
     gradient = csr_array(vstack(functions.gradients(axis_scale(space.motion_cost))))
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
-    value_at_goal = functions.interpolation(cell, mesh.local(cell, goal[None])).toarray()[0]
-    blocks = [axes for axes, _ in space.motion_cost.blocks]
-    cost = np.repeat(cell_costs(space, cost_map, mesh).lower[mesh.open_cells], num_controls)
-    return SlopeProgram(functions, gradient, blocks, cost, volume, functions.integrals(), value_at_goal)
+    value_at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
+    costs, cell = cell_costs(space, cost_map, mesh), np.repeat(mesh.open_cells, num_controls)
+    sets, doubt = _slope_sets(costs, cell), costs.upper[cell] / costs.lower[cell]
+    return SlopeProgram(functions, gradient, sets, doubt, volume, functions.integrals(), value_at_goal)
+
+
+def _slope_sets(costs: CellCosts, cell: Int[np.ndarray, "controls"]) -> SlopeSets:
+    blocks = [axes for axes, _ in costs.motion.blocks]
+    pulls = None if costs.pulls is None else np.moveaxis(costs.pulls[:, cell], 2, 1)
+    return SlopeSets(blocks, costs.lower[cell], pulls)
 
 
 def _degree(dim: int) -> int:
@@ -115,14 +124,14 @@ def _degree(dim: int) -> int:
 
 
 def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]:
-    """What the flow through each open cell costs, less what it gains in value, and all of it in a mixed cell.
+    """What the flow through each open cell costs at the most, less what it gains in value; in a mixed cell all of it.
 
     Their sum is about how far the integral of the function is below that of the cost-to-go.
     """
     mesh, num_controls = program.space.mesh, len(program.space.lattice)
     gradient = (program.gradient @ iterate.values).reshape(program.dim, -1, num_controls).mean(axis=2)
     flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2)
-    cost = program.flow_norm(flow) * program.cost[::num_controls]
+    cost = (program.doubt * program.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
     gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=0))
     return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 

@@ -78,11 +78,11 @@ class Mesh:
         """Of the cells."""
         return self.widths.prod(axis=1)
 
-    def fractions(self, cell: Int[np.ndarray, "*n"], t: Float[np.ndarray, "*n dim"]) -> Float[np.ndarray, "*n dim"]:
+    def fractions(self, cell: Int[np.ndarray, "*#n"], t: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*n dim"]:
         """Points ``t``, from 0 to 1, of cells as fractions of the domain; exact for dyadic ones."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
-    def local(self, cell: Int[np.ndarray, "*n"], x: Float[np.ndarray, "*n dim"]) -> Float[np.ndarray, "*n dim"]:
+    def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*n dim"]:
         """Fractions of the domain as points of cells, the inverse of :meth:`fractions`."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 

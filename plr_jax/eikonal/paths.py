@@ -24,7 +24,7 @@ from plr_jax.spaces import CellState
 
 _ROUNDS = 24
 _GAIN = 1e-9  # share of its cost by which a path must become cheaper
-_ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
+_ENOUGH = 1e-4  # share of all costs below which another round is not worth its time
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
 
@@ -87,14 +87,16 @@ class _FreeGraph:
         self.corners = node.reshape(len(self.free), -1)
         self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
         self.begin, self.end, cell = self._edges(goal)
-        self.cost = costs.lengths(self._changes(self.begin, self.end)) * costs.upper[cell]
+        self.cost = costs.most(self._changes(self.begin, self.end), cell)
 
     def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
         """Motions between nodes, around periodic axes the short way."""
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Nodes, Nodes, Nodes]:
+    def _edges(
+        self, goal: Float[np.ndarray, "dim"]
+    ) -> tuple[Int[np.ndarray, "edges"], Int[np.ndarray, "edges"], Int[np.ndarray, "edges"]]:
         """Pairs of nodes in one closed free cell, and the cell."""
         place = np.full(len(self.mesh.state), -1)
         place[self.free] = np.arange(len(self.free))
@@ -133,7 +135,7 @@ class _FreeGraph:
         return next_, leg
 
     @cached_property
-    def _runs(self) -> tuple[Nodes, Nodes]:
+    def _runs(self) -> tuple[Int[np.ndarray, "edges"], Int[np.ndarray, "runs"]]:
         """Edges by their beginnings, and where those of each node that has some begin."""
         order = np.argsort(self.begin, kind="stable")
         begin = self.begin[order]
@@ -187,7 +189,7 @@ class _FreeGraph:
             with np.errstate(divide="ignore", invalid="ignore"):
                 to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
             step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
-            total[going] += step * length[going] * self.costs.upper[cell]
+            total[going] += self.costs.most(step[:, None] * change[going], cell)
             t[going] += step
             going = going[t[going] < 1.0]
         return total

@@ -15,6 +15,7 @@ References:
     elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,11 +26,12 @@ from scipy.sparse import csc_matrix, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from plr_jax.eikonal.elements import FunctionSpace
+from plr_jax.eikonal.slopes import SlopeSets
 
 _RELAXATION = 1.6
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
 _TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
-_ROUNDING = 1e-9  # of slopes, many times what their evaluation rounds
+_TINY = float(np.finfo(float).tiny)
 
 Flow = Float[np.ndarray, "dim controls"]
 
@@ -40,18 +42,18 @@ class SlopeProgram:
 
     Attributes:
         space: The functions.
-        gradient: Maps degrees of freedom to the control vectors, axis by axis, in coordinates in which a step of
-            length 1 within any block of axes costs the ``cost`` of the cell.
-        blocks: Axes whose gradients are bounded together.
-        cost: Of a step, at the least, in each control point's cell.
+        gradient: Maps degrees of freedom to the control vectors, axis by axis, in the coordinates of the sets.
+        sets: How steep the functions may be at each control point.
+        doubt: Largest over least cost of a step in each control point's cell.
         volume: Of each control point.
+        weight: The integral of each degree of freedom's basis function.
         goal: The value at the goal, in terms of the degrees of freedom.
     """
 
     space: FunctionSpace
     gradient: csr_array
-    blocks: Sequence[Sequence[int]]
-    cost: Float[np.ndarray, "controls"]
+    sets: SlopeSets
+    doubt: Float[np.ndarray, "controls"]
     volume: Float[np.ndarray, "controls"]
     weight: Float[np.ndarray, "dofs"]
     goal: Float[np.ndarray, "dofs"]
@@ -62,9 +64,8 @@ class SlopeProgram:
         return self.space.mesh.dim
 
     def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
-        """Slopes at the control points over the cost of a step."""
-        g = (self.gradient @ u).reshape(self.dim, -1)
-        return self._norm(g) / self.cost
+        """By what slopes at the control points are too steep, below 1 where they are not."""
+        return self.sets.factors((self.gradient @ u).reshape(self.dim, -1))
 
     def at_goal(self, u: Float[np.ndarray, "dofs"]) -> float:
         """The value at the goal."""
@@ -74,29 +75,12 @@ class SlopeProgram:
         """Mean over open cells."""
         return float(self.weight @ u / self.weight.sum())
 
-    def _norm(self, g: Flow) -> Float[np.ndarray, "controls"]:
-        """The largest norm among those of the blocks."""
-        return np.sqrt(np.max([sum(g[axis] ** 2 for axis in block) for block in self.blocks], axis=0))
-
-    def _project(self, g: Flow, bound: Float[np.ndarray, "controls"]) -> Flow:
-        """The nearest vectors within the bounds."""
-        nearest = np.empty_like(g)
-        for block in self.blocks:
-            axes = list(block)
-            length = np.sqrt(np.sum(g[axes] ** 2, axis=0))
-            nearest[axes] = g[axes] * np.minimum(1.0, bound / np.maximum(length, np.finfo(float).tiny))
-        return nearest
-
-    def flow_norm(self, flow: Flow) -> Float[np.ndarray, "controls"]:
-        """What a flow costs to move a unit."""
-        return np.sum([np.sqrt(np.sum(flow[list(block)] ** 2, axis=0)) for block in self.blocks], axis=0)
-
     def zero(self) -> "Iterate":
         """No flow, and 0 everywhere."""
-        return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.cost))))
+        return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
 
     def solve(
-        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], at_last: bool = False
+        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], tighten_from: int | float = math.inf
     ) -> "Iterate":
         """So many iterations from a start.
 
@@ -104,38 +88,34 @@ class SlopeProgram:
             num_iterations: Iterations.
             start: Values and flow to begin with.
             factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
-            at_last: Whether to tighten the bounds where slopes exceed them, so that the result nearly satisfies them.
+            tighten_from: The iteration from which bounds are tightened where slopes exceed them, so that the result
+                nearly satisfies them.
         """
-        u, flow, least = start.values.copy(), start.flow, _LEAST_PENALTY_AT_LAST if at_last else _LEAST_PENALTY
+        u, flow = start.values, start.flow
         load = self.weight - self.weight.sum() * self.goal
-        bound = self.cost.copy()
-        penalty = self._penalties(flow, least) if flow.any() else np.ones(len(self.cost))
+        radius = self.sets.radius
+        penalty = self._penalties(flow, _LEAST_PENALTY) if flow.any() else np.ones(len(self.volume))
         system = _Poisson(self, penalty)
         y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
-        z = self._project(g, bound)
+        z = self.sets.project(g, radius)
         for iteration in range(num_iterations):
             if iteration in factor_at:
                 flow = penalty * y
+                least = _LEAST_PENALTY if iteration < tighten_from else _LEAST_PENALTY_AT_LAST
                 penalty = self._penalties(flow, least)
                 y, system = flow / penalty, _Poisson(self, penalty)
             u = system.solve(load, z - y)
             g = (self.gradient @ u).reshape(self.dim, -1)
-            if at_last and iteration % _TIGHTEN_EVERY == 0:
-                bound = np.minimum(bound, bound * self.cost / np.maximum(self._norm(g), np.finfo(float).tiny))
+            if iteration >= tighten_from and iteration % _TIGHTEN_EVERY == 0:
+                radius = radius * np.minimum(1.0, self.sets.radius / np.maximum(self.sets.lengths(g), _TINY))
             v = _RELAXATION * g + (1 - _RELAXATION) * z + y
-            z = self._project(v, bound)
+            z = self.sets.project(v, radius)
             y = v - z
         return Iterate(u, penalty * y)
 
     def _penalties(self, flow: Flow, least: float) -> Float[np.ndarray, "controls"]:
-        norm = self.flow_norm(flow)
-        return np.maximum(norm, least * np.median(norm[norm > 0]))
-
-    def feasible(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "dofs"]:
-        """Values scaled so that all constraints hold, and nothing is above 0 at the goal, rounding included."""
-        u = u - self.at_goal(u)
-        scaled = u / ((1 + _ROUNDING) * max(1.0, float(self.slopes(u).max())))
-        return scaled - _ROUNDING * np.abs(scaled).max()
+        cost = self.sets.costs(flow) / self.sets.radius
+        return np.maximum(cost, least * np.median(cost[cost > 0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,16 +118,14 @@ class Box:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = self._points("x", x)
-        outside = np.array(self.periodic) & np.isfinite(x) & ((x < self.lo) | (x >= self.hi))
-        if not outside.any():
-            return x
-        beyond = np.where(outside, x, self.lo)
-        above = np.mod(np.fmod(beyond, self.width) - self.lo, self.width)
-        rounding = 2 * np.spacing(np.maximum(np.abs(beyond), np.maximum(np.abs(self.lo), np.abs(self.hi))))
-        around = self.lo + above
-        is_at_seam = (np.minimum(above, self.width - above) <= rounding) | (around >= self.hi)
-        return np.where(outside, np.where(is_at_seam, self.lo, around), x)
+        x = wrapped = self._points("x", x)
+        for axis in np.flatnonzero(self.periodic):
+            lo, hi, column = self.lo[axis], self.hi[axis], x[..., axis]
+            if column.size and not (lo <= column.min() and column.max() < hi):
+                wrapped = x.copy() if wrapped is x else wrapped
+                outside = np.isfinite(column) & ((column < lo) | (column >= hi))
+                wrapped[outside, axis] = _wrapped_coordinates(column[outside], lo, hi)
+        return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """Of the points that whole periods lead to from each point the one nearest to a reference.
@@ -210,3 +208,11 @@ def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:
     if len(axes) != dim:
         raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
     return tuple(as_bool("Each of Box periodic", axis) for axis in axes)
+
+
+def _wrapped_coordinates(x: Float[np.ndarray, "n"], lo: float, hi: float) -> Float[np.ndarray, "n"]:
+    period = hi - lo
+    above = np.mod(np.fmod(x, period) - lo, period)
+    rounding = 2 * np.spacing(np.maximum(np.abs(x), max(abs(lo), abs(hi))))
+    is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
+    return np.where(is_at_seam, lo, lo + above)

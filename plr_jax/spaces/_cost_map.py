@@ -1,4 +1,4 @@
-"""Factors of the cost of motions that differ from place to place: the slowness of a ground, a risk."""
+"""Costs of motions that differ from place to place, and with the way they go: slow ground, risk, climbing, wind."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_values, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.spaces._space import MotionCost
+
+_LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
 
 
 @runtime_checkable
@@ -30,33 +33,111 @@ class CostMap(Protocol):
         ...
 
 
-def cost_bounds(
-    cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """A cost map's bounds over boxes; ``ValueError`` if they are none."""
-    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
-    if lower.shape != lo.shape[:1] or upper.shape != lower.shape:
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of shape ({len(lo)},), got {lower.shape} and {upper.shape}."
-        )
-    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's bounds must be positive and finite, lower nowhere above upper; got {lower[bad[0]]} and "
-            f"{upper[bad[0]]}."
-        )
-    return lower, upper
+@runtime_checkable
+class DirectionalCost(CostMap, Protocol):
+    """A cost of motions that depends on which way they go, as uphill or against a wind.
+
+    A motion ``dq`` through ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive whichever way it goes.
+    As a :class:`CostMap`, it answers and bounds what a motion of length 1 costs the dearest way; its lower bound is
+    that of the cheapest way. It is for spaces whose ``motion_cost`` is a length, one block of weight 1.
+    """
+
+    def pulls(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
+    ) -> tuple[
+        Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]
+    ]:
+        """Vectors ``a`` and ``b`` for each box, and numbers ``least`` and ``most``.
+
+        Any motion ``dq`` in the box costs between ``least`` and ``most`` times ``|dq|``, and ``max(a . dq, b . dq)``
+        more. Where ``least`` is not positive, the bounds of the cost map are used instead.
+        """
+        ...
 
 
-def cost_factors(cost_map: CostMap, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n"]:
-    """A cost map's factors at configurations; ``ValueError`` if they are not positive and finite."""
-    factors = as_values("The cost map", cost_map(q), len(q))
-    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
-        )
-    return factors
+@dataclass(frozen=True)
+class Climbing:
+    """Cost of motions over a ground of some height: length, and so much more a unit of climbing; descending is free.
+
+    Args:
+        gradient_fn: Gradient of the height at configurations ``(n, dof)``, ``(n, dof)``.
+        rate: What a unit of height costs, at least 0.
+        lipschitz: The most by which the gradient changes a unit of distance, at least 0.
+        steepest: The largest slope.
+
+    Raises:
+        ValueError: If an argument is of another kind or out of its range.
+    """
+
+    gradient_fn: Callable[[np.ndarray], ArrayLike]
+    rate: float
+    lipschitz: float
+    steepest: float
+
+    def __post_init__(self):
+        if not callable(self.gradient_fn):
+            raise ValueError(f"gradient_fn must be a function of configurations, got {shortened(self.gradient_fn)}.")
+        for name in ("rate", "lipschitz", "steepest"):
+            vars(self)[name] = as_finite(name, getattr(self, name))
+
+    def _gradients(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n dof"]:
+        gradient = np.asarray(self.gradient_fn(q), np.float64)
+        if gradient.shape != q.shape:
+            raise ValueError(f"gradient_fn must return gradients of shape {q.shape}, got {gradient.shape}.")
+        bad = np.flatnonzero(~(np.linalg.norm(gradient, axis=1) <= (1 + 1e-12) * self.steepest))
+        if bad.size:
+            raise ValueError(
+                f"gradient_fn must return gradients of at most {self.steepest:g}, got {gradient[bad[0]].tolist()} at "
+                f"{q[bad[0]].tolist()}."
+            )
+        return gradient
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
+        """What a motion of length 1 straight uphill costs.
+
+        Args:
+            q: Configurations, ``(n, dof)``.
+
+        Returns:
+            The costs, ``(n,)``.
+
+        Raises:
+            ValueError: If the function returns another shape, or a gradient above ``steepest``.
+        """
+        return 1 + self.rate * np.linalg.norm(self._gradients(np.asarray(q, np.float64)), axis=1)
+
+    def bounds(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            The bounds, ``(n,)`` each.
+        """
+        _, uphill, _, most = self.pulls(lo, hi)
+        return np.ones(len(lo)), most + np.linalg.norm(uphill, axis=1)
+
+    def pulls(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+    ) -> tuple[
+        Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]
+    ]:
+        """As :meth:`DirectionalCost.pulls`: nothing, and the gradient at the center.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
+        """
+        uphill = self.rate * self._gradients((lo + hi) / 2)
+        spread = self.rate * self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
+        return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
 
 @dataclass(frozen=True)
@@ -121,3 +202,56 @@ class LipschitzCost:
         """
         middle, reach = self((lo + hi) / 2), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
         return np.maximum(middle - reach, self.least), middle + reach
+
+
+def cost_bounds(
+    motion: MotionCost, cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "2 n dof"] | None]:
+    """Bounds of what motions within boxes cost; ``ValueError`` if they are none.
+
+    Returns:
+        The least and the largest factor of what a motion ``dq`` costs elsewhere, and two vectors of which it costs
+        the larger product with ``dq`` besides, None unless the cost is a :class:`DirectionalCost`.
+    """
+    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
+    if lower.shape != lo.shape[:1] or upper.shape != lo.shape[:1]:
+        raise ValueError(
+            f"A cost map must bound each of {len(lo)} boxes, got shapes {lower.shape} and {upper.shape}."
+        )
+    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
+    if bad.size:
+        raise ValueError(
+            "A cost map's bounds must be positive and finite, lower nowhere above upper, got "
+            f"{lower[bad[0]]} and {upper[bad[0]]}."
+        )
+    if not isinstance(cost_map, DirectionalCost):
+        return lower, upper, None
+    if [weight for _, weight in motion.blocks] != [1]:
+        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
+    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(lo, hi))
+    use = least > _LEAST_SHARE * most
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return np.where(use, least, lower), np.where(use, most, upper), pulls
+
+
+def motion_rates(
+    motion: MotionCost, cost_map: CostMap, q: Float[np.ndarray, "n dof"], change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"]:
+    """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
+    if isinstance(cost_map, DirectionalCost):
+        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
+        return (lower + upper) / 2 * motion.norm(change) + pulled(pulls, change)
+    factors = as_values("The cost map", cost_map(q), len(q))
+    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
+        )
+    return factors * motion.norm(change)
+
+
+def pulled(
+    pulls: Float[np.ndarray, "2 n dof"] | None, change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"] | float:
+    """What pulls add to the costs of motions; 0 if there are none."""
+    return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

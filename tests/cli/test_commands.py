@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import plr_jax
-from plr_jax import VisibilityGraph, construct, scenes
+from plr_jax import Box, VisibilityGraph, construct, scenes
 from plr_jax.cli import load_app
 from plr_jax.oracles._cell_sources import VisibleSources
 from plr_jax.plr import load, save
@@ -175,6 +175,13 @@ def test_info_says_what_is_in_the_file(maze):
     assert "[0.0, 0.0] to [1.0, 1.0] (2-D)" in result.stdout
     assert f"{plr.num_leaves:,}, of which 0 unreachable" in result.stdout
     assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
+
+
+def test_info_names_periodic_axes(tmp_path):
+    domain = Box((0, -1), (1, 1), periodic=(False, True))
+    save(construct(lambda x: x[:, 0] + np.cos(np.pi * x[:, 1]), domain, max_leaves=5), tmp_path / "angle.plr")
+    result = run("info", tmp_path / "angle.plr")
+    assert "[0.0, -1.0] to [1.0, 1.0] (2-D, periodic along axes [1])" in result.stdout
 
 
 @pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])

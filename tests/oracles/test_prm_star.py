@@ -6,12 +6,13 @@ from oracle_helpers import CUT, GAP, NOTHING, UNIT, free_points, roadmap
 
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import Roadmap
+from plr_jax.oracles._metric import metric_of
 from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible, prm_star_radius
 
 LINE = Box([0.0], [10.0])
 
 
-def sampled_test(resolution, is_free=lambda x: np.ones(len(x), dtype=bool)):
+def sampled_test(resolution, is_free=lambda x: np.ones(len(x), dtype=bool), domain=LINE, weights=None):
     """A sampled test of motions, and the list of all configurations it tests."""
     tested = []
 
@@ -19,7 +20,7 @@ def sampled_test(resolution, is_free=lambda x: np.ones(len(x), dtype=bool)):
         tested.append(x)
         return is_free(x)
 
-    return checked_is_visible(checked_is_free(LINE, recorded), None, resolution), tested
+    return checked_is_visible(metric_of(domain, weights), checked_is_free(domain, recorded), None, resolution), tested
 
 
 @pytest.mark.parametrize(("length", "num_inner"), [(0.0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (2.0, 3), (2.1, 4)])
@@ -28,6 +29,13 @@ def test_a_motion_is_tested_evenly_at_steps_of_at_most_the_resolution(length, nu
     assert is_visible(np.array([[3.0]]), np.array([[3.0 + length]]))[0]
     inner = np.concatenate([np.empty((0, 1)), *tested])[:, 0]
     np.testing.assert_allclose(inner, np.linspace(3.0, 3.0 + length, num_inner + 2)[1:-1])
+
+
+def test_a_motion_is_tested_the_short_way_around_at_weighted_steps():
+    is_visible, tested = sampled_test(0.5, domain=Box([0.0], [10.0], [True]), weights=[0.5])
+    assert is_visible(np.array([[9.0], [1.5]]), np.array([[2.0], [19.5]])).all()
+    inner = np.concatenate(tested)[:, 0]
+    np.testing.assert_allclose(np.sort(inner), [0, 0.5, 1])  # at 10 and 11; at 0.5 on the way down to -0.5
 
 
 def test_each_motion_is_judged_by_its_own_configurations():

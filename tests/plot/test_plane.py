@@ -13,6 +13,7 @@ from plr_jax import plot
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._surface import _pieces
+from plr_jax.plr import construct
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WORKSPACE = Workspace(
@@ -67,6 +68,19 @@ def test_contours_show_the_values_where_they_are_and_nothing_elsewhere():
     assert tuple(ax.images[0].get_extent()) == (0, 2, 0, 1)
     (star,) = (line for line in ax.lines if line.get_marker() == "*")
     np.testing.assert_array_equal(star.get_xydata(), [[0, 0]])
+
+
+def test_periodic_domains_are_drawn_from_end_to_end():
+    domain = Box((0, -1), (2, 1), periodic=(False, True))
+    plr = construct(lambda x: 2 + x[:, 0] + np.cos(np.pi * x[:, 1]), domain, leaf="continuous", max_leaves=60)
+    image = plot.plot_contours(plr, resolution=20).images[0]
+    assert tuple(image.get_extent()) == (0, 2, -1, 1)
+    exact = 2 + domain.grid(20)[..., 0] + np.cos(np.pi * domain.grid(20)[..., 1])
+    np.testing.assert_allclose(image.get_array(), exact, atol=0.1)
+    (lines,) = (c for c in plot.plot_cells(plr).collections if isinstance(c, LineCollection))
+    ends = [path.vertices[:, 1] for path in lines.get_paths()]
+    assert min(map(min, ends)) == -1 and max(map(max, ends)) == 1
+    plot.plot_surface(plr).figure.canvas.draw()
 
 
 def test_values_inside_obstacles_set_no_scale():

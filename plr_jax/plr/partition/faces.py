@@ -1,4 +1,4 @@
-"""Which leaves share faces, which one the most of them, and between which corners a split put another."""
+"""Which leaves share faces, and between which corners a split put another."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
-_PAIRS_AT_ONCE = 4_000_000
 _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
 
 
@@ -121,39 +120,3 @@ def parents_of_corners(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"],
     across = weight[tree.axis[made_by]]
     ends = np.stack([corners & ~across, corners | across], axis=-1)
     return leaf_at[made_by[..., None], ends] * len(bits) + ends, made_by >= 0
-
-
-def neighbor_of_largest_contact(
-    cells: Cells,
-    unreachable: Int[np.ndarray, "unreachable"],
-    reachable: Int[np.ndarray, "reachable"],
-    periodic: tuple[bool, ...] = (),
-) -> Int[np.ndarray, "unreachable"]:
-    """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
-
-    -1 where it touches none, across the seams of ``periodic`` axes neither.
-    """
-    is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    finest = cells.depth.max(axis=0)
-    lo = cells.position << (finest - cells.depth)
-    hi = (cells.position + 1) << (finest - cells.depth)
-    donor = np.full(len(unreachable), -1)
-    rows = max(1, _PAIRS_AT_ONCE // max(len(reachable), 1))
-    for start in range(0, len(unreachable) if len(reachable) else 0, rows):
-        chunk = unreachable[start : start + rows]
-        contact = np.ones((len(chunk), len(reachable)))
-        for axis in range(cells.dim):
-            low = np.maximum(lo[chunk, axis, None], lo[reachable, axis])
-            high = np.minimum(hi[chunk, axis, None], hi[reachable, axis])
-            touch = high == low
-            if is_periodic[axis]:
-                first = np.minimum(lo[chunk, axis, None], lo[reachable, axis])
-                last = np.maximum(hi[chunk, axis, None], hi[reachable, axis])
-                touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
-            # Touching in a point along this axis counts far less than an overlap of the finest slot.
-            overlap = np.where(touch, 2.0**-20, np.maximum(high - low, 0))
-            contact *= overlap / 2.0 ** finest[axis]
-        best = np.argmax(contact, axis=1)
-        found = contact[np.arange(len(chunk)), best] > 0
-        donor[start : start + rows][found] = reachable[best[found]]
-    return donor

@@ -105,25 +105,32 @@ def outside_domain(
 
 
 def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """Points moved along periodic axes by whole periods to between the ends, the upper of which becomes the lower.
+    """Points with their coordinates along periodic axes inside the domain, in the points' own precision."""
+    if not tables.periodic:
+        return x
+    along = [x[..., axis] for axis in range(tables.dim)]  # axis by axis, as the rest of a query computes
+    for axis in tables.periodic:
+        along[axis] = _moved(along[axis], _between_ends(tables, jax.lax.stop_gradient(along[axis]), axis))
+    return jnp.stack(along, axis=-1)
+
+
+def _between_ends(tables: Tables, x: Float[Array, "*batch"], axis: int) -> Float[Array, "*batch"]:
+    """Coordinates moved by whole periods to between the ends of an axis, the upper of which becomes the lower.
 
     A compiler may round the product and the difference at once in one part of a query and apart in another. That
     moves a point by a rounding, but never from one end to the other: the number of periods leaves no such choice.
     """
-    if not tables.periodic:
-        return x
-    frame, at = tables.frame.astype(x.dtype), jax.lax.stop_gradient(x)
+    frame = tables.frame[:, axis].astype(x.dtype)
     lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
-    turns = jnp.floor((at - lo) * frame[Frame.SCALE])
-    is_end = jnp.abs(at - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
-    inside = jnp.where(is_end, lo, jnp.clip(at - turns * (hi - lo), lo, hi))
-    is_periodic = np.isin(np.arange(tables.dim), tables.periodic)
-    return _moved(x, jnp.where(is_periodic & jnp.isfinite(at), inside, at))
+    turns = jnp.floor((x - lo) * frame[Frame.SCALE])
+    is_end = jnp.abs(x - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
+    inside = jnp.where(is_end, lo, jnp.clip(x - turns * (hi - lo), lo, hi))
+    return jnp.where(jnp.isfinite(x), inside, x)
 
 
 @jax.custom_jvp
-def _moved(x: Float[Array, "*batch dim"], to: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
-    """The points that others move to, as they do."""
+def _moved(x: Float[Array, "*batch"], to: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Where coordinates move to, as they do."""
     return to
 
 

@@ -8,7 +8,7 @@ from plr_helpers import random_contents, three_leaves
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Continuous
-from plr_jax.plr._file import Contents, encode
+from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
 from plr_jax.plr.partition.faces import shared_faces
@@ -38,6 +38,30 @@ def test_the_format_stays_as_it_is():
     stored = StoredValues(partition, 0.5, 0.25, 3 * np.arange(8) ** 2 - 7)
     data = encode(Contents(Box((-1, 0), (1, 3)), Continuous(), levels_of(tree.leaves)[0], tree.leaves, stored))
     assert hashlib.sha256(data).hexdigest() == "4317569b2c1829926605046f0b61194ced338ce557b56a36348a6670e21917cf"
+
+
+def test_the_format_of_a_torus_stays_as_it_is():
+    tree, periodic = tree_of(three_leaves()), (True, True)
+    faces = shared_faces(tree, periodic)
+    tied = np.array([True, False, True, True, True, False, True])
+    partition = TiedPartition(tree, np.zeros(3, bool), faces, tied)
+    stored = StoredValues(partition, 0.5, 0.25, 3 * np.arange(len(partition.space.masters)) ** 2 - 7)
+    domain = Box((-1, 0), (1, 3), periodic)
+    data = encode(Contents(domain, Continuous(), levels_of(tree.leaves)[0], tree.leaves, stored))
+    assert hashlib.sha256(data).hexdigest() == "5376c21afe8b5c0a755c701feb836e3143a072d53107b8815dea02e7ea9f9826"
+    np.testing.assert_array_equal(decode(data).stored.partition.tied, tied)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 3), data=st.data())
+def test_ties_across_seams_are_read_as_they_were_written(seed, dim, data):
+    periodic = tuple(data.draw(st.lists(st.booleans(), min_size=dim, max_size=dim)))
+    contents = random_contents(seed, dim, "continuous", periodic=periodic)
+    again = decode(encode(contents))
+    assert again.domain == contents.domain
+    np.testing.assert_array_equal(again.stored.partition.faces.axis, contents.stored.partition.faces.axis)
+    np.testing.assert_array_equal(again.stored.partition.tied, contents.stored.partition.tied)
+    np.testing.assert_array_equal(again.stored.code, contents.stored.code)
 
 
 def test_values_are_rounded_to_the_nearest():
