@@ -11,9 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.spaces import ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds
-
-_LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, pulled
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,34 +38,19 @@ class CellCosts:
 
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""
-        cost = self.lengths(change) * self.upper[cell]
-        if self.pulls is None:
-            return cost
-        return cost + np.einsum("kij,ij->ki", self.pulls[:, cell], change).max(axis=0)
+        pulls = None if self.pulls is None else self.pulls[:, cell]
+        return self.lengths(change) * self.upper[cell] + pulled(pulls, change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
-    lower, _ = bounds_of(cost_map, *mesh.boxes)
-    _, upper = bounds_of(cost_map, *mesh.grown_boxes)
     motion = space.motion_cost
-    if not isinstance(cost_map, DirectionalCost):
-        return CellCosts(motion, cost_map, lower, upper)
-    if [weight for _, weight in motion.blocks] != [1]:
-        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
-    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(*mesh.grown_boxes))
-    use = least > _LEAST_SHARE * most
-    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
-    return CellCosts(motion, cost_map, np.where(use, least, lower), np.where(use, most, upper), pulls)
-
-
-def bounds_of(
-    cost_map: CostMap | None, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Bounds of the factor over boxes, 1 without a map; ``ValueError`` if they are none."""
     if cost_map is None:
-        return np.ones(len(lo)), np.ones(len(lo))
-    return cost_bounds(cost_map, lo, hi)
+        return CellCosts(motion, None, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
+    lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
+    if pulls is None:
+        lower, _, _ = cost_bounds(motion, cost_map, *mesh.boxes)
+    return CellCosts(motion, cost_map, lower, upper, pulls)
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

@@ -17,10 +17,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.costs import CellCosts, bounds_of
+from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.partition.tree import corner_bits
-from plr_jax.spaces import CellState, ConfigurationSpace
+from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 _ROUNDS = 24
 _GAIN = 1e-9  # share of its cost by which a path must become cheaper
@@ -138,8 +138,12 @@ class _FreeGraph:
         q, change = domain.lo + domain.width * self.points[near], change[near]
         free = np.flatnonzero(space.are_free(q, q + change))
         q, change = q[free], change[free]
-        _, upper = bounds_of(self.costs.cost_map, np.minimum(q, q + change), np.maximum(q, q + change))
-        return near[free], self.costs.lengths(change) * upper
+        cost, cost_map = self.costs.lengths(change), self.costs.cost_map
+        if cost_map is not None:
+            box = np.minimum(q, q + change), np.maximum(q, q + change)
+            _, upper, pulls = cost_bounds(self.costs.motion, cost_map, *box)
+            cost = cost * upper + pulled(pulls, change)
+        return near[free], cost
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""

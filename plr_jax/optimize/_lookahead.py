@@ -23,10 +23,12 @@ from plr_jax.optimize._unit_motions import unit_motions
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # step, as a share of the domain; lengths, each half of the one before
 _FALL = 0.1  # least share of a step's cost by which the cost-to-go falls along it
 _LONGER = 0.01  # by how much less steep a step may be that is twice as long
-_DEARER = 0.05  # share by which a step may cost more than a few samples of the factor said
+_DEARER = 0.02  # share by which a step may cost more than a few samples of the factor said
 _LAST_TOLERANCE = 0.001  # of the costs of paths
 
 Points = Float[np.ndarray, "n dim"]
+Nodes = Float[np.ndarray, "nodes dim"]
+Next = Int[np.ndarray, "nodes"]
 Field = Callable[[ArrayLike], ArrayLike]
 
 
@@ -64,7 +66,9 @@ class _Lookahead:
             values[inside] = as_distances("The field", self.field(asked), asked)[:num]
         return np.maximum(values, 0.0)
 
-    def follow(self, starts: Points) -> tuple[Points, Int[np.ndarray, "nodes"], Int[np.ndarray, "n"]]:
+    def follow(
+        self, starts: Points
+    ) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "nodes"], Int[np.ndarray, "n"]]:
         """Follow the field from free starts.
 
         Returns:
@@ -95,11 +99,13 @@ class _Lookahead:
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
             there = here[:, None] + change
-            cost = promised[rows] = self.costs.estimates(here, change)
+            cost = self.costs.estimates(here, change)
             after = self.values(there.reshape(-1, there.shape[2])).reshape(cost.shape)
             after[:, 0] = 0.0  # at the goal, by definition
+            cost[:, 0] = self.costs.integrals(here, np.broadcast_to(self.goal, here.shape), STEP_TOLERANCE)
+            promised[rows] = cost
             with np.errstate(divide="ignore", invalid="ignore"):
-                rate = np.where(np.isinf(before), 1.0, (before - after) / cost)
+                rate = np.where(np.isinf(before) | (cost == 0), 1.0, (before - after) / cost)
             falls = np.isfinite(after) & (rate >= _FALL)
             falls[:, 0] = True
             return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
@@ -125,8 +131,8 @@ def _assemble(
     starts: Points,
     is_free: Bool[np.ndarray, "n"],
     first: Int[np.ndarray, "free"],
-    nodes: Points,
-    onward: Int[np.ndarray, "nodes"],
+    nodes: Nodes,
+    onward: Next,
 ) -> Descent:
     """The paths from the nodes of free starts along the next nodes to the goal, node 0."""
     chain = [np.full(len(starts), -1)]
@@ -139,7 +145,7 @@ def _assemble(
     vertices = nodes[chains]
     counts = np.where(reached, 1 + (chains > 0).sum(axis=1) - at_goal, 0)
     begin, end = vertices[:, :-1].reshape(-1, starts.shape[1]), vertices[:, 1:].reshape(-1, starts.shape[1])
-    lengths = costs.lengths(begin, end).reshape(len(starts), -1)
+    lengths = costs.lengths(begin, end).reshape(vertices.shape[0], vertices.shape[1] - 1)
     prices = np.zeros(lengths.shape)
     moves = reached[:, None] & (lengths > 0)
     prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax.geometry.box import Box
-from plr_jax.spaces import ConfigurationSpace, CostMap, cost_bounds, cost_factors
+from plr_jax.spaces import ConfigurationSpace, CostMap, cost_bounds, motion_rates, pulled
 
 STEP_TOLERANCE = 0.01
 """Share by which the cost of a step may err."""
@@ -39,14 +38,15 @@ class PathCosts:
     def estimates(self, q0: Motions, changes: Changes) -> Float[np.ndarray, "n k"]:
         """About what motions from each configuration by some changes cost, by a few samples of each."""
         n, k, dof = changes.shape
-        lengths = self.space.motion_cost.norm(changes.reshape(-1, dof)).reshape(n, k)
+        motion, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
-            return lengths
+            return motion.norm(changes.reshape(-1, dof)).reshape(n, k)
         share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         q = q0[:, None, None] + share[:, None] * changes[:, :, None]
-        domain = self.space.domain  # motions that leave it are not free, but have to cost something
-        q = np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)).reshape(-1, dof)
-        return lengths * cost_factors(self.cost_map, domain.wrapped(q)).reshape(n, k, -1).mean(axis=2)
+        # Motions that leave the domain are not free, but have to cost something.
+        q = domain.wrapped(np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi))).reshape(-1, dof)
+        rates = motion_rates(motion, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
+        return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Motions, q1: Motions, tolerance: float) -> Costs:
         """What motions cost, by the midpoint rule on pieces that are halved until bounds say that they err little.
@@ -58,26 +58,34 @@ class PathCosts:
             q1: Where they end.
             tolerance: The largest error, as a share of the cost.
         """
-        lengths = self.lengths(q0, q1)
         if self.cost_map is None:
-            return lengths
-        domain, mean = self.space.domain, np.zeros(len(q0))
-        change = domain.difference(q1, q0)
+            return self.lengths(q0, q1)
+        cost, change = np.zeros(len(q0)), self.space.domain.difference(q1, q0)
         motion, begin, end = self._within_periods(q0, change)
         for halvings in range(_MOST_HALVINGS + 1):
-            middle, half = (begin + end) / 2, (end - begin) / 2
-            center = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
-            extent = np.abs(half[:, None] * change[motion])
-            lower, upper = cost_bounds(self.cost_map, *_clipped(center, extent, domain))
-            share = np.maximum(2 * half, _LEAST_SHARE)
-            done = ((upper - lower) * 2 * half <= tolerance * lower * share) | (halvings == _MOST_HALVINGS)
-            factor = cost_factors(self.cost_map, center[done])
-            np.add.at(mean, motion[done], 2 * half[done] * factor)
-            motion, begin, middle, end = (of[~done] for of in (motion, begin, middle, end))
+            middle = (begin + end) / 2
+            q = self.space.domain.wrapped(q0[motion] + middle[:, None] * change[motion])
+            part = (end - begin)[:, None] * change[motion]
+            lower, upper = self._bounds(q, part)
+            share = np.maximum(end - begin, _LEAST_SHARE) / (end - begin)
+            done = (upper - lower <= tolerance * lower * share) | (halvings == _MOST_HALVINGS)
+            np.add.at(cost, motion[done], motion_rates(self.space.motion_cost, self.cost_map, q[done], part[done]))
+            motion, begin, middle, end = motion[~done], begin[~done], middle[~done], end[~done]
             motion, begin, end = np.tile(motion, 2), np.append(begin, middle), np.append(middle, end)
             if not len(motion):
                 break
-        return lengths * mean
+        return cost
+
+    def _bounds(self, center: Motions, change: Motions) -> tuple[Costs, Costs]:
+        """Bounds of what motions about centers cost, which do not cross a seam."""
+        assert self.cost_map is not None
+        domain, norm = self.space.domain, self.space.motion_cost.norm(change)
+        # But for rounding, boxes about motions are in the domain.
+        lo = np.maximum(center - np.abs(change) / 2, domain.lo)
+        hi = np.minimum(center + np.abs(change) / 2, domain.hi)
+        lower, upper, pulls = cost_bounds(self.space.motion_cost, self.cost_map, lo, hi)
+        more = pulled(pulls, change)
+        return lower * norm + more, upper * norm + more
 
     def _within_periods(
         self, q0: Motions, change: Motions
@@ -89,10 +97,6 @@ class PathCosts:
             share = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
         cuts = np.sort(np.where((share > 0) & (share < 1), share, 0.0), axis=1)
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
-        motion, place = np.nonzero(np.diff(ends, axis=1) > 0)
+        moves = np.any(change != 0, axis=1)
+        motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & moves[:, None])
         return motion, ends[motion, place], ends[motion, place + 1]
-
-
-def _clipped(center: Motions, extent: Motions, domain: Box) -> tuple[Motions, Motions]:
-    """Boxes about centers in a domain, less what rounding lets stick out of it."""
-    return np.maximum(center - extent, domain.lo), np.minimum(center + extent, domain.hi)

@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_values, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.spaces._space import MotionCost
+
+_LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
 
 
 @runtime_checkable
@@ -137,35 +140,6 @@ class Climbing:
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
 
-def cost_bounds(
-    cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """A cost map's bounds over boxes; ``ValueError`` if they are none."""
-    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
-    if lower.shape != lo.shape[:1] or upper.shape != lower.shape:
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of shape ({len(lo)},), got {lower.shape} and {upper.shape}."
-        )
-    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's bounds must be positive and finite, lower nowhere above upper; got {lower[bad[0]]} and "
-            f"{upper[bad[0]]}."
-        )
-    return lower, upper
-
-
-def cost_factors(cost_map: CostMap, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n"]:
-    """A cost map's factors at configurations; ``ValueError`` if they are not positive and finite."""
-    factors = as_values("The cost map", cost_map(q), len(q))
-    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
-        )
-    return factors
-
-
 @dataclass(frozen=True)
 class LipschitzCost:
     """A cost map of a function that changes by at most so much a unit of distance.
@@ -228,3 +202,56 @@ class LipschitzCost:
         """
         middle, reach = self((lo + hi) / 2), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
         return np.maximum(middle - reach, self.least), middle + reach
+
+
+def cost_bounds(
+    motion: MotionCost, cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "2 n dof"] | None]:
+    """Bounds of what motions within boxes cost; ``ValueError`` if they are none.
+
+    Returns:
+        The least and the largest factor of what a motion ``dq`` costs elsewhere, and two vectors of which it costs
+        the larger product with ``dq`` besides, None unless the cost is a :class:`DirectionalCost`.
+    """
+    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
+    if lower.shape != lo.shape[:1] or upper.shape != lo.shape[:1]:
+        raise ValueError(
+            f"A cost map must bound each of {len(lo)} boxes, got shapes {lower.shape} and {upper.shape}."
+        )
+    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
+    if bad.size:
+        raise ValueError(
+            "A cost map's bounds must be positive and finite, lower nowhere above upper, got "
+            f"{lower[bad[0]]} and {upper[bad[0]]}."
+        )
+    if not isinstance(cost_map, DirectionalCost):
+        return lower, upper, None
+    if [weight for _, weight in motion.blocks] != [1]:
+        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
+    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(lo, hi))
+    use = least > _LEAST_SHARE * most
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return np.where(use, least, lower), np.where(use, most, upper), pulls
+
+
+def motion_rates(
+    motion: MotionCost, cost_map: CostMap, q: Float[np.ndarray, "n dof"], change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"]:
+    """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
+    if isinstance(cost_map, DirectionalCost):
+        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
+        return (lower + upper) / 2 * motion.norm(change) + pulled(pulls, change)
+    factors = as_values("The cost map", cost_map(q), len(q))
+    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
+        )
+    return factors * motion.norm(change)
+
+
+def pulled(
+    pulls: Float[np.ndarray, "2 n dof"] | None, change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"] | float:
+    """What pulls add to the costs of motions; 0 if there are none."""
+    return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)
