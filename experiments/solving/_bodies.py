@@ -16,6 +16,7 @@ between its sizes, both logarithmic; ``>``: the largest of them errs more than o
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ class Body(NamedTuple):
 def rectangle() -> Body:
     problem = scenes.tangle()
     space = RigidBodySpace(problem.workspace, problem.robots[0], problem.rotation_weight)
-    return Body(space, problem.goals[0], lambda *grid: grid_search(*grid, _RECTANGLE_STEPS))
+    return Body(space, problem.goals[0], partial(grid_search, offsets=_RECTANGLE_STEPS))
 
 
 def arm() -> Body:

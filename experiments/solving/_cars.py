@@ -7,6 +7,7 @@ random poses, in turning radii.
 """
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,9 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     return {"poses": len(x), "batches": batches, "rows": rows}
 
 
-def _nanoseconds(answer: DistanceFn, x: Float[np.ndarray, "n 3"], batches: list[int], smoke: bool) -> list[float]:
+def _nanoseconds(
+    answer: Callable[[Any], Any], x: Float[np.ndarray, "n 3"], batches: list[int], smoke: bool
+) -> list[float]:
     """Of a pose, in batches of several sizes."""
     turns = {"num_turns": 1, "seconds_a_turn": 0.0} if smoke else {}
     calls = {f"{size}": lambda size=size: answer(x[:size]) for size in batches}
@@ -102,8 +105,8 @@ def _rows_of(rows: list[dict[str, Any]], batches: list[int]) -> list[list[str]]:
 def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
     """Rows of cells, how many of the last columns hold numbers, and a note."""
     note = (
-        f"50 x 50 turning radii, all headings; errors in turning radii over {results['poses']:,} random poses. Table: float32 "
-        " at cells of an eighth of a turning radius and 5 degrees, half of the window, nearest cell.\n"
+        f"Errors in turning radii, of 50 x 50 of them and all headings, over {results['poses']:,} random poses. "
+        "Table: float32 at cells of an eighth of a turning radius and 5 degrees, half of the window, nearest cell.\n"
     )
     return _rows_of(results["rows"], results["batches"]), 5 + len(results["batches"]), note
 

@@ -55,12 +55,10 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         x = found[0].sample_free(5_000 if smoke else POINTS, _POINT_SEED + seed)
         distance = exact(x)
         x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-        for limit in limits:
-            row, plr = _solved(found, limit, x, distance, seed)
-            row |= violations(plr, found, exact, 20_000 if smoke else POINTS_TESTED, seed)
-            rows.append({"map": name, **row})
-        for row in rivals(found, x, distance, seed, smoke):
-            rows.append({"map": name, **row})
+        solved = [_solved(found, limit, x, distance, seed) for limit in limits]
+        counts = violations([plr for _, plr in solved], found, exact, 20_000 if smoke else POINTS_TESTED, seed)
+        ours = [row | count for (row, _), count in zip(solved, counts, strict=True)]
+        rows += [{"map": name, **row} for row in [*ours, *rivals(found, x, distance, seed, smoke)]]
         print(aligned(rows_of([row for row in rows if row["map"] == name]), _NUMBERS), flush=True)
     return {"first_call": first_call(limits[0]), "points": len(x), "rows": rows}
 
@@ -72,7 +70,7 @@ def first_call(limit: dict[str, int]) -> dict[str, float]:
 
 
 def _solved(
-    found: Map, limit: dict[str, int], x: Points, distance: Float[np.ndarray, "n"], seed: int
+    found: Map, limit: dict[str, Any], x: Points, distance: Float[np.ndarray, "n"], seed: int
 ) -> tuple[dict[str, Any], PLR]:
     workspace, goal = found
     solve_eikonal(PlaneSpace(workspace), goal, max_leaves=100)  # imports and compiles
@@ -101,18 +99,21 @@ def errors(answer: Callable[[Points], Any], x: Points, distance: Float[np.ndarra
     }
 
 
-def violations(plr: PLR, found: Map, exact: VisibilityGraph, num_points: int, seed: int) -> dict[str, int]:
-    """At how many random free points the truth is beyond a bound."""
-    counts = {"points_tested": 0, "lower_violated": 0, "upper_violated": 0}
+def violations(
+    plrs: list[PLR], found: Map, exact: VisibilityGraph, num_points: int, seed: int
+) -> list[dict[str, int]]:
+    """At how many random free points the truth is beyond a bound, of each PLR."""
+    counts = [{"points_tested": 0, "lower_violated": 0, "upper_violated": 0} for _ in plrs]
     for begin in range(0, num_points, _BATCH):
         x = found[0].sample_free(min(_BATCH, num_points - begin), _POINT_SEED + seed + 1 + begin // _BATCH)
         distance = exact(x)
         x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-        lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
         rounding = _ROUNDING * distance.max()
-        counts["points_tested"] += len(x)
-        counts["lower_violated"] += int(np.count_nonzero(~(lower <= distance + rounding)))
-        counts["upper_violated"] += int(np.count_nonzero(~(distance <= upper + rounding)))
+        for plr, count in zip(plrs, counts, strict=True):
+            lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+            count["points_tested"] += len(x)
+            count["lower_violated"] += int(np.count_nonzero(~(lower <= distance + rounding)))
+            count["upper_violated"] += int(np.count_nonzero(~(distance <= upper + rounding)))
     return counts
 
 

@@ -133,8 +133,8 @@ def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
     side = results["side"]
     note = (
         f"Shares of the mean travel time, at {results['points']:,} points; truth: fast marching on {side:,} x "
-        f"{side:,} cells, its own error the mean difference to {side // 2:,} x {side // 2:,}. What is proven is of the exact "
-        "times, not of the grid's.\n"
+        f"{side:,} cells, its own error the mean difference to {side // 2:,} x {side // 2:,}. What is proven is of "
+        "the exact times, not of the grid's.\n"
     )
     return _rows_of(results["rows"]), _NUMBERS, note
 
