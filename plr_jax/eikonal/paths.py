@@ -24,7 +24,7 @@ from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 _ROUNDS = 24
 _GAIN = 1e-9  # share of its cost by which a path must become cheaper
-_ENOUGH = 1e-4  # share of all costs below which another round is not worth its time
+_ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
 _NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free

@@ -27,7 +27,7 @@ def solved(program, rounds=6):
     iterate = program.solve(150, program.zero(), (20, 40, 80))
     for _ in range(rounds - 1):
         iterate = program.solve(150, iterate, (40,))
-    iterate = program.solve(150, iterate, (40,), at_last=True)
+    iterate = program.solve(150, iterate, (40,), tighten_from=0)
     u = iterate.values - program.at_goal(iterate.values)
     return u / max(1.0, program.slopes(u).max()), iterate
 
@@ -39,7 +39,7 @@ def test_the_best_function_is_that_of_a_linear_program(weights, seed):
     space = BoxSpace(UNIT, *WALLS, blocks=blocks)
     goal = np.random.default_rng(seed).uniform(0, 0.25, 2)
     program = program_of(space, goal)
-    cost = np.tile(program.cost, 2)
+    cost = np.tile(program.sets.radius, 2)
     exact = scipy.optimize.linprog(
         -program.weight,
         A_ub=vstack([program.gradient, -program.gradient]),
@@ -58,7 +58,7 @@ def test_the_best_function_is_that_of_a_general_method():
     """Euclidean slopes, by sequential quadratic programming."""
     program = program_of(BoxSpace(UNIT, [(0.5, 0.0), (1.0, 0.5)]), (0.1, 0.2), num_cells=4, rounds=0)
     parts = program.gradient.toarray().reshape(2, -1, len(program.weight))
-    bound = program.cost**2
+    bound = program.sets.radius**2
     exact = scipy.optimize.minimize(
         lambda u: -program.weight @ u,
         np.zeros(len(program.weight)),
@@ -97,7 +97,7 @@ def test_a_step_costs_what_the_cell_says():
     space, goal = BoxSpace(UNIT, *WALLS), (0.1, 0.2)
     plain = program_of(space, goal)
     tripled = program_of(space, goal, cost_map=LipschitzCost(lambda q: np.full(len(q), 3.0), 0.0, 3.0))
-    np.testing.assert_allclose(tripled.cost, 3 * plain.cost)
+    np.testing.assert_allclose(tripled.sets.radius, 3 * plain.sets.radius)
     u, _ = solved(plain, rounds=1)
     np.testing.assert_allclose(tripled.slopes(3 * u), plain.slopes(u))
     np.testing.assert_allclose(tripled.mean(solved(tripled)[0]), 3 * plain.mean(solved(plain)[0]), rtol=2e-3)
@@ -127,8 +127,8 @@ def test_the_largest_of_the_blocks_slopes_counts():
     np.testing.assert_allclose(program.slopes(x @ [0.6, 0.8, 0.0]), 0.5)
     np.testing.assert_allclose(program.slopes(x @ [0.0, 0.0, 1.0]), 2.0)
     np.testing.assert_allclose(program.slopes(x @ [0.6, 0.8, 1.0]), 2.0)
-    flow = np.tile([[3.0], [4.0], [5.0]], len(program.cost))
-    np.testing.assert_allclose(program.flow_norm(flow), 10.0)
+    flow = np.tile([[3.0], [4.0], [5.0]], len(program.sets.radius))
+    np.testing.assert_allclose(program.sets.costs(flow), 10.0)
 
 
 def test_only_what_the_goal_is_connected_to_has_values():
