@@ -54,7 +54,9 @@ def bounds_of(
             f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}."
         ) from None
     if lower.shape != lo.shape[:1]:
-        raise ValueError(f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}.")
+        raise ValueError(
+            f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}."
+        )
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
     if bad.size:
         raise ValueError(

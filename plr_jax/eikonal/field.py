@@ -61,7 +61,7 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells: midway between the bounds, or as nearby if there is none above."""
+        """An estimate at the corners of open cells: midway between the bounds, or as nearby if one is unknown."""
         corners = corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
         lower = self.lower_at(cell, corners[corner].astype(float))

@@ -3,7 +3,7 @@
 Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
 cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
 node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
-is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path that is there.
+is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.

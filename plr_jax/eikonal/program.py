@@ -29,7 +29,6 @@ from plr_jax.eikonal.elements import FunctionSpace
 _RELAXATION = 1.6
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
 _TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
-_ROUNDING = 1e-9  # of slopes, many times what their evaluation rounds
 
 Flow = Float[np.ndarray, "dim controls"]
 
@@ -136,12 +135,6 @@ class SlopeProgram:
         """The flow of least squares that carries a load: of the right size, whatever the units."""
         gradient = self.gradient @ _Poisson(self, 1 / self.cost).solve(load, np.zeros((self.dim, len(self.cost))))
         return gradient.reshape(self.dim, -1) / self.cost
-
-    def feasible(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "dofs"]:
-        """Values scaled so that all constraints hold, and nothing is above 0 at the goal, rounding included."""
-        u = u - self.at_goal(u)
-        scaled = u / ((1 + _ROUNDING) * max(1.0, float(self.slopes(u).max())))
-        return scaled - _ROUNDING * np.abs(scaled).max()
 
 
 @dataclass(frozen=True, eq=False)

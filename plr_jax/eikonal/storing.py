@@ -72,8 +72,8 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     coefficients = filled_coefficients(contents)
     if np.isinf(coefficients[leaf, 0]).any():
         raise ValueError(
-            "Nothing can be proven: some leaves answer inf, although some of their points may reach the goal, which no "
-            "sample met. Allow more max_bytes, or leave it out."
+            "Nothing can be proven: some leaves answer inf, although some of their points may reach the goal, which "
+            "no sample met. Allow more max_bytes, or leave it out."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     at = lo[:, None] + (hi - lo)[:, None] * corners
@@ -90,9 +90,7 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     return Contents(contents.domain, contents.leaf, contents.levels, contents.cells, contents.stored, certificate)
 
 
-def _changes_beside(
-    cells: Cells, coefficients: Float[np.ndarray, "leaves corners"]
-) -> Float[np.ndarray, "leaves"]:
+def _changes_beside(cells: Cells, coefficients: Float[np.ndarray, "leaves corners"]) -> Float[np.ndarray, "leaves"]:
     """How far the functions of leaves change, at the most, from a leaf to where a query may place points in it."""
     beside, corners = PLACING * np.ldexp(1.0, cells.depth), corner_bits(cells.dim)
     across = [coefficients[:, bits == 1] - coefficients[:, bits == 0] for bits in corners.T]

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.dependencies import ZERO, eliminated, require_few, resolve
+from plr_jax.plr.partition.dependencies import eliminated, require_few, resolve
 from plr_jax.plr.partition.faces import SharedFaces, face_points, parents_of_corners
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
