@@ -2,12 +2,27 @@
 
 import numpy as np
 import shapely
+from space_helpers import BOUNDS, rectangle
 
+from plr_jax import PlaneSpace, Workspace
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.spaces import CellState, MotionCost
+
+EMPTY = PlaneSpace(Workspace(((0, 0), (1, 1))))
+ROOM = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2.3, 0, 2.4, 1.3)])
+GOALS = {
+    "inside": (0.3, 0.4),
+    "on a dyadic point": (0.5, 0.375),
+    "on a wall": (1.37, 1.0),
+    "in a corner": (1.0, 2.0),
+    "between walls": (2.3, 0.0),
+    "in a corner of the domain": (4.0, 3.0),
+    "at the border": (0.0, 1.234),
+    "just beside a wall": (0.9999999, 1.5),
+}
 
 
 class BoxSpace:
@@ -102,3 +117,16 @@ def check_bounds(plr, workspace, oracle, n=4000, seed=0):
     assert (lower <= distance + rounding).all(), x[np.argmax(lower - distance)]
     assert (distance <= upper + rounding).all(), x[np.argmax(distance - upper)]
     return distance, lower, upper
+
+
+class TwoGrounds:
+    """Half planes of factors 1 and ``dear``, the interface at ``y = level``."""
+
+    def __init__(self, level, dear):
+        self.level, self.dear = level, dear
+
+    def __call__(self, q):
+        return np.where(np.asarray(q)[:, 1] < self.level, 1.0, self.dear)
+
+    def bounds(self, lo, hi):
+        return np.where(lo[:, 1] < self.level, 1.0, self.dear), np.where(hi[:, 1] > self.level, self.dear, 1.0)

@@ -152,19 +152,31 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(children), np.append(self.state[stays], state))
 
 
-def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int) -> Mesh:
-    """A mesh of at least so many cells, about as wide along every axis by a scale of the coordinates."""
-    domain, depth = space.domain, np.zeros(space.domain.dim, np.int64)
-    width = domain.width * scale
-    depth = np.maximum(0, np.rint(np.log2(width / width.min()))).astype(np.int64)
-    depth[np.array(domain.periodic)] = np.maximum(depth[np.array(domain.periodic)], _LEAST_PERIODIC)
-    while 2.0 ** depth.sum() < num_cells:
-        depth += 1
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1).reshape(
-        -1, domain.dim
-    )
+def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
+    """A mesh of at least so many cells, if the most allow it, about as wide along every axis by a scale."""
+    depth = _coarse_depth(space.domain, scale, num_cells, max_cells)
+    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
+    position = position.reshape(-1, space.domain.dim)
     cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(domain, cells, _classify(cells, domain, space))
+    return _mesh(space.domain, cells, _classify(cells, space.domain, space))
+
+
+def _coarse_depth(
+    domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
+) -> Int[np.ndarray, "dim"]:
+    width = domain.width * scale
+    least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
+    if 2.0 ** least.sum() > max_cells:
+        raise ValueError(
+            f"max_leaves must be at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes, "
+            f"got {max_cells}."
+        )
+    depth = np.maximum(least, np.rint(np.log2(width / width.min())).astype(np.int64))
+    while 2.0 ** depth.sum() > max_cells:
+        depth[np.argmax(np.where(depth > least, depth, -1))] -= 1
+    while 2.0 ** depth.sum() < num_cells and 2.0 ** (depth.sum() + domain.dim) <= max_cells:
+        depth += 1
+    return depth
 
 
 def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"]) -> Mesh:

@@ -23,7 +23,7 @@ def locate_by_search(mesh, x):
 
 def refined_often(space, rounds, goal=(0.3, 0.6), num_cells=16):
     """Cells that hold or touch a point are halved again and again."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells)
+    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
     for _ in range(rounds):
         lo, hi = mesh.boxes
         mesh = mesh.refined(np.flatnonzero(np.all((lo <= goal) & (goal <= hi), axis=1)), space)
@@ -99,7 +99,7 @@ def test_closed_cells_count_as_blocked():
 
 def test_cells_are_what_the_space_proves():
     space = BoxSpace(Box((0, 0), (2, 1)), [(0.3, 0.2), (1.1, 0.7)], [(1.5, 0.5), (1.6, 1)])
-    mesh = coarse_mesh(space, np.ones(2), 500)
+    mesh = coarse_mesh(space, np.ones(2), 500, 4096)
     lo, hi = mesh.boxes
     share = np.array(list(itertools.product(np.linspace(0, 1, 9), repeat=2)))
     samples = lo[:, None] + share * (hi - lo)[:, None]
@@ -111,7 +111,7 @@ def test_cells_are_what_the_space_proves():
 def test_blocked_cells_keep_queries_off_walls():
     """A cell flush with a wall holds no free point, but rounding places free points beside it in it."""
     space = BoxSpace(UNIT, [(0.25, 0.25), (0.5, 0.75)])
-    mesh = coarse_mesh(space, np.ones(2), 16)
+    mesh = coarse_mesh(space, np.ones(2), 16, 4096)
     lo, hi = mesh.boxes
     inside = np.all((lo >= (0.25, 0.25)) & (hi <= (0.5, 0.75)), axis=1)
     assert inside.sum() == 2 and (mesh.state[inside] == MIXED).all()
@@ -125,13 +125,13 @@ def test_blocked_cells_keep_queries_off_walls():
 
 
 def test_blocked_cells_at_the_border_of_the_domain_are_blocked():
-    mesh = coarse_mesh(BoxSpace(UNIT, [(0.0, 0.0), (0.6, 1.0)]), np.ones(2), 16)
-    _lo, hi = mesh.boxes
+    mesh = coarse_mesh(BoxSpace(UNIT, [(0.0, 0.0), (0.6, 1.0)]), np.ones(2), 16, 4096)
+    _, hi = mesh.boxes
     np.testing.assert_array_equal(mesh.state == BLOCKED, hi[:, 0] <= 0.5)
 
 
 def test_grown_boxes_leave_the_domain_around_periodic_axes_alone():
-    mesh = coarse_mesh(BoxSpace(Box((0, 0), (2, 1), (True, False))), np.ones(2), 16)
+    mesh = coarse_mesh(BoxSpace(Box((0, 0), (2, 1), (True, False))), np.ones(2), 16, 4096)
     (lo, hi), (grown_lo, grown_hi) = mesh.boxes, mesh.grown_boxes
     beside = PLACING * np.array([2.0, 1.0])
     np.testing.assert_allclose(grown_lo[:, 0], lo[:, 0] - beside[0], atol=1e-15)
@@ -142,7 +142,7 @@ def test_grown_boxes_leave_the_domain_around_periodic_axes_alone():
 
 def test_refined_cells_fill_the_domain_and_are_classified_anew():
     space = BoxSpace(UNIT, [(0.3, 0.3), (0.9, 0.6)])
-    coarse = coarse_mesh(space, np.ones(2), 64)
+    coarse = coarse_mesh(space, np.ones(2), 64, 4096)
     which = np.random.default_rng(0).choice(len(coarse.state), 20, replace=False)
     fine = coarse.refined(which, space)
     assert len(fine.state) == len(coarse.state) + 3 * 20
@@ -163,19 +163,32 @@ def test_refined_cells_fill_the_domain_and_are_classified_anew():
 )
 def test_the_coarse_cells_are_about_cubes_by_what_motions_cost(width, scale, expected):
     space = BoxSpace(Box(np.zeros(len(width)), np.array(width, float)))
-    mesh = coarse_mesh(space, np.array(scale, float), 16)
+    mesh = coarse_mesh(space, np.array(scale, float), 16, 4096)
     assert (mesh.cells.depth == expected).all() and len(mesh.state) == 2 ** sum(expected)
 
 
 def test_no_cell_touches_another_on_both_sides_of_a_periodic_axis():
-    mesh = coarse_mesh(BoxSpace(Box((0, 0), (8, 1), (False, True))), np.ones(2), 1)
+    mesh = coarse_mesh(BoxSpace(Box((0, 0), (8, 1), (False, True))), np.ones(2), 1, 4096)
     assert (mesh.cells.depth[:, 1] >= 2).all()
     pairs = np.stack([mesh.all_faces.lower, mesh.all_faces.upper])
     assert len(np.unique(np.sort(pairs, axis=0), axis=1).T) == pairs.shape[1]
 
 
 def test_one_cell_suffices_if_no_more_are_asked_for():
-    mesh = coarse_mesh(BoxSpace(UNIT), np.ones(2), 0)
+    mesh = coarse_mesh(BoxSpace(UNIT), np.ones(2), 0, 4096)
     assert len(mesh.state) == 1 and mesh.state[0] == FREE and len(mesh.all_faces) == 0
     cells = Cells.root(2)
     assert (mesh.cells.depth == cells.depth).all()
+
+
+@pytest.mark.parametrize(("most", "expected"), [(1, (0, 0)), (2, (1, 0)), (5, (2, 0)), (8, (3, 0)), (40, (4, 1))])
+def test_there_are_no_more_cells_than_allowed(most, expected):
+    mesh = coarse_mesh(BoxSpace(Box((0, 0), (8, 1))), np.ones(2), 30, most)
+    assert (mesh.cells.depth == expected).all()
+
+
+def test_too_few_cells_for_periodic_axes_are_refused():
+    space = BoxSpace(Box(np.zeros(3), np.ones(3), (True, False, True)))
+    assert len(coarse_mesh(space, np.ones(3), 1, 16).state) == 16
+    with pytest.raises(ValueError, match="max_leaves must be at least 16 in a domain with 2 periodic axes, got 15"):
+        coarse_mesh(space, np.ones(3), 1, 15)

@@ -17,7 +17,7 @@ SLOPED = LipschitzCost(lambda q: 1 + q[:, 0] / 2 + q[:, 1] / 4, 0.6, 1.0)
 
 def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
     """Paths on a mesh whose mixed cells are halved, and where its nodes and the goal are."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells)
+    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
     fraction = (np.array(goal) - space.domain.lo) / space.domain.width
@@ -78,7 +78,7 @@ def test_in_an_empty_room_paths_are_straight():
 
 def test_corners_of_free_cells_are_nodes():
     space = PlaneSpace(random_workspace(1))
-    mesh = coarse_mesh(space, np.ones(2), 200)
+    mesh = coarse_mesh(space, np.ones(2), 200, 4096)
     paths, x = paths_of(space, space.workspace.sample_free(1, 1)[0], rounds=0)
     lo, hi = mesh.boxes
     free = mesh.state == 1

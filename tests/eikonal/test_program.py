@@ -16,7 +16,7 @@ WALLS = ([(0.3, 0.0), (0.55, 0.6)], [(0.7, 0.4), (0.8, 1.0)])
 
 def program_of(space, goal, num_cells=16, cost_map=None, rounds=1):
     """The program on a mesh whose mixed cells are halved, so that nodes hang."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells)
+    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
     return slope_program(mesh, space, cost_map, np.array(goal, float))
