@@ -34,9 +34,10 @@ def descend(
     field falls most for what the step costs. That is steepest descent for the norm that the cost of motions is, over
     finite steps, whatever the slope of the field. (Where a cost is length plus weighted turn, the direction that is
     steepest either moves or turns: the dual of a sum of norms is the largest of their duals.) At last paths are made
-    cheaper where they are: vertices are left out, or shifted to where the two legs cost least. Such a path is STUCK
-    where the field has a dent that no step leads out of, the longest a quarter of the domain: the better the field,
-    the better the paths.
+    cheaper where they are: vertices are left out, or shifted to where the two legs cost least. Dents of the field
+    that no step leads out of are filled, by a search of the configurations around, which is slow: a path is STUCK
+    where 1,000 expansions lead to none that is lower. The better the field, the better the paths, and the sooner
+    found.
 
     Args:
         distance_fn: The field, such as a PLR: any function of points ``(n, dim)`` to their costs-to-go ``(n,)``

@@ -16,6 +16,7 @@ from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, pa
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.optimize._cheaper import made_cheap
+from plr_jax.optimize._dents import Dents
 from plr_jax.optimize._descent import Descent
 from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts
 from plr_jax.optimize._unit_motions import unit_motions
@@ -54,6 +55,8 @@ class _Lookahead:
         longest = _LONGEST * float((motion.norm(np.eye(motion.dof)) * self.domain.width).max())
         lengths = longest / 2.0 ** np.arange(_NUM_LENGTHS)
         self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(unit_motions(motion))))
+        self.shortest = float(lengths[-1])
+        self.dents = Dents(self.values, costs.space, unit_motions(motion))
         self.steps = (lengths[:, None, None] * unit_motions(motion)).reshape(-1, motion.dof)
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
@@ -80,14 +83,35 @@ class _Lookahead:
         first = np.arange(1, 1 + len(starts))
         while len(x):
             y, status = self._step(x, value)
-            moves = status == 0
-            next_ = np.where(status < 0, -1, 0)
-            next_[moves] = num + len(x) + np.arange(np.count_nonzero(moves))
-            nodes.append(x)
-            onward.append(next_)
-            num += len(x)
-            x, value = y[moves], self.values(y[moves])
+            detours, last = self._ways_out(x, value, y, status)
+            goes_on, num_after = status == 0, num + len(x) + len(detours)
+            next_ = np.where(goes_on, num_after - 1 + np.cumsum(goes_on), np.where(status < 0, -1, 0))
+            nodes += [x, detours]
+            # A detour's configurations follow one another, the last of them goes on as the others do.
+            begins = np.append(True, last[1:] != last[:-1]) if len(last) else np.zeros(0, bool)
+            along = num + len(x) + np.arange(1, 1 + len(last))
+            ends = np.append(begins[1:], True)[: len(last)]
+            onward += [next_.copy(), np.where(ends, next_[last], along)]
+            onward[-2][last[begins]] = along[begins] - 1
+            num = num_after
+            x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), first
+
+    def _ways_out(
+        self, x: Points, value: Float[np.ndarray, "n"], y: Points, status: Int[np.ndarray, "n"]
+    ) -> tuple[Nodes, Next]:
+        """Configurations on the ways out of dents, and of which path they are.
+
+        Where there is one, ``y`` and ``status`` are made those of a step: to the end of the way.
+        """
+        detours, path = [np.zeros((0, x.shape[1]))], []
+        for row in np.flatnonzero(status < 0).tolist():
+            chain = self.dents.way_out(x[row], value[row] - _FALL * self.shortest)
+            if chain is not None:
+                y[row], status[row] = chain[-1], 0
+                detours.append(chain[:-1])
+                path += [row] * (len(chain) - 1)
+        return np.concatenate(detours), np.array(path, dtype=int)
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
         """The best step from each of some configurations: where to; 1 if that is the goal, -1 if there is none."""

@@ -7,12 +7,14 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from plr_jax import (
+    Climbing,
     LipschitzCost,
     MotionCost,
     PlanarArm,
     PlaneSpace,
     RectangleRobot,
     RigidBodySpace,
+    VisibilityGraph,
     Workspace,
     descend,
     solve_eikonal,
@@ -119,7 +121,7 @@ def test_a_stored_field_of_times_is_followed(times):
     goal, field = times
     space = PlaneSpace(SQUARE)
     starts = np.random.default_rng(0).uniform((0.02, 0.02), (0.98, 1.98), (20, 2))
-    plr = solve_eikonal(space, goal, cost_map=SlowBeyond(), max_leaves=1000)
+    plr = solve_eikonal(space, goal, cost_map=SlowBeyond(), max_leaves=500)
     descent = descend(plr, space, starts, goal, cost_map=SlowBeyond())
     assert_paths_hold(descent, space, starts, goal)
     ratio = descent.costs / field(starts)
@@ -158,6 +160,21 @@ def test_a_thin_strip_that_samples_miss_is_not_crossed_unawares():
     assert across < around
     descent = descend(field, SQUARE, [start], goal, cost_map=SlowStrip())
     assert descent.costs[0] == pytest.approx(across, rel=2e-3)
+
+
+def test_the_way_up_costs_more_than_the_way_down():
+    """On a slope along x, of 1 in 2, where a unit of climbing costs 3."""
+    ground = Climbing(lambda q: np.tile([0.5, 0.0], (len(q), 1)), rate=3.0, lipschitz=0.0, steepest=0.5)
+    low, high = np.array([0.2, 1.0]), np.array([1.8, 1.0])
+
+    def up(x):
+        return np.hypot(*(x - high).T) + 1.5 * np.maximum(high[0] - x[:, 0], 0)
+
+    def down(x):
+        return np.hypot(*(x - low).T) + 1.5 * np.maximum(low[0] - x[:, 0], 0)
+
+    assert descend(up, SQUARE, [low], high, cost_map=ground).costs[0] == pytest.approx(1.6 + 3 * 0.8, rel=1e-3)
+    assert descend(down, SQUARE, [high], low, cost_map=ground).costs[0] == pytest.approx(1.6, rel=1e-3)
 
 
 # --- integrals -------------------------------------------------------------------------------------------
@@ -236,30 +253,44 @@ def test_a_body_turns_through_the_seam():
 
 
 def test_a_body_turns_to_fit_through_a_door():
-    """The door is narrower than the body is long, which stands across it."""
+    """The door is narrower than the body is long, which stands across it; the field knows too little of that."""
     workspace = Workspace(((0, 0), (4, 4)), [box(1.9, 0, 2.1, 1.8), box(1.9, 2.2, 2.1, 4)])
     space = RigidBodySpace(workspace, RectangleRobot(0.6, 0.2), rotation_weight=0.3)
-    goal, start = np.array([3.0, 2.0, math.pi / 2]), np.array([[1.0, 2.0, math.pi / 2]])
-    plr = solve_eikonal(space, goal, max_leaves=8000)
-    descent = descend(plr, space, start, goal)
-    assert_paths_hold(descent, space, start, goal)
-    # It has to turn there and back by at least as much as lets it through 0.4.
-    least = 2.0 + 2 * 0.3 * (math.pi / 2 - math.asin((0.4 - 0.2 * math.cos(math.asin(0.4 / 0.6))) / 0.6))
-    assert 2.0 + 0.1 < descent.costs[0] < 1.25 * least
-    assert descent.costs[0] >= float(plr.lower(start)[0])
+    goal, starts = np.array([3.0, 2.0, math.pi / 2]), np.array([[1.0, 2.0, math.pi / 2], [1.0, 2.0, -math.pi / 2]])
+    plr = solve_eikonal(space, goal, max_leaves=2000)
+    descent = descend(plr, space, starts, goal)
+    assert_paths_hold(descent, space, starts, goal)
+    # The chord of the body along the middle of the wall has to fit through 0.4: it turns by a sixth of pi and back.
+    assert (descent.costs >= 2.0 + 2 * 0.3 * math.pi / 6).all()
+    assert descent.costs[0] <= 2.75
+    # The other one turns on, and so by half a turn in all.
+    assert descent.costs[1] >= 2.0 + 0.3 * math.pi - 1e-6
+    assert (descent.costs >= np.asarray(plr.lower(starts))).all()
+
+
+def test_dents_are_filled():
+    """A U that is open away from the goal, and a field that knows of no wall."""
+    trap = Workspace(((0, 0), (10, 10)), [box(3, 2, 7, 3), box(3, 7, 7, 8), box(6, 2, 7, 8)])
+    goal, space = np.array([9.0, 5.0]), PlaneSpace(trap)
+    starts = np.array([[5.0, 5.0], [5.9, 5.0], [5.9, 3.1], [1.0, 5.0], [8.0, 8.0]])
+    descent = descend(lambda x: np.hypot(*(x - goal).T), space, starts, goal)
+    assert_paths_hold(descent, space, starts, goal)
+    exact = VisibilityGraph(trap, goal)(starts)
+    assert (descent.costs >= exact - 1e-9).all()
+    assert (descent.costs <= 1.05 * exact).all()
 
 
 def test_an_arm_goes_around_an_obstacle_and_through_the_seams():
     arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
     goal, rng = np.array([1.8, 0.0]), np.random.default_rng(0)
     q = rng.uniform(-math.pi, math.pi, (60, 2))
-    starts = q[arm.is_free(q)][:30]
-    plr = solve_eikonal(arm, goal, max_leaves=3000)
+    starts = q[arm.is_free(q)][:20]
+    plr = solve_eikonal(arm, goal, max_leaves=1000)
     descent = descend(plr, arm, starts, goal)
     assert_paths_hold(descent, arm, starts, goal)
     lower = plr.lower(starts)
     assert (descent.costs >= np.asarray(lower)).all()
-    assert np.median(descent.costs / np.asarray(lower)) < 1.02
+    assert np.median(descent.costs / np.asarray(lower)) < 1.05
     crosses = [np.abs(np.diff(path, axis=0)).max() > math.pi for path in descent.paths]
     assert any(crosses)
     wrapped = descend(plr, arm, starts + np.array([2 * math.pi, -4 * math.pi]), goal)
