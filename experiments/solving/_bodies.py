@@ -27,10 +27,11 @@ from experiments.solving._counted import counted
 from experiments.solving._grids import Sizes, all_neighbors, even_sizes, grid_search, marched
 from experiments.solving._prm_star import prm_star
 from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
+from plr_jax.eikonal.costs import axis_scale
 
 CELLS = (50_000, 100_000)
-SAMPLES = {"rectangle": (1_000, 3_000, 10_000, 30_000), "arm": (1_000, 3_000, 10_000, 30_000)}
-GRID_CELLS = {"rectangle": 16_000_000, "arm": 16_000_000}
+SAMPLES = (1_000, 3_000, 10_000, 30_000)
+GRID_CELLS = 16_000_000
 _SMOKE_CELLS, _SMOKE_SAMPLES, _SMOKE_GRID = 2_000, 300, 60_000
 POINTS = 50_000
 _POINT_SEED = 62_000
@@ -67,19 +68,18 @@ BODIES = {"rectangle": rectangle, "arm": arm}
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    rows, grids = [], {}
+    rows, grids, num_points = [], {}, 2_000 if smoke else POINTS
     for name, make in BODIES.items():
         body = make()
-        num_cells = _SMOKE_GRID if smoke else GRID_CELLS[name]
-        truth, grids[name] = _grid(body, num_cells, _free(body.space, 2_000 if smoke else POINTS, seed))
-        x = _free(body.space, 2_000 if smoke else POINTS, seed)
+        x = _free(body.space, num_points, seed)
+        truth, grids[name] = _grid(body, _SMOKE_GRID if smoke else GRID_CELLS, x)
         for max_leaves in (_SMOKE_CELLS,) if smoke else CELLS:
             rows.append({"body": name, **_solved(body, max_leaves, truth, x, seed)})
             print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
-        for num_samples in (_SMOKE_SAMPLES,) if smoke else SAMPLES[name]:
+        for num_samples in (_SMOKE_SAMPLES,) if smoke else SAMPLES:
             rows.append({"body": name, **_sampled(body, num_samples, truth, seed)})
             print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
-    return {"points": 2_000 if smoke else POINTS, "grids": grids, "rows": rows}
+    return {"points": num_points, "grids": grids, "rows": rows}
 
 
 def _free(space: ConfigurationSpace, num_points: int, seed: int) -> Float[np.ndarray, "n dof"]:
@@ -94,7 +94,7 @@ def _free(space: ConfigurationSpace, num_points: int, seed: int) -> Float[np.nda
 
 def _grid(body: Body, num_cells: int, x: Float[np.ndarray, "n dof"]) -> tuple[GridField, dict[str, Any]]:
     """Costs on a grid, and how far those of one half as fine are from them."""
-    space, scale = body.space, _scale(body.space)
+    space, scale = body.space, axis_scale(body.space.motion_cost)
     began = time.perf_counter()
     sizes = even_sizes(space.domain, scale, num_cells)
     truth = body.on_grid(space, body.goal, sizes)
@@ -110,14 +110,6 @@ def _grid(body: Body, num_cells: int, x: Float[np.ndarray, "n dof"]) -> tuple[Gr
         "reached": float(known.mean()),
         "difference": own,
     }
-
-
-def _scale(space: ConfigurationSpace) -> Float[np.ndarray, "dof"]:
-    """What a unit along each axis costs."""
-    scale = np.ones(space.domain.dim)
-    for axes, weight in space.motion_cost.blocks:
-        scale[list(axes)] = weight
-    return scale
 
 
 def _solved(body: Body, max_leaves: int, truth: GridField, x: np.ndarray, seed: int) -> dict[str, Any]:

@@ -45,14 +45,10 @@ def _parts(sizes: Sizes) -> Iterator[Cells]:
         yield np.arange(begin, min(begin + _AT_ONCE, num_cells))
 
 
-def half_of(offsets: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    """One offset of each pair of opposite ones, none of them a multiple of another."""
-    return [each for each in offsets if np.gcd.reduce(each) == 1 and each > tuple(-step for step in each)]
-
-
 def all_neighbors(dim: int, reach: int) -> list[tuple[int, ...]]:
-    """Offsets of at most so many cells along each axis, one of each direction and its opposite."""
-    return half_of(list(product(range(-reach, reach + 1), repeat=dim)))
+    """Offsets of at most so many cells along each axis, the shortest in each direction, of two opposite ones one."""
+    offsets = product(range(-reach, reach + 1), repeat=dim)
+    return [each for each in offsets if np.gcd.reduce(each) == 1 and each > tuple(-step for step in each)]
 
 
 def grid_search(

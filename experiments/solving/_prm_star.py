@@ -1,6 +1,7 @@
 """PRM* in any configuration space, with the space's own cost of motions."""
 
 import time
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ from jaxtyping import Float
 
 from experiments.solving._counted import counted
 from plr_jax import ConfigurationSpace, Roadmap
+from plr_jax.eikonal.costs import axis_scale
 from plr_jax.geometry.graph import Graph, dijkstra
 
 
@@ -24,16 +26,14 @@ class SampledCosts(NamedTuple):
 def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, "dof"], num_samples: int, seed: int) -> SampledCosts:
     """A roadmap of a space, its samples' costs those of the space, which need not be Euclidean lengths."""
     asked = counted(space)
-    scale = np.ones(space.domain.dim)
-    for axes, weight in space.motion_cost.blocks:
-        scale[list(axes)] = weight
+    scale = axis_scale(space.motion_cost)
     began = time.perf_counter()
     roadmap = Roadmap(
         space.domain, asked.is_free, goal, num_samples, seed=seed, is_visible=asked.are_free, weights=scale
     )
     costs = roadmap.distances
     if len(space.motion_cost.blocks) > 1:
-        measure = lambda q0, q1: space.motion_cost.lengths(q0, q1, space.domain)  # noqa: E731
+        measure = partial(space.motion_cost.lengths, domain=space.domain)
         costs, _ = dijkstra(Graph(roadmap.graph.vertices, roadmap.graph.edges, measure), 0)
     seconds = time.perf_counter() - began
     return SampledCosts(roadmap.graph.vertices, costs, roadmap, seconds, asked.tests.for_json())
