@@ -6,7 +6,7 @@ from jaxtyping import Float
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.faces import neighbor_of_largest_contact
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 
 def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:

@@ -18,11 +18,12 @@ from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.placement import Placement
-from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves, waypoints_of_points
+from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
-from plr_jax.plr.query.tables import Frame, Tables
+from plr_jax.plr.query.tables import Tables
 
 _FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
@@ -167,9 +168,11 @@ class PLR:
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
-        lo, hi = self.leaf_boxes
-        x = self.domain.image_near(x, (lo + hi)[leaf] / 2)
-        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x))
+        lo, hi = self.cells.boxes(self.folded_domain)
+        x = self.folded_domain.image_near(self.fold(x), (lo + hi)[leaf] / 2)
+        folding = self._container.folding
+        radius = 0.0 if folding is None else folding.radius(x)
+        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x) + radius)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
@@ -198,9 +201,34 @@ class PLR:
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
+    def _container(self) -> Container:
+        return Container.from_bytes(self.to_bytes())
+
+    @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
-        return Container.from_bytes(self.to_bytes()).domain
+        return self._container.domain
+
+    @property
+    def folded_domain(self) -> Box:
+        """The closed box that the leaves partition: the domain, or that of its points once they are folded.
+
+        There, coordinates are counted from the center of the symmetries, such as the goal, along axes of theirs.
+        """
+        return self._container.folded_domain
+
+    def fold(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
+        """Where points, ``(..., dim)``, are in the folded domain; the points themselves where nothing is folded.
+
+        In double precision. Around periodic axes they are not wrapped; what is outside the domain means nothing.
+        """
+        folding = self._container.folding
+        return np.asarray(x, np.float64) if folding is None else folding(np.asarray(x, np.float64))
+
+    def unfold(self, z: ArrayLike) -> Float[np.ndarray, "n dim"]:
+        """For points ``(n, dim)`` of the folded domain one each that folds there, in the domain if any is."""
+        folding = self._container.folding
+        return np.asarray(z, np.float64) if folding is None else folding.unfolded(np.asarray(z, np.float64))
 
     @cached_property
     def cells(self) -> Cells:
@@ -224,8 +252,14 @@ class PLR:
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
-        """Lower and upper corners of the leaves."""
-        return self.cells.boxes(self.domain)
+        """Lower and upper corners of the leaves.
+
+        Where points are folded, of the pieces of the domain that fold into one each, of which a leaf has several.
+        Raises ``ValueError`` where such pieces are no boxes, as of symmetries along other axes than the domain's.
+        """
+        lo, hi = self.cells.boxes(self.folded_domain)
+        folding = self._container.folding
+        return (lo, hi) if folding is None else folding.boxes(lo, hi)
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
@@ -242,7 +276,11 @@ class PLR:
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's plane; of a leaf that holds another function, that of its mean plane."""
+        """Slope of every leaf's plane; of a leaf that holds another function, that of its mean plane.
+
+        In coordinates of the folded domain, and of what the leaf stores, which is less than the distance by a closed
+        form where the distance function has a ``radial_part``.
+        """
         return self._planes[1]
 
     @property
@@ -270,7 +308,7 @@ class PLR:
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
         is_inf = np.isinf(self._coefficients[:, 0])
         finite = np.where(is_inf[:, None], 0.0, self._coefficients)
-        lo, hi = self.leaf_boxes
+        lo, hi = self.cells.boxes(self.folded_domain)
         center, half = self.leaf.mean_planes(lo, hi, finite)
         slope = half * 2 / (hi - lo)
         return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
@@ -288,7 +326,8 @@ class PLR:
     def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
         if isinstance(self.tables.frame, Tracer):
             return None
-        frame = np.asarray(self.tables.frame, np.float64)
+        folding = self.tables.folding
+        frame = np.asarray((self.tables if folding is None else folding).frame, np.float64)
         lo, hi = frame[Frame.LO], frame[Frame.HI]
         return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
 
@@ -297,7 +336,8 @@ class PLR:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
-        return None if domain is None and corner is None else Placement(domain, corner)
+        folding = None if corner is None else self._container.folding
+        return None if domain is None and corner is None else Placement(domain, corner, folding)
 
     @property
     def _placed_tables(self) -> Tables:
@@ -306,6 +346,8 @@ class PLR:
 
     @cached_property
     def _tables_from_corner(self) -> Tables:
+        if self.tables.folding is not None:
+            return self.tables.of_folded_points()
         return self.tables.from_corner(self.domain)
 
 
@@ -333,18 +375,3 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
         ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
     """
     return plr(x)
-
-
-def local_coordinates(
-    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
-) -> Float[np.ndarray, "*batch dim"]:
-    """Coordinates of each point in a given leaf; ``[-1, 1]`` spans it along every axis."""
-    lo, hi = plr.leaf_boxes
-    x = plr.domain.image_near(x, (lo + hi)[leaf] / 2)
-    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
-
-
-def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    """Index of the leaf that answers for each point."""
-    placed = x if plr._placement is None else plr._placement(x)
-    return np.asarray(find_leaves(plr._placed_tables, placed)).astype(np.int64)

@@ -6,22 +6,28 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr.folding.folding import Folding
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Placing points on the host: around periodic axes, and from a corner far from the origin.
+    """Placing points on the host: around periodic axes, and from a corner far from the origin, or folded.
 
     Attributes:
         domain: The domain, if it has a periodic axis; else None.
         corner: The corner from which the tables count coordinates; None for the origin.
+        folding: How to fold them, if the tables are of folded points; else None.
     """
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None
+    folding: Folding | None = None
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
         """The points as the tables want them."""
         if self.domain is not None:
             x = self.domain.wrapped(x)
+        if self.folding is not None:
+            inside = self.folding.domain.contains(x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
+            return np.where(inside[..., None], self.folding(x), np.where(np.isnan(x), np.nan, np.inf))
         return x if self.corner is None else x - self.corner
