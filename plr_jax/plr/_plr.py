@@ -14,18 +14,15 @@ from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells
-from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._filled import filled_coefficients, planes_of_leaves
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.lower_bound import LowerBound
-from plr_jax.plr.query.placement import Placement
+from plr_jax.plr.query.placement import Placement, corner_if_far
 from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import Tables
-
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
 
 @jax.tree_util.register_dataclass
@@ -169,8 +166,8 @@ class PLR:
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
         lo, hi = self.cells.boxes(self.folded_domain)
-        x = self.folded_domain.image_near(self.fold(x), (lo + hi)[leaf] / 2)
-        folding = self._container.folding
+        folding = self.container.folding
+        x = self.folded_domain.image_near(x if folding is None else folding(x), (lo + hi)[leaf] / 2)
         radius = 0.0 if folding is None else folding.radius(x)
         return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x) + radius)
 
@@ -201,34 +198,19 @@ class PLR:
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
-    def _container(self) -> Container:
+    def container(self) -> Container:
+        """The file."""
         return Container.from_bytes(self.to_bytes())
 
     @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
-        return self._container.domain
+        return self.container.domain
 
     @property
     def folded_domain(self) -> Box:
-        """The closed box that the leaves partition: the domain, or that of its points once they are folded.
-
-        There, coordinates are counted from the center of the symmetries, such as the goal, along axes of theirs.
-        """
-        return self._container.folded_domain
-
-    def fold(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Where points, ``(..., dim)``, are in the folded domain; the points themselves where nothing is folded.
-
-        In double precision. Around periodic axes they are not wrapped; what is outside the domain means nothing.
-        """
-        folding = self._container.folding
-        return np.asarray(x, np.float64) if folding is None else folding(np.asarray(x, np.float64))
-
-    def unfold(self, z: ArrayLike) -> Float[np.ndarray, "n dim"]:
-        """For points ``(n, dim)`` of the folded domain one each that folds there, in the domain if any is."""
-        folding = self._container.folding
-        return np.asarray(z, np.float64) if folding is None else folding.unfolded(np.asarray(z, np.float64))
+        """The closed box that leaves partition: the domain, or that of folded points, seen from the symmetries' center."""
+        return self.container.folded_domain
 
     @cached_property
     def cells(self) -> Cells:
@@ -258,7 +240,7 @@ class PLR:
         Raises ``ValueError`` where such pieces are no boxes, as of symmetries along other axes than the domain's.
         """
         lo, hi = self.cells.boxes(self.folded_domain)
-        folding = self._container.folding
+        folding = self.container.folding
         return (lo, hi) if folding is None else folding.boxes(lo, hi)
 
     @property
@@ -276,11 +258,7 @@ class PLR:
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's plane; of a leaf that holds another function, that of its mean plane.
-
-        In coordinates of the folded domain, and of what the leaf stores, which is less than the distance by a closed
-        form where the distance function has a ``radial_part``.
-        """
+        """Slope of every leaf's (mean) plane, in the folded domain and without the radial part, if there is one."""
         return self._planes[1]
 
     @property
@@ -306,12 +284,7 @@ class PLR:
 
     @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        is_inf = np.isinf(self._coefficients[:, 0])
-        finite = np.where(is_inf[:, None], 0.0, self._coefficients)
-        lo, hi = self.cells.boxes(self.folded_domain)
-        center, half = self.leaf.mean_planes(lo, hi, finite)
-        slope = half * 2 / (hi - lo)
-        return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
+        return planes_of_leaves(self._contents, self._coefficients)
 
     @property
     def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
@@ -327,16 +300,14 @@ class PLR:
         if isinstance(self.tables.frame, Tracer):
             return None
         folding = self.tables.folding
-        frame = np.asarray((self.tables if folding is None else folding).frame, np.float64)
-        lo, hi = frame[Frame.LO], frame[Frame.HI]
-        return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
+        return corner_if_far((self.tables if folding is None else folding).frame)
 
     @property
     def _placement(self) -> Placement | None:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
-        folding = None if corner is None else self._container.folding
+        folding = None if corner is None else self.container.folding
         return None if domain is None and corner is None else Placement(domain, corner, folding)
 
     @property

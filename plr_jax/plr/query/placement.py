@@ -5,8 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
+from plr_jax.plr.query.frame import Frame
+
+_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
+
+
+def corner_if_far(frame: ArrayLike) -> Float[np.ndarray, "dim"] | None:
+    """The rounded lower corner of a domain, given by its frame, that is far from the origin; else None."""
+    lo, hi = np.asarray(frame, np.float64)[[Frame.LO, Frame.HI]]
+    return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
 
 
 @dataclass(frozen=True, eq=False)
