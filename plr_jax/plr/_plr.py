@@ -209,7 +209,7 @@ class PLR:
 
     @property
     def folded_domain(self) -> Box:
-        """The closed box that leaves partition: the domain, or that of folded points, seen from the symmetries' center."""
+        """The closed box that leaves partition: the domain, or that of folded points, seen from their center."""
         return self.container.folded_domain
 
     @cached_property
