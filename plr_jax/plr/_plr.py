@@ -233,22 +233,24 @@ class PLR:
         return int(self.cells.depth.sum(axis=1).max())
 
     @property
-    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
-        """Lower and upper corners of the leaves.
+    def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
+        """Corners of the leaves, or of all boxes that fold into one each; ``ValueError`` where those are no boxes."""
+        return self._boxes[:2]
 
-        Where points are folded, of the pieces of the domain that fold into one each, of which a leaf has several.
-        Raises ``ValueError`` where such pieces are no boxes, as of symmetries along other axes than the domain's.
-        """
+    @property
+    def leaf_of_box(self) -> Int[np.ndarray, "boxes"]:
+        """The leaf of each of :attr:`leaf_boxes`."""
+        return self._boxes[2]
+
+    @cached_property
+    def _boxes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         lo, hi = self.cells.boxes(self.folded_domain)
         folding = self.container.folding
-        return (lo, hi) if folding is None else folding.boxes(lo, hi)
+        return (lo, hi, np.arange(len(lo))) if folding is None else folding.boxes(lo, hi)
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves of which nothing was found to reach the goal; they borrow a neighbor's plane or answer ``inf``.
-
-        None of cones, of which every leaf has a source.
-        """
+        """Leaves of which nothing was found to reach the goal: they borrow a neighbor's plane or answer ``inf``."""
         return self.leaf.unreachable(self.stored)
 
     @property

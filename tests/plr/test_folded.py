@@ -123,6 +123,8 @@ def test_boxes_of_leaves_fill_the_domain():
     oracle, domain = CASES["straight"]
     plr = construct(oracle, domain, max_leaves=20)
     lo, hi = plr.leaf_boxes
+    middle = (lo + hi) / 2
+    np.testing.assert_array_equal(leaf_of(plr, middle), plr.leaf_of_box)
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(25.0)
     assert plr.num_leaves == len(plr.cells) == len(plr.slope) == 20
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Points
 from plr_jax.geometry.box import Box
@@ -115,8 +115,11 @@ class Folding:
 
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
-    ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"]]:
-        """Corners of the pieces of the domain that fold into leaves; raises ``ValueError`` if axes are turned."""
+    ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
+        """Corners of the pieces of the domain that fold into leaves, and the leaf of each.
+
+        Raises ``ValueError`` if axes are turned.
+        """
         if self.is_turned:
             raise ValueError(
                 "Pieces of this PLR are no boxes along the axes of its domain: its leaves are folded by symmetries "
@@ -132,4 +135,4 @@ class Folding:
         low, high = np.concatenate(lows), np.concatenate(highs)
         low, high = (np.where(periodic, x, np.clip(x, self.domain.lo, self.domain.hi)) for x in (low, high))
         kept = (high > low).all(axis=1)
-        return low[kept], high[kept]
+        return low[kept], high[kept], np.flatnonzero(kept) % len(lo)

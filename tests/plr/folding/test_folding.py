@@ -31,8 +31,9 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
 
 def test_pieces_of_the_domain_fill_it():
     folding = folding_of(Euclidean((1.0, 2.0)), Box((0, 0), (4, 4)))
-    lo, hi = folding.boxes(folding.box.lo[None], folding.box.hi[None])
+    lo, hi, leaf = folding.boxes(folding.box.lo[None], folding.box.hi[None])
     boxes = sorted(zip(lo.tolist(), hi.tolist(), strict=True))
+    assert leaf.tolist() == [0, 0, 0, 0]
     assert boxes == [([0, 0], [1, 2]), ([0, 2], [1, 4]), ([1, 0], [4, 2]), ([1, 2], [4, 4])]
     with pytest.raises(ValueError, match="along other axes"):
         folding_of(*FOLDED[1]).boxes(np.zeros((1, 3)), np.ones((1, 3)))
