@@ -57,8 +57,7 @@ class FoldedWindow:
     def __call__(self, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch dim"]:
         """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
         center, rest = self.center.astype(x.dtype)
-        seen = jnp.where(outside[..., None], 0, x - center - rest)
-        z = [seen[..., axis] for axis in range(self.dim)]
+        z = [jnp.where(outside, 0, x[..., axis] - center[axis] - rest[axis]) for axis in range(self.dim)]
         if self.axes is not None:
             axes = self.axes.astype(x.dtype)
             z = [reduce(jnp.add, (axes[row, axis] * z[axis] for axis in range(self.dim))) for row in range(self.dim)]
@@ -67,7 +66,9 @@ class FoldedWindow:
             for axis in reversed_axes:
                 z[axis] = jnp.where(is_behind, -z[axis], z[axis])
         lo, hi = self.corners.astype(x.dtype)
-        return jnp.stack([_clipped(z[axis], lo[axis], hi[axis]) for axis in range(self.dim)], axis=-1)
+        columns = [_clipped(z[axis], lo[axis], hi[axis]) for axis in range(self.dim)]
+        # Computed once: a compiler would repeat all this wherever a coordinate is read.
+        return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 @jax.custom_jvp
@@ -81,7 +82,9 @@ def _clipped_with_tangent(primals, tangents):
     return _clipped(*primals), tangents[0]
 
 
-def radius(z: Float[Array, "*batch dim"], axes: tuple[int, ...]) -> Float[Array, "*batch"]:
-    """Length of some coordinates, of which the gradient at 0 is 0."""
-    square = reduce(jnp.add, (jnp.square(z[..., axis]) for axis in axes))
+def radius(
+    z: Float[Array, "*batch dim"], axes: tuple[int, ...], outside: Bool[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Length of some coordinates, of which the gradient at 0 is 0; 0 where points are ``outside``."""
+    square = reduce(jnp.add, (jnp.square(jnp.where(outside, 0, z[..., axis])) for axis in axes))
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)

@@ -31,7 +31,7 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     outside, answer = outside_domain(tables, x)
     value = tables.leaf.evaluate(tables, row, x, outside)
     if tables.radial:
-        value += radius(jnp.where(outside[..., None], 0, x), tables.radial)
+        value += radius(x, tables.radial, outside)
     return jnp.where(outside, answer, value)
 
 
