@@ -15,6 +15,7 @@ from typing import Any
 from experiments import _gradient_tables as gradients
 from experiments import _proof_tables as proof_tables
 from experiments import _short_tables as short
+from experiments import _solve_tables as solve_tables
 from experiments._results import RESULTS, read
 from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
 from experiments.team_sections._plans import FORMS, cell
@@ -226,7 +227,7 @@ def teams(results: dict[str, Any]) -> str:
 def results_of(name: str) -> dict[str, Any]:
     """The results of an experiment; ``ValueError`` if a path among them is not valid."""
     results = read(RESULTS, name)["results"]
-    if name in ("table2", "race", "teams"):
+    if name in ("table2", "race", "teams", "solve"):
         require_valid(name, results)
     return results
 
@@ -265,6 +266,11 @@ TABLES: dict[str, Callable[[], str]] = {
     "proof_speed": lambda: proof_tables.proof_speed(results_of("proofs")),
     "trace": lambda: proof_tables.trace(results_of("trace")),
     "proof_checks": lambda: proof_tables.proof_checks(results_of("proofs")),
+    "solve_plane": lambda: solve_tables.plane(results_of("solve")),
+    "solve_speed": lambda: solve_tables.section("speed_map", results_of("solve")),
+    "solve_bodies": lambda: solve_tables.bodies(results_of("solve")),
+    "solve_cars": lambda: solve_tables.section("cars", results_of("solve")),
+    "solve_nodes": lambda: solve_tables.section("nodes", results_of("solve")),
 }
 
 

@@ -24,7 +24,7 @@ LAYERS = [
 ]
 # Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
 PLR_LAYERS = [
-    ["partition"],
+    ["partition", "folding"],
     ["query", "sampling", "file"],
     ["certificate"],
     ["growth"],
@@ -32,7 +32,7 @@ PLR_LAYERS = [
     ["_file"],
     ["_filled"],
     ["_plr"],
-    ["_assembly"],
+    ["_assembly", "_location"],
     ["_certify"],
     ["_construct", "_io", "_trace", "refinement"],
 ]

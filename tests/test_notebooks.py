@@ -38,6 +38,13 @@ NUM_RETIMINGS, NUM_ITERATIONS = 1, 50
 TIME_LIMIT = 1.0
 RESOLUTION, SECONDS = 40, 1.0
 """,
+    "4_your_own_robot": """
+CAR_BYTES = 1024
+NUM_POSES = 2_000
+NUM_CELLS = 600
+NUM_CONFIGURATIONS = 2_000
+RESOLUTION = 40
+""",
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -57,8 +64,8 @@ def assigned(code):
     return {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
 
 
-def test_there_are_three():
-    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3"]
+def test_there_are_four():
+    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4"]
 
 
 @each_notebook

@@ -1,6 +1,6 @@
 """What motions cost in the cells of a mesh: bounds over each.
 
-In a cell, a motion ``dq`` costs at least ``lower |dq| + max(pulls . dq)``, and at most as much with ``upper``. Here
+In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
 ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way a
 motion goes.
 """
@@ -20,12 +20,14 @@ class CellCosts:
 
     Attributes:
         motion: The cost of a motion, times a factor.
+        cost_map: The factor, or None if it is 1 everywhere.
         lower: The least factor in each cell.
-        upper: The largest.
+        upper: The largest in each cell, and beside it where a query may place points in it.
         pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
     """
 
     motion: MotionCost
+    cost_map: CostMap | None
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
     pulls: Float[np.ndarray, "2 cells dim"] | None = None
@@ -44,8 +46,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
     motion = space.motion_cost
     if cost_map is None:
-        return CellCosts(motion, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
-    return CellCosts(motion, *cost_bounds(motion, cost_map, *mesh.boxes))
+        return CellCosts(motion, None, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
+    lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
+    if pulls is None:
+        lower, _, _ = cost_bounds(motion, cost_map, *mesh.boxes)
+    return CellCosts(motion, cost_map, lower, upper, pulls)
 
 
 def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:

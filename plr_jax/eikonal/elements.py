@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.dependencies import resolve
+from plr_jax.plr.partition.dependencies import eliminated, resolve
 
 
 class _Ties(NamedTuple):
@@ -89,6 +89,7 @@ class FunctionSpace:
         return np.asarray(self.values[rows].T @ weights.ravel())
 
 
+_MOST_WEIGHTS_OF_NODE = 2**8  # in the equations of nodes that hang on several cells
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
 _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
 
@@ -118,22 +119,38 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     ties, num_nodes = _ties(mesh, degree, lattice), len(mesh.state) * len(lattice)
     tied = coo_array((np.ones(ties.same.shape[1], bool), tuple(ties.same)), (num_nodes, num_nodes))
     num_groups, group = connected_components(tied, directed=False)
-    hanging, first = np.unique(group[ties.hanging], return_index=True)
-    weight = basis(degree, ties.at[first])
-    on = group[(ties.on_cell[first, None] * len(lattice) + np.arange(len(lattice))).ravel()]
-    step = csr_array((weight.ravel(), (np.repeat(hanging, len(lattice)), on)), (num_groups, num_groups))
-    is_free = np.ones(num_groups)
-    is_free[hanging] = 0
-    resolved = resolve(step, is_free)
-    present = np.zeros(num_groups, bool)
-    present[group.reshape(-1, len(lattice))[mesh.open_cells]] = True
-    dofs = np.flatnonzero(present & (is_free == 1))
-    node_of = np.full(num_groups, -1)
+    resolved = _resolved(mesh, degree, ties, group, num_groups)
     of_open = (mesh.open_cells[:, None] * len(lattice) + np.arange(len(lattice))).ravel()
+    node_of = np.full(num_groups, -1)
     node_of[group[of_open]] = of_open
+    dofs = np.flatnonzero((node_of >= 0) & (resolved.diagonal() == 1))
     node_of = node_of[dofs]
     points = mesh.fractions(node_of // len(lattice), lattice[node_of % len(lattice)])
     return FunctionSpace(mesh, degree, csr_array(resolved[group][:, dofs]), points, node_of)
+
+
+def _resolved(
+    mesh: Mesh, degree: int, ties: _Ties, group: Int[np.ndarray, "all_nodes"], num_groups: int
+) -> csr_array:
+    """What the values of groups of nodes are made of: those of groups that are free."""
+    hanging, first = np.unique(group[ties.hanging], return_index=True)
+    size, shape = (degree + 1) ** mesh.dim, (num_groups, num_groups)
+    on = group[ties.on_cell[:, None] * size + np.arange(size)]
+    weight = basis(degree, ties.at)
+    where = np.repeat(hanging, size), on[first].ravel()
+    is_free = np.ones(num_groups)
+    is_free[hanging] = 0
+    resolved = resolve(csr_array((weight[first].ravel(), where), shape), is_free)
+    again = np.setdiff1d(np.arange(len(on)), first)
+    if mesh.dim <= 2 or not len(again):
+        return resolved
+    # Between blocked cells a node may hang on two cells of which neither implies the other.
+    row, num = np.repeat(np.arange(len(again)), size), len(again)
+    value = csr_array((np.ones(num), (np.arange(num), group[ties.hanging[again]])), (num, num_groups))
+    rows = csr_array((value - csr_array((weight[again].ravel(), (row, on[again].ravel())), value.shape)) @ resolved)
+    depth = np.zeros(num_groups, np.int64)
+    np.maximum.at(depth, group, np.repeat(mesh.cells.depth.sum(axis=1), size))
+    return csr_array(resolved @ eliminated(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
 
 
 def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:

@@ -12,6 +12,7 @@ from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import SlopeProgram
 from plr_jax.eikonal.rescaling import Rescaling, rescaling_of
+from plr_jax.plr.partition.cells import PLACING
 from plr_jax.plr.partition.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
@@ -115,6 +116,9 @@ class CostToGoField:
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of the cost-to-go minus multilinear functions over boxes in open cells.
 
+        They hold as well for points beside a box that a query may place in it, if for the function's value there the
+        one at the nearest point of the box is taken.
+
         Args:
             cell: The cell of each box.
             lo: Its lower corner in the cell, from 0 to 1.
@@ -141,8 +145,7 @@ class CostToGoField:
         function = corners @ basis(1, lattice).T
         highest = control.max(axis=1)
         bent = self._rescaling(highest) - highest  # most where the value is largest
-        rounding = _ROUNDING * np.abs(self._nodal).max()
-        return (control - function).min(axis=1) + bent - rounding
+        return (control - function).min(axis=1) + bent - self._spare[cell]
 
     def _highest(
         self,
@@ -165,17 +168,24 @@ class CostToGoField:
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))
-        return most.max(axis=1) + _ROUNDING * np.abs(self._nodal).max()
+        return most.max(axis=1) + self._spare[cell]
+
+    @cached_property
+    def _spare(self) -> Float[np.ndarray, "cells"]:
+        """What is rounded, and what the way costs to each cell from a point beside it that a query places in it."""
+        beside = self.costs.lengths(PLACING * self.mesh.domain.width[None])
+        return _ROUNDING * np.abs(self._nodal).max() + beside * self.costs.upper
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether a straight motion to a corner is free from all free points of a cell."""
-        mesh = self.mesh
-        sees = np.repeat((mesh.state == CellState.FREE)[:, None], 2**mesh.dim, axis=1)
+        """Whether a straight motion to a corner is free from all free points that a query may place in a cell."""
+        mesh, free = self.mesh, np.flatnonzero(self.mesh.state == CellState.FREE)
+        lo, hi = mesh.grown_boxes
+        sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
+        sees[free] = (self.space.classify(lo[free], hi[free]) == CellState.FREE)[:, None]
         if isinstance(self.space, SeesBoxes):
-            lo, hi = mesh.boxes
-            cell, corner = np.nonzero(np.isfinite(self._corner_costs) & (mesh.state == CellState.MIXED)[:, None])
-            q = np.where(corner_bits(mesh.dim)[corner] == 1, hi[cell], lo[cell])
+            cell, corner = np.nonzero(np.isfinite(self._corner_costs) & ~sees)
+            q = np.stack(mesh.boxes)[corner_bits(mesh.dim)[corner], cell[:, None], np.arange(mesh.dim)]
             sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
         return sees
 

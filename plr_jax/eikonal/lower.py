@@ -13,6 +13,7 @@ from plr_jax.eikonal.slopes import SlopeSets
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
+_FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and no loss shows
 _SHARE = 0.7  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
 _FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
@@ -45,7 +46,8 @@ class SlopeSolver:
     ):
         self.space, self.cost_map, self.goal = space, cost_map, goal
         self.max_cells, self.tolerance = max_cells, tolerance
-        mesh = coarse_mesh(space, axis_scale(space.motion_cost), int(_COARSEST * max_cells))
+        num_cells = max(int(_COARSEST * max_cells), _FEWEST)
+        mesh = coarse_mesh(space, axis_scale(space.motion_cost), num_cells, max_cells)
         self.program = self._program(mesh)
         self._iterate: Iterate | None = None
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8, Num
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -68,6 +68,11 @@ class Mesh:
         """Lower and upper corners of the cells."""
         return self.cells.boxes(self.domain)
 
+    @property
+    def grown_boxes(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        """Corners of boxes that hold all points which a query, which rounds, may place in the cells."""
+        return _grown_boxes(self.cells, self.domain)
+
     @cached_property
     def widths(self) -> Float[np.ndarray, "cells dim"]:
         """Of the cells, along each axis."""
@@ -78,11 +83,11 @@ class Mesh:
         """Of the cells."""
         return self.widths.prod(axis=1)
 
-    def fractions(self, cell: Int[np.ndarray, "*#n"], t: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*n dim"]:
+    def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
         """Points ``t``, from 0 to 1, of cells as fractions of the domain; exact for dyadic ones."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
-    def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*n dim"]:
+    def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
         """Fractions of the domain as points of cells, the inverse of :meth:`fractions`."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
@@ -147,19 +152,31 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(children), np.append(self.state[stays], state))
 
 
-def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int) -> Mesh:
-    """A mesh of at least so many cells, about as wide along every axis by a scale of the coordinates."""
-    domain, depth = space.domain, np.zeros(space.domain.dim, np.int64)
-    width = domain.width * scale
-    depth = np.maximum(0, np.rint(np.log2(width / width.min()))).astype(np.int64)
-    depth[np.array(domain.periodic)] = np.maximum(depth[np.array(domain.periodic)], _LEAST_PERIODIC)
-    while 2.0 ** depth.sum() < num_cells:
-        depth += 1
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1).reshape(
-        -1, domain.dim
-    )
+def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
+    """A mesh of at least so many cells, if the most allow it, about as wide along every axis by a scale."""
+    depth = _coarse_depth(space.domain, scale, num_cells, max_cells)
+    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
+    position = position.reshape(-1, space.domain.dim)
     cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(domain, cells, _classify(cells, domain, space))
+    return _mesh(space.domain, cells, _classify(cells, space.domain, space))
+
+
+def _coarse_depth(
+    domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
+) -> Int[np.ndarray, "dim"]:
+    width = domain.width * scale
+    least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
+    if 2.0 ** least.sum() > max_cells:
+        raise ValueError(
+            f"max_leaves must be at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes, "
+            f"got {max_cells}."
+        )
+    depth = np.maximum(least, np.rint(np.log2(width / width.min())).astype(np.int64))
+    while 2.0 ** depth.sum() > max_cells:
+        depth[np.argmax(np.where(depth > least, depth, -1))] -= 1
+    while 2.0 ** depth.sum() < num_cells and 2.0 ** (depth.sum() + domain.dim) <= max_cells:
+        depth += 1
+    return depth
 
 
 def _mesh(domain: Box, cells: Cells, state: Int8[np.ndarray, "cells"]) -> Mesh:
@@ -179,7 +196,11 @@ def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> Int8[np.n
         return np.zeros(0, np.int8)
     state = space.classify(*cells.boxes(domain))
     blocked = np.flatnonzero(state == CellState.BLOCKED)
-    lo, hi = cells[blocked].grown_boxes(domain)
-    lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in (lo, hi))
-    state[blocked] = np.where(space.classify(lo, hi) == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
+    grown = space.classify(*_grown_boxes(cells[blocked], domain))
+    state[blocked] = np.where(grown == CellState.BLOCKED, CellState.BLOCKED, CellState.MIXED)
     return state
+
+
+def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+    lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in cells.grown_boxes(domain))
+    return lo, hi

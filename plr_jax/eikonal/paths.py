@@ -2,8 +2,8 @@
 
 Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
 cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
-node of its path, or to the next node of a neighbor's, where that runs through free cells alone. Every bound is the
-cost of a path that is there.
+node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
+is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
@@ -20,16 +20,18 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.partition.tree import corner_bits
-from plr_jax.spaces import CellState
+from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 _ROUNDS = 24
 _GAIN = 1e-9  # share of its cost by which a path must become cheaper
-_ENOUGH = 1e-4  # share of all costs below which another round is not worth its time
+_ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
+_NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free
 
 Nodes = Int[np.ndarray, "nodes"]
 Costs = Float[np.ndarray, "nodes"]
+Edges = Int[np.ndarray, "edges"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +51,11 @@ class NodePaths:
     next: Nodes
 
 
-def shortest_paths(mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]) -> NodePaths:
+def shortest_paths(
+    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
+) -> NodePaths:
     """Short paths to a goal, a fraction of the domain, from the corners of the free cells."""
-    graph = _FreeGraph(mesh, costs, goal)
+    graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost = _along(next_, leg)
     for _ in range(_ROUNDS):
@@ -78,25 +82,27 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 class _FreeGraph:
     """Corners of free cells, the goal last, and straight motions between those of one cell."""
 
-    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"]):
+    def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
         self.free = np.flatnonzero(mesh.state == CellState.FREE)
         x = mesh.fractions(self.free[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
         x = np.where(mesh.domain.periodic, x % 1.0, x)
         points, node = np.unique(x, axis=0, return_inverse=True)
-        self.corners = node.reshape(len(self.free), -1)
+        self.corners = node.reshape(len(self.free), 2**mesh.dim)
         self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
         self.begin, self.end, cell = self._edges(goal)
         self.cost = costs.most(self._changes(self.begin, self.end), cell)
+        if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
+            node, cost = self._straight_to_goal(space)
+            self.begin, self.end = np.append(self.begin, node), np.append(self.end, np.full(len(node), self.goal))
+            self.cost = np.append(self.cost, cost)
 
-    def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n dim"]:
+    def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(
-        self, goal: Float[np.ndarray, "dim"]
-    ) -> tuple[Int[np.ndarray, "edges"], Int[np.ndarray, "edges"], Int[np.ndarray, "edges"]]:
+    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Edges, Edges, Edges]:
         """Pairs of nodes in one closed free cell, and the cell."""
         place = np.full(len(self.mesh.state), -1)
         place[self.free] = np.arange(len(self.free))
@@ -121,12 +127,30 @@ class _FreeGraph:
         begin, end, cell = begin[other], end[other], cell[other]
         return np.append(begin, end), np.append(end, begin), np.append(cell, cell)
 
+    def _straight_to_goal(
+        self, space: ConfigurationSpace
+    ) -> tuple[Int[np.ndarray, "near"], Float[np.ndarray, "near"]]:
+        """Nodes near the goal that can go straight there, and what that costs at the most."""
+        node = np.arange(self.goal)
+        change = self._changes(node, np.full(len(node), self.goal))
+        near = np.argsort(self.costs.lengths(change), kind="stable")[:_NEAR_GOAL]
+        domain = self.mesh.domain
+        q, change = domain.lo + domain.width * self.points[near], change[near]
+        free = np.flatnonzero(space.are_free(q, q + change))
+        q, change = q[free], change[free]
+        cost, cost_map = self.costs.lengths(change), self.costs.cost_map
+        if cost_map is not None:
+            box = np.minimum(q, q + change), np.maximum(q, q + change)
+            _, upper, pulls = cost_bounds(self.costs.motion, cost_map, *box)
+            cost = cost * upper + pulled(pulls, change)
+        return near[free], cost
+
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
         num = len(self.points)
         order = np.lexsort((self.cost, self.begin, self.end))
         key = self.end[order] * num + self.begin[order]
-        first = order[np.append(True, key[1:] != key[:-1])]
+        first = order[np.diff(key, prepend=-1) != 0]
         graph = csr_array((self.cost[first], (self.end[first], self.begin[first])), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
@@ -135,11 +159,10 @@ class _FreeGraph:
         return next_, leg
 
     @cached_property
-    def _runs(self) -> tuple[Int[np.ndarray, "edges"], Int[np.ndarray, "runs"]]:
+    def _runs(self) -> tuple[Edges, Int[np.ndarray, "beginnings"]]:
         """Edges by their beginnings, and where those of each node that has some begin."""
         order = np.argsort(self.begin, kind="stable")
-        begin = self.begin[order]
-        return order, np.flatnonzero(np.append(True, begin[1:] != begin[:-1]))
+        return order, np.flatnonzero(np.diff(self.begin[order], prepend=-1))
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
         """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
@@ -153,13 +176,13 @@ class _FreeGraph:
         best[begin[is_best]] = ahead[is_best]
         return best
 
-    def _lengths(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "n"]:
+    def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
         """What straight motions cost at the least."""
         return self.costs.lengths(self._changes(begin, end)) * self._least
 
     @cached_property
     def _least(self) -> float:
-        return float(self.costs.lower[self.free].min(initial=np.inf))
+        return float(self.costs.lower[self.mesh.open_cells].min())
 
     def straight_costs(self, ahead: Nodes, cost: Costs) -> Costs:
         """What going straight costs at the most; ``inf`` where it leaves free cells, or gains nothing anyway."""

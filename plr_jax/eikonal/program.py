@@ -94,7 +94,7 @@ class SlopeProgram:
         u, flow = start.values, start.flow
         load = self.weight - self.weight.sum() * self.goal
         radius = self.sets.radius
-        penalty = self._penalties(flow, _LEAST_PENALTY) if flow.any() else np.ones(len(self.volume))
+        penalty = self._penalties(flow if flow.any() else self._potential_flow(load), _LEAST_PENALTY)
         system = _Poisson(self, penalty)
         y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
         z = self.sets.project(g, radius)
@@ -114,8 +114,14 @@ class SlopeProgram:
         return Iterate(u, penalty * y)
 
     def _penalties(self, flow: Flow, least: float) -> Float[np.ndarray, "controls"]:
-        cost = self.sets.costs(flow) / self.sets.radius
-        return np.maximum(cost, least * np.median(cost[cost > 0]))
+        norm = self.sets.costs(flow) / self.sets.radius
+        carried = norm[norm > 0]
+        return np.maximum(norm, least * np.median(carried) if carried.size else 1.0) / self.sets.radius
+
+    def _potential_flow(self, load: Float[np.ndarray, "dofs"]) -> Flow:
+        """The flow of least squares that carries a load: of the right size, whatever the units."""
+        penalty, nowhere = 1 / self.sets.radius, np.zeros((self.dim, len(self.volume)))
+        return penalty * (self.gradient @ _Poisson(self, penalty).solve(load, nowhere)).reshape(self.dim, -1)
 
 
 @dataclass(frozen=True, eq=False)

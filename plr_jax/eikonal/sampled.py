@@ -11,7 +11,8 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.spaces import CellState, FreeTest, MotionCost
 
-_NUM_SAMPLES = 8  # beside the corners and the center
+_NUM_SAMPLES = 8  # of a box, beside the corners and the center
+_NUM_OF_MOTION = 33
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,5 +48,8 @@ class SampledSpace:
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Nothing is proven of motions."""
-        return np.zeros(len(np.asarray(q0)), bool)
+        """Whether all samples of straight motions are."""
+        q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
+        x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
+        free = np.asarray(self.space.is_free(x.reshape(-1, self.domain.dim))).reshape(x.shape[:2])
+        return np.asarray(free.all(axis=1))

@@ -112,5 +112,5 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     costs = cell_costs(space, cost_map, solver.mesh)
-    paths = shortest_paths(solver.mesh, costs, goal)
+    paths = shortest_paths(solver.mesh, costs, goal, space)
     return CostToGoField(solver.program, solver.values, paths, costs, space)

@@ -1,7 +1,5 @@
 """PLRs of what has been found of a cost-to-go, with the proof: on its own mesh, or on a smaller partition."""
 
-import math
-
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -17,7 +15,7 @@ from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import CornerLeafModel, Rules
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import PLACING, Cells
 from plr_jax.plr.partition.tree import Tree, corner_bits, levels_of, tree_of
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -72,20 +70,32 @@ def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
     lo, hi = _intersections(contents.cells, leaf, mesh.cells, cell)
     corners = corner_bits(mesh.dim)
     coefficients = filled_coefficients(contents)
-    is_inf = np.isinf(coefficients[leaf, 0])
+    if np.isinf(coefficients[leaf, 0]).any():
+        raise ValueError(
+            "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
+            "reach the goal. Allow more max_bytes, or leave it out."
+        )
+    coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     at = lo[:, None] + (hi - lo)[:, None] * corners
     t = np.ldexp(at, contents.cells.depth[leaf][:, None]) - contents.cells.position[leaf][:, None]
     weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
-    values = np.einsum("nij,nj->ni", weights, np.where(is_inf[:, None], 0.0, coefficients[leaf]))
+    values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
     below, above = field.bounds_over(cell, mesh.local(cell, lo), mesh.local(cell, hi), values)
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     np.minimum.at(lower, leaf, below)
-    np.maximum.at(upper, leaf, np.where(is_inf, math.inf, above))
-    rounding = contents.leaf.rounding(
-        contents.domain, contents.cells, np.where(np.isinf(coefficients), 0.0, coefficients)
-    )
+    np.maximum.at(upper, leaf, above)
+    rounding = contents.leaf.rounding(contents.domain, contents.cells, coefficients)
+    rounding = rounding + _changes_beside(contents.cells, coefficients)
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
     return Contents(contents.domain, contents.leaf, contents.levels, contents.cells, contents.stored, certificate)
+
+
+def _changes_beside(cells: Cells, coefficients: Float[np.ndarray, "leaves corners"]) -> Float[np.ndarray, "leaves"]:
+    """How far the functions of leaves change, at the most, from a leaf to where a query may place points in it."""
+    beside, corners = PLACING * np.ldexp(1.0, cells.depth), corner_bits(cells.dim)
+    across = [coefficients[:, bits == 1] - coefficients[:, bits == 0] for bits in corners.T]
+    steepest = np.stack([np.abs(change).max(axis=1) for change in across], axis=1)
+    return np.sum(beside * steepest, axis=1) * np.prod(1 + 2 * beside, axis=1)
 
 
 def _overlaps(a: Tree, b: Tree) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:

@@ -29,8 +29,10 @@ _POSITION, _HEADING = ("x", "y"), "heading"
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """What a picture of the leaves' functions needs: the value at points of given leaves' own."""
+    """What a picture of the leaves' functions needs: the leaf of each box, and values at points of leaves' own."""
 
+    @property
+    def leaf_of_box(self) -> Any: ...
     def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
 
 

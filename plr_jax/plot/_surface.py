@@ -79,7 +79,7 @@ def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[n
     if not pieces:
         return []
     points = np.concatenate(pieces)
-    leaf = np.repeat(np.arange(len(parts)), [sum(map(len, of_leaf)) for of_leaf in parts])
+    leaf = np.repeat(plr.leaf_of_box, [sum(map(len, of_leaf)) for of_leaf in parts])
     heights = np.split(plr.values_in_leaves(leaf, points), np.cumsum([len(corners) for corners in pieces])[:-1])
     placed = [np.column_stack(piece) for piece in zip(pieces, heights, strict=True)]
     return [piece for piece in placed if np.isfinite(piece).all()]

@@ -11,7 +11,8 @@ from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Certificate
-from plr_jax.plr.query.tables import LARGEST, build_tables
+from plr_jax.plr.query.frame import LARGEST
+from plr_jax.plr.query.tables import build_tables
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -44,7 +45,7 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
-    tables = build_tables(domain, cells, numbers, leaf, len(data))
+    tables = build_tables(domain, cells, numbers, leaf, len(data)).of_folding(contents.folding)
     if contents.certificate is None:
         return PLR(tables, file)
     band = contents.certificate.bounds().astype(np.float32)

@@ -42,6 +42,11 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
+    if plr.tables.folding is not None:
+        raise ValueError(
+            "Nothing can be proven of a PLR whose points are folded, as by the symmetries of its distance function. "
+            "Build it with certified=True."
+        )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.LARGEST
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     return with_certificate(plr, certificate_of(plr._contents, root, proof))

@@ -11,15 +11,18 @@ from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.folding.choice import folding_of
+from plr_jax.plr.folding.codec import folding_to_bytes
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import LeafModel, Rules
+from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
-from plr_jax.plr.query.tables import table_corners
+from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
 from plr_jax.plr.sampling.cell_memory import CellMemory
+from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
@@ -52,13 +55,21 @@ def construct(
     can be fitted best. The paper's own configuration is ``should_split=maximum_depth`` (or ``center_error`` with
     a tolerance), ``split=cyclic_axis``, ``max_depth=9``.
 
+    Of a distance function that states ``symmetries``, as ``ReedsShepp`` and ``Euclidean`` do, a domain that they
+    map onto itself in part is *folded*: points are mirrored into a smaller box, ``folded_domain``, and only that is
+    partitioned and stored. Those are used that are reflections along common axes, none of which mixes a periodic axis
+    with others, and that make the box smaller than the domain. Of a distance function that states a ``radial_part``,
+    as those of cars do, what it is more than that is stored. Both are part of the file, and a query undoes them.
+    Neither is done for cones, for ``certified`` PLRs, nor for distance functions that answer for whole cells.
+
     Any limits may be combined; construction stops at the first that is met. Without any, at 512 leaves.
 
     Args:
         distance_fn: Distance to the goal for a batch of points ``(n, dim)``; ``inf`` (or a masked entry) where it
             cannot be reached.
         domain: The box to cover, a ``Box`` or its two corners. Along its periodic axes the distance function is to be
-            periodic itself; it is asked for points of the box. Tied leaves do not jump at the seam either.
+            periodic itself. It is asked for points of the box, and around it if that is turned to be folded. Tied
+            leaves do not jump at the seam either.
         leaf: What a leaf holds. ``"plane"``, the paper's, may jump from leaf to leaf. ``"continuous"`` stores values
             at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
             multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a
@@ -130,6 +141,9 @@ def construct(
     domain, model = Box.of(domain), leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # or a query could not hold them
+    folding = None
+    if not (certified or isinstance(model, SourcedLeafModel) or isinstance(distance_fn, CellwiseFn)):
+        folding = folding_of(distance_fn, domain)
     proof = _proof(certified, leaf_bounds)
     if proof is not Proof.NONE:
         require_certifiable(distance_fn, domain)
@@ -143,6 +157,7 @@ def construct(
         max_bytes,
         tolerance,
         proof,
+        0 if folding is None else len(folding_to_bytes(folding)),
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))
@@ -162,13 +177,16 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
+    if folding is not None:
+        domain, weight_fn = folding.box, FoldedWeights(weight_fn, folding)
+        distance_fn = FoldedFn(distance_fn, folding)
     memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
     )
     cells, stored = model.construct(sampler, Rules(should_split, split), limits)
     as_loaded = leaf_model(model.name)  # without options of the construction, which no file knows
-    contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored)
+    contents = Contents(domain, as_loaded, levels_of(cells)[0], cells, stored, folding=folding)
     if proof is not Proof.NONE and memory is not None:
         root = memory.sources(Cells.root(domain.dim))
         try:

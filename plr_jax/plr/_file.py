@@ -10,8 +10,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import Container, read_tree, write_tree
+from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
-from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.leaves.base import LeafModel, SourcedLeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, tree_of_levels
 from plr_jax.plr.query.grid import FRACTION_BITS
@@ -19,7 +20,10 @@ from plr_jax.plr.query.grid import FRACTION_BITS
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a file holds: the levels of a tree, and its leaves in the order of its traversal."""
+    """What a file holds: the levels of a tree, and its leaves in the order of its traversal.
+
+    They partition ``domain``, which is the box of a folding, where points are folded.
+    """
 
     domain: Box
     leaf: LeafModel
@@ -27,6 +31,7 @@ class Contents:
     cells: Cells
     stored: Any
     certificate: Certificate | None = None
+    folding: Folding | None = None
 
 
 def encode(contents: Contents) -> bytes:
@@ -39,7 +44,8 @@ def encode(contents: Contents) -> bytes:
         contents.certificate.write(body)
         proof = contents.certificate.proof
     code, num_leaves = code_of_leaf(contents.leaf), len(contents.cells)
-    return Container(contents.domain, code, num_leaves, body.to_bytes(), int(proof)).to_bytes()
+    domain = contents.domain if contents.folding is None else contents.folding.domain
+    return Container(domain, code, num_leaves, body.to_bytes(), int(proof), contents.folding).to_bytes()
 
 
 def decode(data: bytes) -> Contents:
@@ -52,13 +58,15 @@ def decode(data: bytes) -> Contents:
     cells = tree_of_levels(levels, dim).leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
-    stored = leaf.read(body, container.domain, cells)
+    if container.folding is not None and (isinstance(leaf, SourcedLeafModel) or container.proof_code != Proof.NONE):
+        raise ValueError("its points are folded, but its leaves have sources or a proof, which are not")
+    stored = leaf.read(body, container.folded_domain, cells)
     if container.proof_code not in tuple(Proof):
         raise ValueError(f"it has a proof of kind {container.proof_code}, this release knows kinds 0 to {max(Proof)}")
     certificate = read_certificate(body, Proof(container.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.domain, leaf, levels, cells, stored, certificate)
+    return Contents(container.folded_domain, leaf, levels, cells, stored, certificate, container.folding)
 
 
 def decode_cells(data: bytes) -> Cells:

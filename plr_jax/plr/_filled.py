@@ -6,7 +6,7 @@ from jaxtyping import Float
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.contacts import neighbor_of_largest_contact
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 
 def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:
@@ -35,3 +35,14 @@ def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]
         coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
         coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
     return coefficients
+
+
+def planes_of_leaves(
+    contents: Contents, coefficients: Float[np.ndarray, "leaves terms"]
+) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    """Intercepts, ``inf`` where the first coefficient is, and slopes of the leaves' (mean) planes."""
+    is_inf = np.isinf(coefficients[:, 0])
+    lo, hi = contents.cells.boxes(contents.domain)
+    center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))
+    slope = half * 2 / (hi - lo)
+    return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope

@@ -14,17 +14,15 @@ from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells
-from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._filled import filled_coefficients, planes_of_leaves
 from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
-from plr_jax.plr.query.placement import Placement
-from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, find_leaves, waypoints_of_points
+from plr_jax.plr.query.placement import Placement, corner_if_far
+from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, waypoints_of_points
 from plr_jax.plr.query.stack import TableStack
-from plr_jax.plr.query.tables import Frame, Tables
-
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
+from plr_jax.plr.query.tables import Tables
 
 
 @jax.tree_util.register_dataclass
@@ -167,9 +165,11 @@ class PLR:
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
-        lo, hi = self.leaf_boxes
-        x = self.domain.image_near(x, (lo + hi)[leaf] / 2)
-        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x))
+        lo, hi = self.cells.boxes(self.folded_domain)
+        folding = self.container.folding
+        x = self.folded_domain.image_near(x if folding is None else folding(x), (lo + hi)[leaf] / 2)
+        radius = 0.0 if folding is None else folding.radius(x)
+        return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x) + radius)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
@@ -198,9 +198,19 @@ class PLR:
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
+    def container(self) -> Container:
+        """The file."""
+        return Container.from_bytes(self.to_bytes())
+
+    @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
-        return Container.from_bytes(self.to_bytes()).domain
+        return self.container.domain
+
+    @property
+    def folded_domain(self) -> Box:
+        """The closed box that leaves partition: the domain, or that of folded points, seen from their center."""
+        return self.container.folded_domain
 
     @cached_property
     def cells(self) -> Cells:
@@ -223,16 +233,24 @@ class PLR:
         return int(self.cells.depth.sum(axis=1).max())
 
     @property
-    def leaf_boxes(self) -> tuple[Float[np.ndarray, "leaves dim"], Float[np.ndarray, "leaves dim"]]:
-        """Lower and upper corners of the leaves."""
-        return self.cells.boxes(self.domain)
+    def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
+        """Corners of the leaves, or of all boxes that fold into one each; ``ValueError`` where those are no boxes."""
+        return self._boxes[:2]
+
+    @property
+    def leaf_of_box(self) -> Int[np.ndarray, "boxes"]:
+        """The leaf of each of :attr:`leaf_boxes`."""
+        return self._boxes[2]
+
+    @cached_property
+    def _boxes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        lo, hi = self.cells.boxes(self.folded_domain)
+        folding = self.container.folding
+        return (lo, hi, np.arange(len(lo))) if folding is None else folding.boxes(lo, hi)
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves of which nothing was found to reach the goal; they borrow a neighbor's plane or answer ``inf``.
-
-        None of cones, of which every leaf has a source.
-        """
+        """Leaves of which nothing was found to reach the goal: they borrow a neighbor's plane or answer ``inf``."""
         return self.leaf.unreachable(self.stored)
 
     @property
@@ -242,7 +260,7 @@ class PLR:
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Slope of every leaf's plane; of a leaf that holds another function, that of its mean plane."""
+        """Slope of every leaf's (mean) plane, in the folded domain and without the radial part, if there is one."""
         return self._planes[1]
 
     @property
@@ -268,12 +286,7 @@ class PLR:
 
     @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        is_inf = np.isinf(self._coefficients[:, 0])
-        finite = np.where(is_inf[:, None], 0.0, self._coefficients)
-        lo, hi = self.leaf_boxes
-        center, half = self.leaf.mean_planes(lo, hi, finite)
-        slope = half * 2 / (hi - lo)
-        return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
+        return planes_of_leaves(self._contents, self._coefficients)
 
     @property
     def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
@@ -288,16 +301,16 @@ class PLR:
     def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
         if isinstance(self.tables.frame, Tracer):
             return None
-        frame = np.asarray(self.tables.frame, np.float64)
-        lo, hi = frame[Frame.LO], frame[Frame.HI]
-        return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
+        folding = self.tables.folding
+        return corner_if_far((self.tables if folding is None else folding).frame)
 
     @property
     def _placement(self) -> Placement | None:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
-        return None if domain is None and corner is None else Placement(domain, corner)
+        folding = None if corner is None else self.container.folding
+        return None if domain is None and corner is None else Placement(domain, corner, folding)
 
     @property
     def _placed_tables(self) -> Tables:
@@ -306,6 +319,8 @@ class PLR:
 
     @cached_property
     def _tables_from_corner(self) -> Tables:
+        if self.tables.folding is not None:
+            return self.tables.of_folded_points()
         return self.tables.from_corner(self.domain)
 
 
@@ -333,18 +348,3 @@ def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
         ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
     """
     return plr(x)
-
-
-def local_coordinates(
-    plr: PLR, leaf: Int[np.ndarray, "*batch"], x: Float[np.ndarray, "*#batch dim"]
-) -> Float[np.ndarray, "*batch dim"]:
-    """Coordinates of each point in a given leaf; ``[-1, 1]`` spans it along every axis."""
-    lo, hi = plr.leaf_boxes
-    x = plr.domain.image_near(x, (lo + hi)[leaf] / 2)
-    return (2 * x - lo[leaf] - hi[leaf]) / (hi - lo)[leaf]
-
-
-def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    """Index of the leaf that answers for each point."""
-    placed = x if plr._placement is None else plr._placement(x)
-    return np.asarray(find_leaves(plr._placed_tables, placed)).astype(np.int64)

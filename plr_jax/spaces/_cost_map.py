@@ -213,16 +213,22 @@ def cost_bounds(
         The least and the largest factor of what a motion ``dq`` costs elsewhere, and two vectors of which it costs
         the larger product with ``dq`` besides, None unless the cost is a :class:`DirectionalCost`.
     """
-    lower, upper = (np.asarray(bound, np.float64) for bound in cost_map.bounds(lo, hi))
-    if lower.shape != lo.shape[:1] or upper.shape != lo.shape[:1]:
+    bounds = cost_map.bounds(lo, hi)
+    try:
+        lower, upper = np.asarray(bounds, np.float64)
+    except (TypeError, ValueError):
         raise ValueError(
-            f"A cost map must bound each of {len(lo)} boxes, got shapes {lower.shape} and {upper.shape}."
+            f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}."
+        ) from None
+    if lower.shape != lo.shape[:1]:
+        raise ValueError(
+            f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}."
         )
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
     if bad.size:
         raise ValueError(
-            "A cost map's bounds must be positive and finite, lower nowhere above upper, got "
-            f"{lower[bad[0]]} and {upper[bad[0]]}."
+            f"A cost map's bounds must be positive and finite, lower nowhere above upper, got {lower[bad[0]]} and "
+            f"{upper[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
         )
     if not isinstance(cost_map, DirectionalCost):
         return lower, upper, None

@@ -105,7 +105,8 @@ class PlaneSpace:
 
         Returns:
             The :class:`CellState` of each, ``(n,)``. A box in which free space is thinner than a hundredth of
-            ``workspace.tolerance`` counts as BLOCKED, since walls touch that are no farther apart.
+            ``workspace.tolerance`` counts as BLOCKED, since walls touch that are no farther apart. One that touches
+            a point in which obstacles touch is not FREE, as no path passes there from one side to the other.
 
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
@@ -120,6 +121,10 @@ class PlaneSpace:
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
         passable = shapely.intersects(self._passable, boxes)
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
+        free = np.flatnonzero(state == CellState.FREE)
+        state[free[self._touch_contacts(shapely.box(*(center - half)[free].T, *(center + half)[free].T))]] = (
+            CellState.MIXED
+        )
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Bool[np.ndarray, "n"]:
@@ -132,7 +137,7 @@ class PlaneSpace:
 
         Returns:
             True where the free part of the box is one polygon without holes, to every edge of which the position is
-            on the inner side.
+            on the inner side. False in a point in which obstacles touch.
 
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
@@ -155,7 +160,20 @@ class PlaneSpace:
         least = np.full(np.count_nonzero(whole), np.inf)
         np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
         sees[whole] = least >= -self.workspace.tolerance / 2
-        return sees
+        return sees & ~self._touch_contacts(shapely.points(q))
+
+    def _touch_contacts(self, shapes: Any) -> Bool[np.ndarray, "n"]:
+        """Whether Shapely shapes touch points in which obstacles touch, between which a point must not squeeze."""
+        touch = np.zeros(len(shapes), dtype=bool)
+        if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
+            touch[self._contacts.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
+        return touch
+
+    @cached_property
+    def _contacts(self) -> shapely.STRtree:
+        boundary = self.workspace.boundary
+        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
+        return shapely.STRtree(contacts)
 
     @cached_property
     def _passable(self) -> Any:

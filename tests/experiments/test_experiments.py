@@ -20,7 +20,7 @@ SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
     *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace", "teams"),
 ]
-TESTED_ELSEWHERE = {"benchmark", "proofs", "readme_tables", "hostile_files"}
+TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "readme_tables", "hostile_files"}
 
 
 def run_script(name, *options):

@@ -32,6 +32,8 @@ class ThreeCells:
         np.array([[1.0, 1.0], [2.0, 0.5], [2.0, 1.0]]),
     )
 
+    leaf_of_box = np.arange(3)
+
     def values_in_leaves(self, leaf, x):
         return np.choose(leaf, [x[:, 0] + 2 * x[:, 1], np.full(len(x), 3.0), np.full(len(x), np.inf)])
 

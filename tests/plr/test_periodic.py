@@ -15,7 +15,7 @@ from plr_jax.oracles import Euclidean
 from plr_jax.plr import PLR, certify, construct, from_bytes, refine, sample_faces
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import encode
-from plr_jax.plr._plr import leaf_of
+from plr_jax.plr._location import leaf_of
 from plr_jax.plr.certificate.certificate import Certificate
 
 PI = np.pi

@@ -8,7 +8,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import PLR, construct, evaluate, save
-from plr_jax.plr._plr import leaf_of
+from plr_jax.plr._location import leaf_of
 from plr_jax.plr.query.points import evaluate_points
 
 FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))

@@ -163,3 +163,53 @@ def test_bad_input_is_refused():
 def test_no_boxes_and_no_motions_are_fine():
     space, none = PlaneSpace(Workspace(BOUNDS)), np.zeros((0, 2))
     assert space.classify(none, none).shape == space.is_free(none).shape == space.are_free(none, none).shape == (0,)
+
+
+def test_boxes_are_seen_from_where_all_their_free_samples_are():
+    """By sampling: a corner of a box, or a point in or beside it, that sees the box sees every free point of it."""
+    rng = np.random.default_rng(0)
+    counts = np.zeros(2, int)
+    for seed in range(4):
+        workspace = random_workspace(seed)
+        space = PlaneSpace(workspace)
+        lo, hi = random_boxes(rng, space.domain, 400)
+        bits = rng.integers(0, 2, (400, 2))
+        q = np.where(rng.random((400, 1)) < 0.7, np.where(bits == 1, hi, lo), lo + rng.random((400, 2)) * (hi - lo))
+        sees = space.sees_boxes(q, lo, hi)
+        share = rng.random((60, 2))
+        x = (lo[:, None] + share * (hi - lo)[:, None]).reshape(-1, 2)
+        free = workspace.clearance(x) >= 0
+        visible = workspace.is_visible(x, np.repeat(q, 60, axis=0))
+        all_visible = (visible | ~free).reshape(400, 60).all(axis=1)
+        assert all_visible[sees].all()
+        counts += [sees.sum(), (all_visible & ~sees & space.is_free(q)).sum()]
+    assert counts[0] > 4 * counts[1]  # few that seem to be seen are not proven to be
+
+
+def test_a_box_beside_a_wall_is_seen_from_its_free_corners():
+    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2)]))
+
+    def sees(q, lo, hi):
+        return space.sees_boxes([q], [lo], [hi])[0]
+
+    assert sees((0.5, 0.5), (0.5, 0.5), (0.9, 0.9)) and sees((0.5, 1.2), (0.5, 1.2), (1.5, 1.6))
+    assert not sees((1.5, 1.2), (0.5, 1.2), (1.5, 1.6))  # in the wall
+    around = (0.5, 0.5), (1.5, 1.5)  # a corner stands into the box
+    assert sees((0.5, 0.5), *around) and not sees((1.5, 0.5), *around) and not sees((0.5, 1.5), *around)
+    assert not sees((0.5, 0.5), (0.5, 0.5), (2.5, 2.5))  # a hole
+    cut = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 0, 1.1, 3)]))
+    assert not cut.sees_boxes([[0.5, 0.5]], [[0.5, 0.5]], [[1.5, 1.5]])[0]
+    assert not PlaneSpace(space.workspace, DISC).sees_boxes([[0.5, 0.5]], [[0.5, 0.5]], [[0.7, 0.7]])[0]
+    with pytest.raises(ValueError, match="as many"):
+        space.sees_boxes(np.zeros((2, 2)), np.zeros((1, 2)), np.ones((1, 2)))
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+def test_no_path_passes_a_point_in_which_obstacles_touch(squeeze):
+    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2, 0.5, 3, 1)], squeeze=squeeze))
+    beside = states(space, (1.5, 0.5, 2, 1), (2, 1, 2.5, 1.5))
+    assert beside == ([FREE, FREE] if squeeze else [MIXED, MIXED])
+    assert states(space, (1.5, 0.5, 1.9, 1), (2, 1.1, 2.5, 1.5)) == [FREE, FREE]
+    q, lo, hi = np.array([[2.0, 1.0], [1.5, 0.5]]), np.array([[1.5, 0.5]] * 2), np.array([[2.0, 1.0]] * 2)
+    assert space.sees_boxes(q, lo, hi).tolist() == [squeeze, True]
+    assert PlaneSpace(space.workspace, DiscRobot(0.1)).classify([[1.5, 0.5]], [[1.9, 0.9]]).tolist() == [FREE]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_finite_point, as_points
-from plr_jax._types import ArrayLike, Distances, Symmetry
+from plr_jax._types import ArrayLike, Distances, RadialPart, Symmetry
 from plr_jax.oracles.car.words import Batch, EndPoses, Word, reflection, shortest_lengths, shortest_path
 
 _SLACK = 1e-10  # turning radii by which a path may miss the goal
@@ -56,6 +56,11 @@ class Dubins:
     def symmetries(self) -> tuple[Symmetry]:
         """The reflection of poses in the line along the goal's heading."""
         return (reflection(self.goal, self.goal[2]),)
+
+    @property
+    def radial_part(self) -> RadialPart:
+        """The straight line to the goal, than which no path is shorter."""
+        return RadialPart(self.goal, (True, True, False))
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Length of the shortest path from each pose to the goal.

@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 
 from plr_jax.plr.certificate.branch_and_bound import LeafBounds
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
 _MAX_ERROR_BITS = 32

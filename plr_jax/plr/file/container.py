@@ -1,6 +1,7 @@
 r"""The container of a PLR file: a header, the domain, a bit stream that begins with the tree, and a checksum.
 
-All numbers are little-endian. Layout of version 2, and of version 3 for domains with a periodic axis:
+All numbers are little-endian. Layout of version 2, of version 3 for domains with a periodic axis, and of
+version 4 for leaves of folded points, whether or not an axis is periodic:
 
     4s      magic, b"PLR\n"
     u8      version
@@ -11,6 +12,7 @@ All numbers are little-endian. Layout of version 2, and of version 3 for domains
     u32     size of the whole file in bytes
     f64     lower corner of the domain, one number an axis; then the upper corner. Of each periodic axis, of which
               version 3 has one or more and version 2 none, the two are exchanged: the upper end comes first
+    ...     of version 4, how points are folded (see ``plr/folding/codec.py``); leaves are then of the box of those
     ...     bit stream, least significant bit first, the last byte filled up with zeros:
               the tree over the leaves, whose boxes follow from the splits: level by level from the root, for every
                 node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
@@ -29,9 +31,12 @@ from jaxtyping import Float
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.folding.codec import folding_to_bytes, read_folding
+from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
-VERSION, _PERIODIC_VERSION = 2, 3
+VERSION, _PERIODIC_VERSION, _FOLDED_VERSION = 2, 3, 4
+_VERSIONS = (VERSION, _PERIODIC_VERSION, _FOLDED_VERSION)
 _MAGIC = b"PLR\n"
 _START_OF_CONTINUOUS = b"CPL\n\x01"  # in version 1, continuous PLRs had a format of their own
 _HEADER = struct.Struct("<4sBBBBII")
@@ -41,21 +46,31 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Container:
-    """What every PLR file has; its body is the bit stream."""
+    """What every PLR file has; its body is the bit stream. With a ``folding``, points are folded."""
 
     domain: Box
     leaf_code: int
     num_leaves: int
     body: bytes
     proof_code: int = 0
+    folding: Folding | None = None
+
+    @property
+    def folded_domain(self) -> Box:
+        """The box that the leaves partition."""
+        return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
         domain = self.domain
         first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
-        content = np.concatenate([first, second]).astype("<f8").tobytes() + self.body
+        content = np.concatenate([first, second]).astype("<f8").tobytes()
+        if self.folding is not None:
+            content += folding_to_bytes(self.folding)
+        content += self.body
         size = HEADER_SIZE + len(content) + _CRC.size
         version = _PERIODIC_VERSION if domain.is_periodic else VERSION
+        version = version if self.folding is None else _FOLDED_VERSION
         header = _HEADER.pack(_MAGIC, version, domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size)
         return header + content + _CRC.pack(zlib.crc32(header + content))
 
@@ -65,9 +80,9 @@ class Container:
         if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
             raise ValueError("it does not start like a PLR file")
         version = data[4] if len(data) > len(_MAGIC) else VERSION
-        if version not in (VERSION, _PERIODIC_VERSION):
+        if version not in _VERSIONS:
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            versions = f"versions {VERSION} and {_PERIODIC_VERSION}"
+            versions = f"versions {VERSION} to {_FOLDED_VERSION}"
             raise ValueError(f"it has format version {version}, this release reads {versions}; {remedy}")
         if len(data) < HEADER_SIZE + _CRC.size:
             raise ValueError("the data end too early")
@@ -82,14 +97,17 @@ class Container:
         if dim == 0 or len(content) < 16 * dim:
             raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
         corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64).reshape(2, dim)
-        domain = _periodic_domain(corners) if version == _PERIODIC_VERSION else Box(corners[0], corners[1])
-        return Container(domain, leaf_code, num_leaves, content[16 * dim :], proof_code)
+        domain = Box(corners[0], corners[1]) if version == VERSION else _periodic_domain(corners, version)
+        folding, body = None, content[16 * dim :]
+        if version == _FOLDED_VERSION:
+            folding, body = read_folding(body, domain)
+        return Container(domain, leaf_code, num_leaves, body, proof_code, folding)
 
 
-def _periodic_domain(corners: Float[np.ndarray, "2 dim"]) -> Box:
-    """The domain of version 3, whose periodic axes have the upper end first."""
+def _periodic_domain(corners: Float[np.ndarray, "2 dim"], version: int) -> Box:
+    """The domain of versions whose periodic axes have the upper end first; version 3 is for such alone."""
     periodic = corners[0] > corners[1]
-    if not periodic.any():
+    if version == _PERIODIC_VERSION and not periodic.any():
         raise ValueError(f"it has format version {_PERIODIC_VERSION}, but none of its axes is periodic")
     lo, hi = np.where(periodic, corners[::-1], corners)
     return Box(lo, hi, tuple(map(bool, periodic)))
@@ -103,7 +121,7 @@ def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 def is_header(data: bytes) -> bool:
     """Whether a file that begins so may be one of this version."""
-    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] in (VERSION, _PERIODIC_VERSION)
+    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] in _VERSIONS
 
 
 def file_size(header: bytes) -> int:

@@ -31,7 +31,7 @@ class Limits:
     """When to stop: see :func:`construct`.
 
     No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have
-    room for the ``proof``; if there is one, errors are those that are proven.
+    room for the ``proof``, with which errors are those that are proven, and for ``folding_bytes``.
     """
 
     max_depth: int
@@ -40,10 +40,11 @@ class Limits:
     max_bytes: float
     tolerance: float
     proof: Proof = Proof.NONE
+    folding_bytes: int = 0
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
         """Bytes of a file of so many leaves, of which the model keeps so many bits."""
-        return container_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves))
+        return container_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves)) + self.folding_bytes
 
 
 def check_limits(
@@ -56,6 +57,7 @@ def check_limits(
     max_bytes: int | None,
     tolerance: int | float | None,
     proof: Proof,
+    folding_bytes: int = 0,
 ) -> Limits:
     """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
     for name, value, least in (
@@ -87,6 +89,7 @@ def check_limits(
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),
         proof=proof,
+        folding_bytes=folding_bytes,
     )
 
 

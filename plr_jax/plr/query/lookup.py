@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
 from plr_jax.plr.query.blocks import Blocks
+from plr_jax.plr.query.folded import FoldedWindow, radius
+from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
-from plr_jax.plr.query.tables import Frame, Tables
+from plr_jax.plr.query.tables import Tables
 
 _ENDS_IN_DOUBLE = (
     2.0**-44
@@ -19,10 +21,18 @@ _ENDS_IN_DOUBLE = (
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
     """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
-    x = _wrapped(tables, x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32))
+    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    if tables.folding is not None:
+        outside, answer = outside_domain(tables.folding, x)
+        folded = tables.folding(x, outside)
+        return jnp.where(outside, answer, evaluate_tables(tables.of_folded_points(), folded))
+    x = _wrapped(tables, x)
     row = find_row(tables, jax.lax.stop_gradient(x))
     outside, answer = outside_domain(tables, x)
-    return jnp.where(outside, answer, tables.leaf.evaluate(tables, row, x, outside))
+    value = tables.leaf.evaluate(tables, row, x, outside)
+    if tables.radial:
+        value += radius(jnp.where(outside[..., None], 0, x), tables.radial)
+    return jnp.where(outside, answer, value)
 
 
 def bounds_of_tables(
@@ -67,6 +77,8 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
 
     Points outside the domain, and NaN, get some leaf.
     """
+    if tables.folding is not None:
+        return lookup(tables.of_folded_points(), tables.folding(x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrapped(tables, x))
     return row if tables.pages is None else _gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
@@ -86,7 +98,7 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
 
 
 def outside_domain(
-    tables: Tables, x: Float[Array, "*batch dim"]
+    tables: Tables | FoldedWindow, x: Float[Array, "*batch dim"]
 ) -> tuple[Bool[Array, "*batch"], Float[Array, "*batch"]]:
     """Whether each wrapped point is outside the closed domain, and the answer there: ``inf``, NaN for NaN."""
     x, frame = jax.lax.stop_gradient(x), tables.frame.astype(x.dtype)

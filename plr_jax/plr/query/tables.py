@@ -21,7 +21,6 @@ it has room for, as blocks may be finer in four steps; else 65,536 slots, and el
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import Any
 
 import jax
@@ -31,12 +30,14 @@ from jaxtyping import Array, Float, Int, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
+from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
+from plr_jax.plr.query.folded import FoldedWindow
+from plr_jax.plr.query.frame import frame_of, table_corners
 from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
 from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
 
-LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
 MOST_ROWS = 2**14  # of a class whose tables are of one shape
@@ -69,6 +70,8 @@ class Tables:
             cache line or two and not for one a number.
         leaf: The leaf model, whose ``evaluate`` makes a value of them.
         periodic: The periodic axes, around which points are wrapped.
+        radial: Axes of which the length of a point's coordinates is added to the leaf's value.
+        folding: How points are folded before all this; None if they are not.
     """
 
     frame: Float[Array, "7 dim"]
@@ -79,47 +82,28 @@ class Tables:
     numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
+    radial: tuple[int, ...] = field(metadata={"static": True}, default=())
+    folding: FoldedWindow | None = None
 
     @property
     def dim(self) -> int:
         """Number of axes."""
         return self.frame.shape[1]
 
+    def of_folding(self, folding: Folding | None) -> "Tables":
+        """The same, of points that are folded."""
+        if folding is None:
+            return self
+        radial = tuple(map(int, np.flatnonzero(folding.radial)))
+        return replace(self, radial=radial, folding=FoldedWindow.of(folding))
+
+    def of_folded_points(self) -> "Tables":
+        """The same for points that are folded already."""
+        return replace(self, folding=None)
+
     def from_corner(self, domain: Box) -> "Tables":
         """The same for points counted from the domain's rounded lower corner, which 32-bit floats resolve."""
-        return replace(self, frame=jnp.asarray(_frame(domain, table_corners(domain)[0])))
-
-
-class Frame(IntEnum):
-    """Rows of ``Tables.frame``: the domain in 32-bit floats.
-
-    ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
-    over its width. ``START`` is one minus ``LO_REST`` over the width: cells far from the origin so stay in place.
-    ``TOP`` is the largest share of the width that is told apart: with ``START`` it is below 2.
-    """
-
-    LO = 0
-    HI = 1
-    LO_REST = 2
-    HI_REST = 3
-    START = 4
-    SCALE = 5
-    TOP = 6
-
-
-def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it.
-
-    Raises:
-        ValueError: If 32-bit floats cannot hold the corners or the width.
-    """
-    if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
-        raise ValueError(f"The domain must be within {LARGEST:g}, and wider than its inverse, got {domain}.")
-    lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
-    return (
-        np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
-        np.where(hi < domain.hi, np.nextafter(hi, np.float32(np.inf)), hi),
-    )
+        return replace(self, frame=jnp.asarray(frame_of(domain, table_corners(domain)[0])))
 
 
 def build_tables(
@@ -155,7 +139,7 @@ def _tables_by_leaf(
     index_type = np.uint16 if len(table) <= 2**16 else np.uint32
     top = bits if flat else block_bits
     return Tables(
-        frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
+        frame=jnp.asarray(frame_of(domain, np.zeros(domain.dim))),
         bits=_bits_of_index(top),
         blocks=None if flat else pack_blocks(shape, offset, FRACTION_BITS - top),
         pages=None,
@@ -172,7 +156,7 @@ def _paged_tables(
     """Tables with pages and room for so many slots."""
     of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
     return Tables(
-        frame=jnp.asarray(_frame(domain, np.zeros(domain.dim))),
+        frame=jnp.asarray(frame_of(domain, np.zeros(domain.dim))),
         bits=_bits_of_index(paged.block_bits),
         blocks=None,
         pages=paged.pages,
@@ -224,18 +208,3 @@ def max_entries(num_bytes: int) -> int:
     """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
-
-
-def _frame(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "7 dim"]:
-    """The domain in 32-bit floats, for points counted from an origin."""
-    lo, hi = table_corners(domain)
-    # Rounded toward zero, so that the corners themselves stay inside.
-    rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
-    frame = np.empty((len(Frame), domain.dim), np.float32)
-    frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
-    frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
-    frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
-    top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
-    rounded = top.astype(np.float32)
-    frame[Frame.TOP] = np.where(rounded > top, np.nextafter(rounded, np.float32(0)), rounded)
-    return frame

@@ -7,7 +7,8 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import require_integer
 from plr_jax._types import DistanceFn
-from plr_jax.plr._plr import PLR, local_coordinates
+from plr_jax.plr._location import local_coordinates, unfolded_points
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.leaves.base import as_linear
 from plr_jax.plr.partition.faces import face_points, shared_faces
 from plr_jax.plr.partition.tree import tree_of
@@ -73,12 +74,12 @@ def sample_faces(plr: PLR, distance_fn: DistanceFn, *, num_samples: int = 8, see
     require_integer("num_samples", num_samples, 1)
     require_integer("seed", seed, 0)
     tree = tree_of(plr.cells)
-    faces = shared_faces(tree, plr.domain.periodic)
+    faces = shared_faces(tree, plr.folded_domain.periodic)
     pairs = tree.order[np.stack([faces.lower, faces.upper], axis=1)]
     kept = ~plr.unreachable[pairs].any(axis=1) & (faces.lower != faces.upper)
     w = np.random.default_rng(seed).uniform(size=(int(num_samples), plr.dim))
-    points = plr.domain.lo + plr.domain.width * face_points(tree.leaves, faces[kept], w)
-    x, leaves = points.reshape(-1, plr.dim), np.repeat(pairs[kept], len(w), axis=0)
+    points = plr.folded_domain.lo + plr.folded_domain.width * face_points(tree.leaves, faces[kept], w)
+    x, leaves = unfolded_points(plr, points.reshape(-1, plr.dim)), np.repeat(pairs[kept], len(w), axis=0)
     free = np.isfinite(call_oracle(distance_fn, x)) if len(x) else np.zeros(0, bool)
     x, leaves = x[free], leaves[free]
     u = local_coordinates(plr, leaves, x[:, None])

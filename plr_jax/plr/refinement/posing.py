@@ -21,7 +21,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax._types import Distances, Points
-from plr_jax.plr._plr import PLR, leaf_of, local_coordinates
+from plr_jax.plr._location import leaf_of, local_coordinates
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.leaves.base import (
     LinearLeafModel,
     Parameters,
@@ -76,7 +77,7 @@ def pose(plr: PLR, points: WeightedPoints) -> Refinable:
     model, leaf = as_linear(plr.leaf), leaf_of(plr, points.x)
     order = np.argsort(leaf, kind="stable")
     leaf, (x, distance, weight) = leaf[order], points.take(order)
-    lo, hi = plr.leaf_boxes
+    lo, hi = plr.cells.boxes(plr.folded_domain)
     basis = model.basis(local_coordinates(plr, leaf, x))
     parameters = model.parameters(plr.cells, plr.stored)
     shape = (plr.num_leaves, basis.shape[1])

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr._location import leaf_of
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.refinement.face_samples import Faces
 from plr_jax.plr.refinement.losses import Loss
 

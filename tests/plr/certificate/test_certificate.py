@@ -74,3 +74,48 @@ def test_a_proof_that_is_cut_short_is_refused():
     body = BitWriter().write_floats(np.array([0.5])).write(np.arange(5), 8)
     with pytest.raises(ValueError, match="end too early"):
         read_certificate(BitReader(body.to_bytes()), Proof.LEAVES, 3)
+
+
+@given(st.integers(0, 1000), SIZES)
+def test_open_leaves_have_no_upper_bound_and_others_theirs(seed, scale):
+    bounds, rounding = random_bounds(seed, scale)
+    is_open = np.random.default_rng(seed).random(50) < 0.3
+    opened = LeafBounds(bounds.lower, np.where(is_open, np.inf, bounds.upper))
+    certificate = Certificate.of(opened, rounding, Proof.OPEN_LEAVES)
+    lower, upper = certificate.bounds()
+    assert (np.isinf(upper) == is_open).all() and np.isfinite(lower).all()
+    largest = max((rounding - bounds.lower).max(), (rounding + bounds.upper)[~is_open].max())
+    assert (lower <= bounds.lower - rounding).all() and (upper >= opened.upper + rounding).all()
+    assert (lower >= 1.0601 * (bounds.lower - rounding) - 6e-7 * largest).all()
+    known = upper[~is_open]
+    assert (known <= 1.0601 * (bounds.upper + rounding)[~is_open] + 6e-7 * largest).all()
+    assert largest <= certificate.scale <= 1.07 * largest
+    assert certificate.max_error == (np.inf if is_open.any() else certificate.scale)
+    body = BitWriter()
+    certificate.write(body)
+    assert body.num_bits == Proof.OPEN_LEAVES.num_bits(50) == Proof.LEAVES.num_bits(50)
+    found = read_certificate(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 50)
+    assert found is not None and found.proof is Proof.OPEN_LEAVES and found.max_error == certificate.max_error
+    np.testing.assert_array_equal(found.bounds(), certificate.bounds())
+
+
+def test_leaves_that_are_all_open_are_a_proof_too():
+    certificate = Certificate.of(LeafBounds(np.zeros(3), np.full(3, np.inf)), np.zeros(3), Proof.OPEN_LEAVES)
+    lower, upper = certificate.bounds()
+    assert (upper == np.inf).all() and (lower <= 0).all() and (lower > -1e-37).all()
+    assert certificate.max_error == np.inf
+
+
+def test_the_largest_code_is_a_bound_unless_leaves_may_be_open():
+    """Of any codes there are in a file."""
+    codes = np.array([0, 254, 255])
+    body = BitWriter().write_floats(np.array([2.0])).write(codes, 8).write(codes, 8)
+    expected = np.array([2.0 * 2 ** (-255 / 12), 2.0 * 2 ** (-1 / 12), 2.0])
+    for proof in (Proof.LEAVES, Proof.OPEN_LEAVES):
+        certificate = read_certificate(BitReader(body.to_bytes()), proof, 3)
+        assert certificate is not None
+        lower, upper = certificate.bounds()
+        np.testing.assert_allclose(-lower, expected, rtol=1e-6)
+        is_open = proof is Proof.OPEN_LEAVES
+        np.testing.assert_allclose(upper, [*expected[:2], np.inf if is_open else 2.0], rtol=1e-6)
+        assert certificate.max_error == (np.inf if is_open else 2.0)

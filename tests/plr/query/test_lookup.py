@@ -9,7 +9,7 @@ from plr_helpers import chain, cone, evaluate_by_search, leaf_by_search, random_
 from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
-from plr_jax.plr._plr import leaf_of
+from plr_jax.plr._location import leaf_of
 from plr_jax.plr.query import lookup as lookup_module
 from plr_jax.plr.query import tables as tables_module
 from plr_jax.plr.query.tables import build_tables

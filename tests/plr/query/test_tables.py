@@ -9,6 +9,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.blocks import pack_blocks
+from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.query.tables import (
     build_tables,
     byte_class,
@@ -16,7 +17,6 @@ from plr_jax.plr.query.tables import (
     max_entries,
     rows_of_class,
     slot_bits_of_rows,
-    table_corners,
 )
 
 

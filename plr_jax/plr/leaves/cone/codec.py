@@ -35,7 +35,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 _STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
 _MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200

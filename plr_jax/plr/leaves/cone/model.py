@@ -22,8 +22,9 @@ from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.frame import Frame, table_corners
 from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import Frame, Tables, table_corners
+from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
 

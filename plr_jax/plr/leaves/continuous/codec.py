@@ -23,7 +23,7 @@ from plr_jax.plr.leaves.continuous.space import NodalSpace, nodal_space
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
 from plr_jax.plr.partition.tree import Tree, tree_of
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,9 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from plr_jax.plr.leaves.continuous.basis import POWERS, monomials
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import Frame, Tables
+from plr_jax.plr.query.tables import Tables
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
-from plr_jax.plr.leaves.base import Rules, solve_sparse, weighted_squares
+from plr_jax.plr.leaves.base import Rules, solve_by_descent, solve_sparse, weighted_squares
 from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
 from plr_jax.plr.leaves.continuous.space import NodalSpace
@@ -27,6 +27,7 @@ _SMALLEST_STEP = 2.0**-22  # of the largest distance: what 32-bit floats hold
 # How much a value that differs from what coarser ones predict counts beside a cell's samples: it decides only where
 # samples do not, in a wall.
 _PREDICTION_WEIGHT = 1e-7
+_MOST_DIM_OF_FACTORS = 2  # beyond, factors of a sparse matrix fill in
 _UNPREDICTED = 1e-3  # of that, for the corners of the domain, which only differ from the mean
 
 
@@ -159,6 +160,7 @@ def fit_values(
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
-    values = mean + solve_sparse(normal, numbers.T @ moments)
+    solve = solve_sparse if fit.cells.dim <= _MOST_DIM_OF_FACTORS else solve_by_descent
+    values = mean + solve(normal, numbers.T @ moments)
     errors = fit.value - (numbers @ values).reshape(leaves, terms) @ functions.T
     return values, np.where(weight > 0, errors, 0.0)

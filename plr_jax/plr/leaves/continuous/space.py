@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.dependencies import resolve
+from plr_jax.plr.partition.dependencies import eliminated, require_few, resolve
 from plr_jax.plr.partition.faces import SharedFaces, face_points, parents_of_corners
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_ZERO = 1e-9  # of combinations of weights that are multiples of small powers of two
 # Weights in the equations of a space: in all, or for every leaf where that is more. Trees that split random leaves
 # have 2,000 a leaf in 6 dimensions and 50 in 3. Solving the equations may make several times as many.
 _MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF, _GROWTH = 2**20, 2**8, 4
@@ -76,7 +75,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     from scipy.sparse import csr_array
 
     most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(unreachable))
-    _require_few(len(tied) * 2 ** (tree.cells.dim - 1), most)
+    require_few(len(tied) * 2 ** (tree.cells.dim - 1), most)
     agreement = _agreement(tree, tied)
     group = _united(tree, agreement)
     hanging, on_leaf, at = _hanging(group, agreement)
@@ -89,8 +88,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     level = _levels(tree, group, num_groups)
     if tree.cells.dim > 2:  # where a corner may hang on two leaves of which neither implies the other
         rows = _disagreement(group, agreement, most)
-        _require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
-        of_groups = of_groups @ _eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
+        require_few(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
+        of_groups = of_groups @ eliminated(csr_array(rows @ of_groups), level, _GROWTH * most)
     is_master = present.copy()
     is_master[hanging] = False
     is_master &= of_groups.diagonal() == 1
@@ -215,58 +214,10 @@ def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: 
     """
     is_end = _is_end(agreement.t)
     hangs = np.flatnonzero(~np.all(is_end, axis=(0, 2)))
-    _require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
+    require_few(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, hangs], axis=2))), most)
     rows, shape = np.arange(len(hangs)), (len(hangs), int(group.max()) + 1)
     below, above = (
         _interpolation(group, leaf, t, rows, shape)
         for leaf, t in zip(agreement.leaf[:, hangs], agreement.t[:, hangs], strict=True)
     )
     return below - above
-
-
-def _eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
-    from scipy.sparse import csr_array
-
-    solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
-    rows.data[np.abs(rows.data) <= _ZERO] = 0
-    rows.eliminate_zeros()
-    work = 0
-    for start, end in zip(rows.indptr[:-1], rows.indptr[1:], strict=True):
-        row: dict[int, float] = {}
-        for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
-            work += _add(row, weight, solved.get(index, {index: 1.0}))
-        _require_few(work, most)
-        if not row:
-            continue
-        pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
-        scale = row.pop(pivot)
-        solution = {index: -weight / scale for index, weight in row.items()}
-        for other in solved.values():
-            if pivot in other:
-                work += _add(other, other.pop(pivot), solution)
-        solved[pivot] = solution
-    table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
-    group, index, weight = np.array(table).reshape(-1, 3).T
-    kept = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
-    coordinates = np.concatenate([group, kept]).astype(int), np.concatenate([index, kept]).astype(int)
-    return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
-
-
-def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
-    """Add a multiple of another row; how many weights it has."""
-    for index, weight in other.items():
-        total = row.get(index, 0.0) + factor * weight
-        if abs(total) > _ZERO:
-            row[index] = total
-        else:
-            row.pop(index, None)
-    return len(other)
-
-
-def _require_few(number: int | float, most: int) -> None:
-    if number > most:
-        raise ValueError(
-            f"its tied leaves hang on one another by {number:.3g} weights or more; {most} are allowed. Build it of "
-            "fewer leaves or in fewer dimensions, or of planes, which are not tied"
-        )

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.plr.file.bits import BitReader, BitWriter, floats_of_bits
-from plr_jax.plr.query.tables import LARGEST
+from plr_jax.plr.query.frame import LARGEST
 
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20

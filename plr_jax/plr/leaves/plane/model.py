@@ -38,8 +38,9 @@ from plr_jax.plr.leaves.plane.codec import (
 )
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.query.frame import Frame, table_corners
 from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import MOST_ROWS, Frame, Tables, table_corners
+from plr_jax.plr.query.tables import MOST_ROWS, Tables
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes

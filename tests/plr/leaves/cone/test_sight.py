@@ -5,7 +5,7 @@ import pytest
 from plr_helpers import UNIT
 
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
-from plr_jax.plr._plr import leaf_of
+from plr_jax.plr._location import leaf_of
 from plr_jax.plr.leaves.cone import model
 
 GOAL = (0.1, 0.1)

@@ -6,7 +6,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
-from plr_jax.plr._plr import leaf_of
+from plr_jax.plr._location import leaf_of
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.plane_fits import midrange
 

@@ -1,0 +1,1 @@
+"""The sections of the experiment on PLRs without an oracle."""

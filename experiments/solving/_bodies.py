@@ -1,0 +1,207 @@
+"""PLRs of a turning rectangle and of an arm of three joints, without an oracle, beside grids and roadmaps.
+
+The rectangle is the first of the tangle, its goal in the hallway; the arm is fixed amid three obstacles. Judged is
+what 50,000 and 100,000 cells give, at random free configurations from which the grid finds a way: the share that has
+an upper bound, the mean gap there, and the mean difference of the PLR to the grid, as shares of the mean cost-to-go.
+
+The grid is several times finer an axis than a uniform one of as many cells. Of the rectangle, whose cost is no
+Euclidean length, it is searched by Dijkstra's algorithm: 48 directions in the plane, turns by a cell, both at once to
+the eight nearest, all tested as motions. Its way is never shorter than the best one, up to 0.75 % longer where that
+is in between the directions, and longer where a passage fits cells badly. Of the arm it is marched over (scikit-fmm,
+second order, all axes periodic). How far a grid half as fine is from it is told.
+
+PRM* gets more and more samples; judged are their own costs. The tests of freedom at our mean error are read off
+between its sizes, both logarithmic; ``>``: the largest of them errs more than ours.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from experiments._tables import aligned, or_dash
+from experiments.solving._counted import counted
+from experiments.solving._grids import Sizes, all_neighbors, even_sizes, grid_search, marched
+from experiments.solving._prm_star import prm_star
+from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
+from plr_jax.eikonal.costs import axis_scale
+
+CELLS = (50_000, 100_000)
+SAMPLES = (1_000, 3_000, 10_000, 30_000)
+GRID_CELLS = 16_000_000
+_SMOKE_CELLS, _SMOKE_SAMPLES, _SMOKE_GRID = 2_000, 300, 60_000
+POINTS = 50_000
+_POINT_SEED = 62_000
+_LINKS, _BASE, _GOAL = (0.6, 0.5, 0.4), (0.0, 0.0), (-2.2, -0.3, 0.2)
+_OBSTACLES = ((0.6, 0.5, 1.0, 0.9), (-1.2, 0.3, -0.7, 0.8), (-0.2, -1.3, 0.4, -0.9))  # x0, y0, x1, y1
+
+
+class Body(NamedTuple):
+    """What moves, where to, and how costs are found on a grid."""
+
+    space: ConfigurationSpace
+    goal: Float[np.ndarray, "dof"]
+    on_grid: Callable[[ConfigurationSpace, Float[np.ndarray, "dof"], Sizes], GridField]
+
+
+def rectangle() -> Body:
+    problem = scenes.tangle()
+    space = RigidBodySpace(problem.workspace, problem.robots[0], problem.rotation_weight)
+    return Body(space, problem.goals[0], partial(grid_search, offsets=_RECTANGLE_STEPS))
+
+
+def arm() -> Body:
+    walls = [[(x0, y0), (x1, y0), (x1, y1), (x0, y1)] for x0, y0, x1, y1 in _OBSTACLES]
+    space = PlanarArm(Workspace(((-2, -2), (2, 2)), walls), _LINKS, _BASE)
+    return Body(space, np.array(_GOAL), marched)
+
+
+_RECTANGLE_STEPS = [
+    *((*step, 0) for step in all_neighbors(2, 4)),
+    (0, 0, 1),
+    *((x, y, 1) for x in (-1, 0, 1) for y in (-1, 0, 1) if (x, y) != (0, 0)),
+]
+BODIES = {"rectangle": rectangle, "arm": arm}
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    rows, grids, num_points = [], {}, 2_000 if smoke else POINTS
+    for name, make in BODIES.items():
+        body = make()
+        x = _free(body.space, num_points, seed)
+        truth, grids[name] = _grid(body, _SMOKE_GRID if smoke else GRID_CELLS, x)
+        for max_leaves in (_SMOKE_CELLS,) if smoke else CELLS:
+            rows.append({"body": name, **_solved(body, max_leaves, truth, x, seed)})
+            print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
+        for num_samples in (_SMOKE_SAMPLES,) if smoke else SAMPLES:
+            rows.append({"body": name, **_sampled(body, num_samples, truth, seed)})
+            print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
+    return {"points": num_points, "grids": grids, "rows": rows}
+
+
+def _free(space: ConfigurationSpace, num_points: int, seed: int) -> Float[np.ndarray, "n dof"]:
+    """Random free configurations."""
+    rng = np.random.default_rng(_POINT_SEED + seed)
+    found: list[np.ndarray] = []
+    while sum(map(len, found)) < num_points:
+        x = space.domain.lo + space.domain.width * rng.random((num_points, space.domain.dim))
+        found.append(x[space.is_free(x)])
+    return np.concatenate(found)[:num_points]
+
+
+def _grid(body: Body, num_cells: int, x: Float[np.ndarray, "n dof"]) -> tuple[GridField, dict[str, Any]]:
+    """Costs on a grid, and how far those of one half as fine are from them."""
+    space, scale = body.space, axis_scale(body.space.motion_cost)
+    began = time.perf_counter()
+    sizes = even_sizes(space.domain, scale, num_cells)
+    truth = body.on_grid(space, body.goal, sizes)
+    seconds = time.perf_counter() - began
+    half = even_sizes(space.domain, scale, num_cells // 2**space.domain.dim)
+    fine, coarse = truth(x), body.on_grid(space, body.goal, half)(x)
+    known, both = np.isfinite(fine), np.isfinite(fine) & np.isfinite(coarse)
+    own = float(np.abs(coarse[both] - fine[both]).mean() / fine[both].mean())
+    return truth, {
+        "sizes": sizes,
+        "half": half,
+        "seconds": seconds,
+        "reached": float(known.mean()),
+        "difference": own,
+    }
+
+
+def _solved(body: Body, max_leaves: int, truth: GridField, x: np.ndarray, seed: int) -> dict[str, Any]:
+    space = counted(body.space)
+    began = time.perf_counter()
+    plr = solve_eikonal(space, body.goal, max_leaves=max_leaves, seed=seed)
+    row: dict[str, Any] = {"method": "solve_eikonal", "seconds": time.perf_counter() - began, "cells": plr.num_leaves}
+    cost = truth(x)
+    x, cost = x[np.isfinite(cost)], cost[np.isfinite(cost)]
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+    bounded = np.isfinite(upper)
+    gap = float((upper - lower)[bounded].mean() / cost.mean()) if bounded.any() else None
+    row |= {"bytes": plr.num_bytes, "tests": space.tests.for_json(), "gap": gap, "with_upper": float(bounded.mean())}
+    beyond = np.maximum(lower - cost, np.where(bounded, cost - upper, -np.inf)) / cost.mean()
+    row |= {"beyond_share": float((beyond > 0).mean()), "beyond_largest": float(beyond.max(initial=0.0))}
+    below = float((cost - lower).mean() / cost.mean())
+    return row | _errors(np.asarray(plr(x), float), cost) | {"below": below}
+
+
+def _sampled(body: Body, num_samples: int, truth: GridField, seed: int) -> dict[str, Any]:
+    sampled = prm_star(body.space, body.goal, num_samples, seed)
+    cost = truth(sampled.vertices[1:])
+    known = np.isfinite(cost)
+    row = {"method": "PRM*", "cells": num_samples, "bytes": sampled.roadmap.num_bytes, "seconds": sampled.seconds}
+    return row | {"tests": sampled.tests} | _errors(sampled.costs[1:][known], cost[known])
+
+
+def _errors(answer: Float[np.ndarray, "n"], cost: Float[np.ndarray, "n"]) -> dict[str, Any]:
+    """Mean and largest difference over the mean cost, and the share that has no answer."""
+    error = np.abs(answer - cost) / cost.mean()
+    known = np.isfinite(error)
+    return {
+        "mean": float(error[known].mean()) if known.any() else None,
+        "largest": float(error[known].max()) if known.any() else None,
+        "unanswered": float(1 - known.mean()),
+    }
+
+
+_NUMBERS = 14
+
+
+def _rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
+    head = [
+        "body",
+        "method",
+        "cells",
+        "bytes",
+        "s",
+        "configurations",
+        "motions",
+        "boxes",
+        "mean difference",
+        "largest",
+    ]
+    table = [[*head, "no answer", "below grid", "upper - lower", "upper bound", "grid beyond", "by at most"]]
+    for row in rows:
+        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.1f}"]
+        tests = [f"{row['tests'][kind]:,}" for kind in ("configurations", "motions", "boxes")]
+        names = ("mean", "largest", "unanswered", "below", "gap", "with_upper", "beyond_share", "beyond_largest")
+        table.append([row["body"], row["method"], *size, *tests, *(or_dash(row.get(name), ".2%") for name in names)])
+    return table
+
+
+def tests_at_equal_error(rows: list[dict[str, Any]], error: float) -> tuple[float, bool]:
+    """Configurations and motions that roadmaps test to err as little, and whether it would take more."""
+    sizes = sorted((row for row in rows if row["mean"] is not None), key=lambda row: -row["mean"])
+    tests = np.array([row["tests"]["configurations"] + row["tests"]["motions"] for row in sizes], float)
+    means = np.array([row["mean"] for row in sizes])
+    found = np.interp(-np.log(error), -np.log(means), np.log(tests))
+    return float(np.exp(found)), bool(means.min() > error)
+
+
+def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
+    """Rows of cells, how many of the last columns hold numbers, and a note."""
+    parts = [f"Shares of the mean cost-to-go, at {results['points']:,} free configurations."]
+    for name, grid in results["grids"].items():
+        sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))
+        parts.append(
+            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; {half} differs by {grid['difference']:.2%}; "
+            f"{grid['reached']:.1%} of free configurations have a way."
+        )
+        of_body = [row for row in results["rows"] if row["body"] == name]
+        roadmaps = [row for row in of_body if row["method"] == "PRM*"]
+        for row in (row for row in of_body if row["method"] != "PRM*"):
+            tests, is_more = tests_at_equal_error(roadmaps, row["mean"])
+            parts.append(
+                f"PRM* as near to the grid as {row['cells']:,} cells: {'> ' if is_more else ''}{tests:,.0f} tests of "
+                f"configurations and motions, ours {row['tests']['boxes']:,} of boxes."
+            )
+    return _rows_of(results["rows"]), _NUMBERS, " ".join(parts) + "\n"
+
+
+def table(results: dict[str, Any]) -> str:
+    rows, numbers, note = tabled(results)
+    return aligned(rows, numbers) + note

@@ -1,0 +1,195 @@
+"""PLRs of the plane without an oracle, beside roadmaps and grids; the truth is the exact oracle's.
+
+``solve_eikonal`` is asked for 10,000 cells, and for 6,144 bytes. Each call has a space object of its own, and is not
+the first of its process; seconds of first calls are told apart. Errors and gaps are shares of the mean distance, over
+random free points that reach the goal: of the PLR, of the lower bound to the truth, and of the lower bound to the
+upper one where there is one. Bounds are tested at ten million points.
+
+- PRM*: roadmaps of exact tests of motions, whose own answers are judged, without a PLR; bytes are those of its graph.
+- scikit-fmm: fast marching of second order, from centers of cells to centers of cells of a square grid, which are
+  tested for being free; its field is interpolated. Bytes are one float32 a cell.
+- Dijkstra: the same grid, eight neighbors, exact tests of the motions between them.
+
+Of eikonalfm, hj-reachability and adaptive, which others use for such fields, nothing is measured here: they are not
+among the rivals that ``.[baselines]`` installs.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from experiments._tables import aligned, or_dash
+from experiments.benchmarks._maps import Map, load_map
+from experiments.solving._counted import CountedSpace, counted
+from experiments.solving._grids import all_neighbors, even_sizes, grid_search, marched
+from experiments.solving._prm_star import prm_star
+from plr_jax import PLR, PlaneSpace, VisibilityGraph, solve_eikonal
+
+MAPS = ("maze", "thin_maze", "arena", "den312d")
+LIMITS = ({"max_leaves": 10_000}, {"max_bytes": 6_144})
+SAMPLES = (1_000, 3_000, 10_000, 30_000)
+CELLS = (10_000, 100_000, 1_000_000)
+POINTS, POINTS_TESTED, _BATCH = 200_000, 10_000_000, 500_000
+_POINT_SEED = 60_000
+_BYTES_A_FLOAT = 4
+_ROUNDING = 1e-15  # of the largest distance: the exact oracle's own
+_ROOT = Path(__file__).parents[2]
+
+Points = Float[np.ndarray, "n 2"]
+
+
+def measure(seed: int, smoke: bool) -> dict[str, Any]:
+    limits = ({"max_leaves": 300}, {"max_leaves": 300, "max_bytes": 512}) if smoke else LIMITS
+    rows = []
+    for name in MAPS[:1] if smoke else MAPS:
+        if (found := load_map(name)) is None:
+            continue
+        exact = VisibilityGraph(*found)
+        x = found[0].sample_free(5_000 if smoke else POINTS, _POINT_SEED + seed)
+        distance = exact(x)
+        x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
+        solved = [_solved(found, limit, x, distance, seed) for limit in limits]
+        counts = violations([plr for _, plr in solved], found, exact, 20_000 if smoke else POINTS_TESTED, seed)
+        ours = [row | count for (row, _), count in zip(solved, counts, strict=True)]
+        rows += [{"map": name, **row} for row in [*ours, *rivals(found, x, distance, seed, smoke)]]
+        print(aligned(rows_of([row for row in rows if row["map"] == name]), _NUMBERS), flush=True)
+    return {"first_call": first_call(limits[0]), "points": len(x), "rows": rows}
+
+
+def first_call(limit: dict[str, int]) -> dict[str, float]:
+    """Seconds of the first call in a new process, and of a second one, of the maze."""
+    command = [sys.executable, "-m", __name__, json.dumps(limit)]
+    return json.loads(subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, check=True).stdout)
+
+
+def _solved(
+    found: Map, limit: dict[str, Any], x: Points, distance: Float[np.ndarray, "n"], seed: int
+) -> tuple[dict[str, Any], PLR]:
+    workspace, goal = found
+    solve_eikonal(PlaneSpace(workspace), goal, max_leaves=100)  # imports and compiles
+    space = counted(PlaneSpace(workspace))
+    began = time.perf_counter()
+    plr = solve_eikonal(space, goal, **limit, seed=seed)
+    row = {"method": "solve_eikonal", "seconds": time.perf_counter() - began, "cells": plr.num_leaves}
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+    bounded = np.isfinite(upper)
+    gaps = {
+        "below": float((distance - lower).mean() / distance.mean()),
+        "gap": float((upper - lower)[bounded].mean() / distance.mean()) if bounded.any() else None,
+        "without_upper": float(1 - bounded.mean()),
+    }
+    return row | errors(plr, x, distance) | gaps | {"bytes": plr.num_bytes, "tests": space.tests.for_json()}, plr
+
+
+def errors(answer: Callable[[Points], Any], x: Points, distance: Float[np.ndarray, "n"]) -> dict[str, float | None]:
+    """Mean and largest error as shares of the mean distance, and the share of points that get no answer."""
+    error = np.abs(np.asarray(answer(x), float) - distance) / distance.mean()
+    known = np.isfinite(error)
+    return {
+        "mean": float(error[known].mean()) if known.any() else None,
+        "largest": float(error[known].max()) if known.any() else None,
+        "unanswered": float(1 - known.mean()),
+    }
+
+
+def violations(
+    plrs: list[PLR], found: Map, exact: VisibilityGraph, num_points: int, seed: int
+) -> list[dict[str, int]]:
+    """At how many random free points the truth is beyond a bound, of each PLR."""
+    counts = [{"points_tested": 0, "lower_violated": 0, "upper_violated": 0} for _ in plrs]
+    for begin in range(0, num_points, _BATCH):
+        x = found[0].sample_free(min(_BATCH, num_points - begin), _POINT_SEED + seed + 1 + begin // _BATCH)
+        distance = exact(x)
+        x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
+        rounding = _ROUNDING * distance.max()
+        for plr, count in zip(plrs, counts, strict=True):
+            lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+            count["points_tested"] += len(x)
+            count["lower_violated"] += int(np.count_nonzero(~(lower <= distance + rounding)))
+            count["upper_violated"] += int(np.count_nonzero(~(distance <= upper + rounding)))
+    return counts
+
+
+def rivals(found: Map, x: Points, distance: Float[np.ndarray, "n"], seed: int, smoke: bool) -> list[dict[str, Any]]:
+    """Roadmaps and grids of several sizes."""
+    workspace, goal = found
+    rows = []
+    for num_samples in SAMPLES[:1] if smoke else SAMPLES:
+        sampled = prm_star(PlaneSpace(workspace), goal, num_samples, seed)
+        size = {"cells": num_samples, "bytes": sampled.roadmap.num_bytes, "seconds": sampled.seconds}
+        rows.append({"method": "PRM*", **size, "tests": sampled.tests, **errors(sampled.roadmap, x, distance)})
+    for method in ("scikit-fmm", "Dijkstra, 8 neighbors"):
+        for num_cells in CELLS[:1] if smoke else CELLS:
+            space = counted(PlaneSpace(workspace))
+            began = time.perf_counter()
+            field = _on_grid(method, space, goal, num_cells)
+            size = {"cells": field.values.size, "bytes": _BYTES_A_FLOAT * field.values.size}
+            row = {"method": method, **size, "seconds": time.perf_counter() - began}
+            rows.append(row | {"tests": space.tests.for_json()} | errors(field, x, distance))
+    return rows
+
+
+def _on_grid(method: str, space: CountedSpace, goal: Float[np.ndarray, "2"], num_cells: int) -> Any:
+    sizes = even_sizes(space.domain, np.ones(2), num_cells)
+    return (
+        marched(space, goal, sizes)
+        if method == "scikit-fmm"
+        else grid_search(space, goal, sizes, all_neighbors(2, 1))
+    )
+
+
+_NUMBERS = 13
+
+
+def rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A head, and a row a method and size."""
+    head = ["map", "method", "cells", "bytes", "s", "calls", "configurations", "motions", "boxes", "mean error"]
+    table = [[*head, "largest", "no answer", "below truth", "upper - lower", "no upper"]]
+    for row in rows:
+        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.2f}"]
+        tests = [f"{row['tests'][kind]:,}" for kind in ("calls", "configurations", "motions", "boxes")]
+        shares = ("mean", "largest", "unanswered", "below", "gap", "without_upper")
+        table.append([row["map"], row["method"], *size, *tests, *(or_dash(row.get(name), ".2%") for name in shares)])
+    return table
+
+
+def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
+    """Rows of cells, how many of the last columns hold numbers, and a note."""
+    ours = [row for row in results["rows"] if row["method"] == "solve_eikonal"]
+    first = results["first_call"]
+    note = (
+        f"Errors and gaps over the mean distance, at {results['points']:,} random free points. Bounds tested at "
+        f"{sum(row['points_tested'] for row in ours):,} points in all: "
+        f"{sum(row['lower_violated'] for row in ours)} below a lower bound, "
+        f"{sum(row['upper_violated'] for row in ours)} above an upper one. The first call in a process takes "
+        f"{first['first']:.1f} s, a second one {first['second']:.1f} s (maze).\n"
+    )
+    return rows_of(results["rows"]), _NUMBERS, note
+
+
+def table(results: dict[str, Any]) -> str:
+    rows, numbers, note = tabled(results)
+    return aligned(rows, numbers) + note
+
+
+def main(limit: str) -> None:
+    """What a new process is for: two calls, and their seconds."""
+    found = load_map("maze")
+    assert found is not None
+    seconds = []
+    for _ in range(2):
+        began = time.perf_counter()
+        solve_eikonal(PlaneSpace(found[0]), found[1], **json.loads(limit))
+        seconds.append(time.perf_counter() - began)
+    print(json.dumps({"first": seconds[0], "second": seconds[1]}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,87 @@
+"""Folding points in JAX: see ``folding/folding.py`` for what that means."""
+
+from dataclasses import dataclass, field
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from plr_jax.plr.folding.folding import Folding
+from plr_jax.plr.query.frame import frame_of
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class FoldedWindow:
+    """A domain whose points are folded before their leaves are looked up.
+
+    Attributes:
+        frame: The domain, as ``Tables.frame`` is one.
+        center: The center in 32-bit floats, and what they leave of it.
+        corners: Of the box of folded points; infinite along periodic axes.
+        axes: The axes of folded coordinates, one a row; None if they are those of the domain.
+        mirrors: For each mirror its pivot, and the axes that it reverses.
+        periodic: The periodic axes.
+    """
+
+    frame: Float[Array, "7 dim"]
+    center: Float[Array, "2 dim"]
+    corners: Float[Array, "2 dim"]
+    axes: Float[Array, "dim dim"] | None
+    mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
+    periodic: tuple[int, ...] = field(metadata={"static": True})
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.frame.shape[1]
+
+    @staticmethod
+    def of(folding: Folding) -> "FoldedWindow":
+        """The same folding, for queries."""
+        periodic = np.array(folding.domain.periodic)
+        reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
+        center = folding.center.astype(np.float32)
+        corners = np.stack([folding.box.lo, folding.box.hi])
+        return FoldedWindow(
+            frame=jnp.asarray(frame_of(folding.domain, np.zeros(folding.domain.dim))),
+            center=jnp.asarray(np.stack([center, folding.center - center]).astype(np.float32)),
+            corners=jnp.asarray(np.where(periodic, [[-np.inf], [np.inf]], corners).astype(np.float32)),
+            axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
+            mirrors=tuple(zip(folding.pivots, reversed_axes, strict=True)),
+            periodic=tuple(map(int, np.flatnonzero(periodic))),
+        )
+
+    def __call__(self, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch dim"]:
+        """The folded points; those ``outside`` the domain go to its center, from where nothing returns."""
+        center, rest = self.center.astype(x.dtype)
+        seen = jnp.where(outside[..., None], 0, x - center - rest)
+        z = [seen[..., axis] for axis in range(self.dim)]
+        if self.axes is not None:
+            axes = self.axes.astype(x.dtype)
+            z = [reduce(jnp.add, (axes[row, axis] * z[axis] for axis in range(self.dim))) for row in range(self.dim)]
+        for pivot, reversed_axes in self.mirrors:
+            is_behind = z[pivot] < 0
+            for axis in reversed_axes:
+                z[axis] = jnp.where(is_behind, -z[axis], z[axis])
+        lo, hi = self.corners.astype(x.dtype)
+        return jnp.stack([_clipped(z[axis], lo[axis], hi[axis]) for axis in range(self.dim)], axis=-1)
+
+
+@jax.custom_jvp
+def _clipped(z: Float[Array, "*batch"], lo: Float[Array, ""], hi: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """Coordinates that only rounding puts outside, moved inside; differentiated as if they were not moved."""
+    return jnp.clip(z, lo, hi)
+
+
+@_clipped.defjvp
+def _clipped_with_tangent(primals, tangents):
+    return _clipped(*primals), tangents[0]
+
+
+def radius(z: Float[Array, "*batch dim"], axes: tuple[int, ...]) -> Float[Array, "*batch"]:
+    """Length of some coordinates, of which the gradient at 0 is 0."""
+    square = reduce(jnp.add, (jnp.square(z[..., axis]) for axis in axes))
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)

@@ -1,0 +1,58 @@
+"""A box as queries know it: in 32-bit floats."""
+
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.query.grid import FRACTION_BITS
+
+LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+
+
+class Frame(IntEnum):
+    """Rows of a frame: the domain in 32-bit floats.
+
+    ``LO`` and ``HI`` are its corners, rounded outward, ``LO_REST`` and ``HI_REST`` by how much, and ``SCALE`` is one
+    over its width. ``START`` is one minus ``LO_REST`` over the width: cells far from the origin so stay in place.
+    ``TOP`` is the largest share of the width that is told apart: with ``START`` it is below 2.
+    """
+
+    LO = 0
+    HI = 1
+    LO_REST = 2
+    HI_REST = 3
+    START = 4
+    SCALE = 5
+    TOP = 6
+
+
+def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+    """Corners of the domain as 32-bit floats, rounded outward so that no point of the domain falls out of it.
+
+    Raises:
+        ValueError: If 32-bit floats cannot hold the corners or the width.
+    """
+    if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
+        raise ValueError(f"The domain must be within {LARGEST:g}, and wider than its inverse, got {domain}.")
+    lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
+    return (
+        np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
+        np.where(hi < domain.hi, np.nextafter(hi, np.float32(np.inf)), hi),
+    )
+
+
+def frame_of(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "7 dim"]:
+    """The domain in 32-bit floats, for points counted from an origin."""
+    lo, hi = table_corners(domain)
+    # Rounded toward zero, so that the corners themselves stay inside.
+    rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
+    frame = np.empty((len(Frame), domain.dim), np.float32)
+    frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
+    frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
+    frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
+    top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
+    rounded = top.astype(np.float32)
+    frame[Frame.TOP] = np.where(rounded > top, np.nextafter(rounded, np.float32(0)), rounded)
+    return frame

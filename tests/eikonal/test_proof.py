@@ -1,0 +1,247 @@
+import numpy as np
+import pytest
+from eikonal_helpers import EMPTY, GOALS, ROOM, BoxSpace, TwoGrounds, check_bounds
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from space_helpers import BOUNDS, random_workspace, rectangle
+
+from plr_jax import (
+    DiscRobot,
+    PlaneSpace,
+    RectangleRobot,
+    RigidBodySpace,
+    VisibilityGraph,
+    Workspace,
+    scenes,
+    solve_eikonal,
+)
+from plr_jax.geometry.box import Box
+from plr_jax.spaces import LipschitzCost
+
+
+@pytest.mark.parametrize("goal", GOALS.values(), ids=GOALS)
+def test_bounds_hold_the_exact_distance_for_any_goal(goal):
+    plr = solve_eikonal(PlaneSpace(ROOM), goal, max_leaves=400)
+    distance, lower, upper = check_bounds(plr, ROOM, VisibilityGraph(ROOM, goal))
+    known = np.isfinite(upper)
+    assert known.mean() > 0.9
+    assert np.mean((upper - lower)[known]) < 0.3 * distance.mean()
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 10_000), st.integers(10, 250), st.sampled_from([None, 150, 600]))
+def test_bounds_hold_the_exact_distance_on_random_maps(seed, max_leaves, max_bytes):
+    workspace = random_workspace(seed)
+    goal = workspace.sample_free(1, seed)[0]
+    plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=max_leaves, max_bytes=max_bytes)
+    check_bounds(plr, workspace, VisibilityGraph(workspace, goal), 1500, seed)
+
+
+@pytest.mark.parametrize("max_bytes", [None, 300])
+def test_bounds_hold_on_the_maze_with_thin_walls(max_bytes):
+    problem = scenes.thin_maze()
+    goal = problem.goals[0, :2]
+    plr = solve_eikonal(PlaneSpace(problem.workspace), goal, max_leaves=1500, max_bytes=max_bytes)
+    _, _, upper = check_bounds(plr, problem.workspace, VisibilityGraph(problem.workspace, goal), 10_000)
+    assert np.isfinite(upper).mean() > 0.5 and plr.max_error == np.inf
+    assert max_bytes is None or plr.num_bytes <= max_bytes
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+def test_bounds_hold_where_obstacles_touch_in_a_dyadic_point(squeeze):
+    workspace = Workspace(BOUNDS, [rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)], squeeze=squeeze)
+    for goal in ((1.9, 1.4), (2.0, 1.5)):
+        for max_bytes in (None, 400):
+            plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=300, max_bytes=max_bytes)
+            check_bounds(plr, workspace, VisibilityGraph(workspace, goal))
+
+
+def test_bounds_hold_along_walls_of_almost_no_thickness():
+    for thickness in (1e-3, 1e-6, 1e-7):
+        workspace = Workspace(BOUNDS, [rectangle(2, 0, 2 + thickness, 2.6), rectangle(1, 0.4, 1.0 + thickness, 3)])
+        plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=500)
+        check_bounds(plr, workspace, VisibilityGraph(workspace, (0.3, 0.4)))
+
+
+def test_bounds_hold_where_a_gap_joins_two_rooms():
+    for gap in (0.05, 1e-3, 1e-5):
+        workspace = Workspace(BOUNDS, [rectangle(2, 0, 2.5, 1.3), rectangle(2, 1.3 + gap, 2.5, 3)])
+        plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=500)
+        distance, _, _ = check_bounds(plr, workspace, VisibilityGraph(workspace, (0.3, 0.4)))
+        assert distance.max() > 3
+
+
+@pytest.mark.parametrize("max_bytes", [None, 300])
+def test_rooms_that_are_cut_off_answer_inf_or_borrow(max_bytes):
+    workspace = Workspace(BOUNDS, [rectangle(1.3, 0, 2.9, 3)])
+    plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=300, max_bytes=max_bytes)
+    check_bounds(plr, workspace, VisibilityGraph(workspace, (0.3, 0.4)))
+    assert max_bytes or np.isinf(plr([[3.5, 1.5]])).all()
+    assert np.isfinite(plr([[1.2, 1.5], [0.0, 0.0]])).all()
+
+
+def test_bounds_hold_for_discs():
+    problem, radius = scenes.single_door(), 0.4
+    space, goal = PlaneSpace(problem.workspace, DiscRobot(radius)), problem.goals[0, :2]
+    plr = solve_eikonal(space, goal, max_leaves=800)
+    x = problem.workspace.inflate(radius).sample_free(4000, 0)
+    # Arcs around corners are polygons within, whose distances are below the truth by at most 0.16 %; a radius that is
+    # larger by so much that they hold the arcs gives distances above.
+    below = VisibilityGraph(problem.workspace.inflate(radius), goal)(x)
+    above = VisibilityGraph(problem.workspace.inflate(radius * 1.005), goal)(x)
+    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
+    assert (lower <= above + 1e-9).all() and (upper >= below - 1e-9).all()
+    assert np.isfinite(upper).mean() > 0.8
+
+
+@pytest.mark.parametrize("max_bytes", [None, 400])
+def test_the_two_ends_of_a_periodic_axis_are_one_place(max_bytes):
+    space = BoxSpace(Box((-2, 0), (2, 1), (True, False)), [(-0.7, 0.0), (-0.4, 0.6)])
+    plr = solve_eikonal(space, (1.7, 0.3), max_leaves=400, max_bytes=max_bytes)
+    y = np.linspace(0, 1, 301)
+    ends = [np.stack([np.full_like(y, x), y], axis=1) for x in (-2.0, 2.0, 6.0)]
+    for of in (plr, lambda x: np.stack(plr.bounds(x))):
+        answers = [np.asarray(of(x)) for x in ends]
+        np.testing.assert_array_equal(answers[0], answers[1])
+        np.testing.assert_array_equal(answers[0], answers[2])
+    # Unrolled, with the goal in the middle, it is a room of the plane: paths do not pass the seam on the far side.
+    unrolled = Workspace(((-1.3, 0), (3.7, 1)), [rectangle(3.3, 0, 3.6, 0.6), rectangle(-0.7, 0, -0.4, 0.6)])
+    x = unrolled.sample_free(4000, 0)
+    x = x[np.abs(x[:, 0] - 1.7) < 1.9]
+    distance = VisibilityGraph(unrolled, (1.7, 0.3))(x)
+    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
+    assert (lower <= distance + 1e-9).all()
+    near = np.abs(x[:, 0] - 1.7) < 0.5  # where no way around is shorter
+    assert (distance[near] <= upper[near] + 1e-9).all() and np.isfinite(upper).mean() > 0.9
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 4])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_bounds_hold_in_an_empty_box_of_any_dimension(dim, periodic):
+    width = np.array([1.0, 2.0, 0.7, 1.0])[:dim]
+    domain = Box(np.zeros(dim), width, [periodic] * dim)
+    space, goal = BoxSpace(domain), width * 0.3
+    plr = solve_eikonal(space, goal, max_leaves=(0, 60, 200, 600, 300)[dim])
+    x = np.random.default_rng(0).random((3000, dim)) * width
+    distance = space.motion_cost.lengths(x, np.tile(goal, (len(x), 1)), domain)
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+    assert (lower <= distance + 1e-9).all() and (distance <= upper + 1e-9).all()
+    assert plr.max_error < np.inf
+    assert np.mean(upper - lower) < (0, 0.05, 0.2, 0.7, 2.0)[dim] * distance.mean()
+
+
+def test_bounds_hold_around_a_box_in_space():
+    """Obstacles as high as the domain: the distance is that of the plane and the height, by Pythagoras."""
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
+    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.3, 0.2, 0.0), (0.7, 0.6, 0.5)])
+    goal = np.array([0.1, 0.3, 0.2])
+    plr = solve_eikonal(space, goal, max_leaves=1500)
+    x = np.column_stack([plane.sample_free(3000, 0), np.random.default_rng(0).uniform(0, 0.5, 3000)])
+    distance = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+    assert (lower <= distance + 1e-9).all() and (distance <= upper + 1e-9).all()
+    assert np.isfinite(upper).mean() > 0.5
+
+
+def test_twice_the_cost_is_twice_the_distance():
+    workspace = random_workspace(3)
+    goal = workspace.sample_free(1, 3)[0]
+    double = LipschitzCost(lambda q: np.full(len(q), 2.0), 0.0, 2.0)
+    one = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=200)
+    two = solve_eikonal(PlaneSpace(workspace), goal, cost_map=double, max_leaves=200)
+    x = workspace.sample_free(1000, 0)
+    np.testing.assert_allclose(two(x), 2 * np.asarray(one(x)), rtol=1e-6)
+    distance = 2 * VisibilityGraph(workspace, goal)(x)
+    lower, upper = (np.asarray(bound) for bound in two.bounds(x))
+    assert (lower <= distance + 1e-9).all() and (distance <= upper + 1e-9).all()
+
+
+def refracted(x, goal, level, dear, num=20_001):
+    """Fermat's principle, by trying where to cross; the goal is below the level, along which one may also run."""
+    cross = np.linspace(-1, 2, num)
+    below = np.hypot(cross - goal[0], level - goal[1])
+    result = []
+    for px, py in x:
+        if py >= level:
+            result.append((below + dear * np.hypot(cross - px, py - level)).min())
+        else:
+            result.append(np.hypot(px - goal[0], py - goal[1]))
+    return np.array(result)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.37])
+def test_bounds_hold_where_paths_are_refracted(level):
+    goal, dear = (0.2, 0.1), 3.0
+    plr = solve_eikonal(EMPTY, goal, cost_map=TwoGrounds(level, dear), max_leaves=800)
+    rng = np.random.default_rng(0)
+    x = np.concatenate([rng.random((600, 2)), np.column_stack([rng.random(60), level + rng.normal(0, 1e-7, 60)])])
+    distance = refracted(x, goal, level, dear)
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+    assert (lower <= distance + 1e-6).all() and (distance <= upper + 1e-6).all()
+    assert np.mean(distance - lower) < 0.08 * distance.mean()
+
+
+def test_bounds_hold_beside_cells_where_they_are_tight():
+    """On a line both bounds are exact, so that what queries round is all that keeps them off the truth."""
+    for lo, goal in ((0.0, 0.5), (3.0, 3.5), (-7.0, -6.6)):
+        plr = solve_eikonal(BoxSpace(Box([lo], [lo + 1])), (goal,), max_leaves=16)
+        faces = np.concatenate(plr.leaf_boxes).ravel()
+        x = np.append(faces, goal)[:, None] + np.linspace(-1e-6, 1e-6, 401)
+        x = np.clip(x, lo, lo + 1).reshape(-1, 1)
+        distance = np.abs(x[:, 0] - goal)
+        lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))
+        assert (lower <= distance).all() and (distance <= upper).all()
+        assert np.mean(upper - lower) < 0.1
+
+
+def lattice_costs(space, goal, num):
+    """Free configurations of a lattice, the goal first, and the costs of paths along their free edges."""
+    domain, periodic = space.domain, np.array(space.domain.periodic)
+    axes = [
+        np.linspace(lo, hi, n, endpoint=not p)
+        for lo, hi, n, p in zip(domain.lo, domain.hi, num, periodic, strict=True)
+    ]
+    q = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, domain.dim)
+    q = np.concatenate([[goal], q[space.is_free(q)]])
+    reach = 1.01 * domain.width / np.array(num)
+    change = np.abs(domain.difference(q[:, None], q[None]))
+    begin, end = np.nonzero(np.all(change <= 2 * reach, axis=2))
+    free = space.are_free(q[begin], q[end])
+    begin, end = begin[free], end[free]
+    graph = coo_array((space.motion_cost.lengths(q[begin], q[end], domain), (begin, end)), (len(q), len(q)))
+    return q, dijkstra(graph.tocsr(), indices=0)
+
+
+def test_bounds_hold_for_a_body_that_turns():
+    workspace = Workspace(((0, 0), (4, 3)), [rectangle(1.8, 0, 2.0, 1.1), rectangle(1.8, 2.0, 2.0, 3)])
+    space = RigidBodySpace(workspace, RectangleRobot(1.0, 0.4))
+    goal = np.array([0.9, 1.5, 3.0])
+    q, cost = lattice_costs(space, goal, (13, 10, 12))
+    q, cost = q[np.isfinite(cost)], cost[np.isfinite(cost)]
+    assert (q[:, 0] > 2.5).any()
+    plr = solve_eikonal(space, goal, max_leaves=3000)
+    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(q))
+    assert (lower <= cost + 1e-9).all()
+    straight = space.motion_cost.lengths(q, np.tile(goal, (len(q), 1)), space.domain)
+    assert (upper >= straight - 1e-9).all() and np.isfinite(upper).any()
+    for of in (plr, lambda x: np.stack(plr.bounds(x))):
+        turned = [of(np.column_stack([q[:, :2], np.full(len(q), heading)])) for heading in (-np.pi, np.pi)]
+        np.testing.assert_array_equal(*turned)
+
+
+def test_leaves_that_answer_inf_are_proven_of_no_path():
+    """Samples of few leaves miss a passage that is there: then nothing is proven, or leaves hold it."""
+    space = BoxSpace(Box((0, 0), (1, 1)), [(0.01, 0.0), (1.0, 0.99)])
+    goal = np.array([0.005, 0.005])
+    x = np.linspace(0, 1, 50)
+    x = np.column_stack([x, np.full(50, 0.995)])
+    distance = 0.985 + np.maximum(x[:, 0] - 0.01, 0)  # at the least
+    for max_bytes in (60, 90, 200):
+        try:
+            plr = solve_eikonal(space, goal, max_leaves=1500, max_bytes=max_bytes)
+        except ValueError as error:
+            assert "Allow more max_bytes" in str(error) or "too small: one leaf" in str(error)
+        else:
+            assert (np.asarray(plr.bounds(x)[0]) <= distance + 0.02).all()

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from eikonal_helpers import ROOM, random_mesh
+
+from plr_jax import PlaneSpace, solve_eikonal
+from plr_jax.eikonal.storing import _changes_beside, _intersections, _overlaps
+from plr_jax.plr.partition.cells import PLACING, Cells
+from plr_jax.plr.partition.tree import tree_of
+
+
+def random_tree(seed, dim, splits=40):
+    """Leaves halved along one axis at a time."""
+    rng = np.random.default_rng(seed)
+    cells = Cells.root(dim)
+    for _ in range(splits):
+        one = rng.integers(len(cells))
+        rest = np.delete(np.arange(len(cells)), one)
+        cells = cells[rest].append(cells[[one]].split(rng.integers(dim, size=1)))
+    return tree_of(cells)
+
+
+def ends(cells):
+    return np.ldexp(cells.position.astype(float), -cells.depth), np.ldexp(cells.position + 1.0, -cells.depth)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_leaves_overlap_as_their_boxes_do(dim):
+    for seed in range(5):
+        a, b = random_tree(seed, dim), random_mesh(seed, dim, rounds=2).tree
+        first, second = _overlaps(a, b)
+        (lo_a, hi_a), (lo_b, hi_b) = ends(a.leaves), ends(b.leaves)
+        meet = np.all((lo_a[:, None] < hi_b) & (lo_b < hi_a[:, None]), axis=2)
+        assert sorted(zip(first, second, strict=True)) == sorted(zip(*np.nonzero(meet), strict=True))
+        lo, hi = _intersections(a.leaves, first, b.leaves, second)
+        np.testing.assert_allclose((hi - lo).prod(axis=1).sum(), 1, rtol=1e-12)
+        np.testing.assert_array_equal(lo, np.maximum(lo_a[first], lo_b[second]))
+        np.testing.assert_array_equal(hi, np.minimum(hi_a[first], hi_b[second]))
+
+
+def test_functions_change_beside_leaves_by_no_more_than_is_said():
+    rng = np.random.default_rng(0)
+    cells = random_tree(1, 2).leaves
+    corners = rng.normal(size=(len(cells), 4))
+    most = _changes_beside(cells, corners)
+    share = PLACING * np.ldexp(1.0, cells.depth)
+    for _ in range(200):
+        inside = rng.integers(0, 2, (len(cells), 2)).astype(float)
+        beside = inside + (2 * inside - 1) * share * rng.integers(0, 2, (len(cells), 2))
+        value = [
+            np.sum(np.stack([(1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s], axis=1) * corners, axis=1)
+            for t, s in (inside.T, beside.T)
+        ]
+        assert (np.abs(value[1] - value[0]) <= most * (1 + 1e-9)).all()
+
+
+def test_a_leaf_a_cell_or_fewer_leaves_in_so_many_bytes():
+    one_a_cell = solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=200)
+    few = solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=200, max_bytes=150)
+    assert (one_a_cell.cells.depth[:, 0] == one_a_cell.cells.depth[:, 1]).all()
+    assert (few.cells.depth[:, 0] != few.cells.depth[:, 1]).any() and few.num_bytes <= 150
+    x = ROOM.sample_free(2000, 0)
+    lower, upper = (np.asarray(bound) for bound in few.bounds(x))
+    lower_of_cells, _ = one_a_cell.bounds(x)
+    answer = np.maximum(few(x), 0)
+    assert (lower <= answer).all() and (answer <= upper).all()
+    assert lower.mean() < np.asarray(lower_of_cells).mean()

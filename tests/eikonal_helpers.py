@@ -1,0 +1,132 @@
+"""What the tests of the eikonal solver share: boxes as obstacles in any dimension, random meshes, hard points."""
+
+import numpy as np
+import shapely
+from space_helpers import BOUNDS, rectangle
+
+from plr_jax import PlaneSpace, Workspace
+from plr_jax.eikonal.mesh import Mesh
+from plr_jax.geometry.box import Box
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import tree_of
+from plr_jax.spaces import CellState, MotionCost
+
+EMPTY = PlaneSpace(Workspace(((0, 0), (1, 1))))
+ROOM = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2.3, 0, 2.4, 1.3)])
+GOALS = {
+    "inside": (0.3, 0.4),
+    "on a dyadic point": (0.5, 0.375),
+    "on a wall": (1.37, 1.0),
+    "in a corner": (1.0, 2.0),
+    "between walls": (2.3, 0.0),
+    "in a corner of the domain": (4.0, 3.0),
+    "at the border": (0.0, 1.234),
+    "just beside a wall": (0.9999999, 1.5),
+}
+
+
+class BoxSpace:
+    """Axis-aligned boxes as obstacles, open, in any dimension; none crosses the seam of a periodic axis."""
+
+    def __init__(self, domain, *obstacles, blocks=None):
+        self.domain = domain
+        obstacles = np.array(obstacles, float).reshape(-1, 2, domain.dim)
+        turns = np.stack(
+            np.meshgrid(*[(-1, 0, 1) if p else (0,) for p in domain.periodic], indexing="ij"), -1
+        ).reshape(-1, 1, domain.dim)
+        self.lo, self.hi = ((obstacles[:, k] + turns * domain.width).reshape(-1, domain.dim) for k in (0, 1))
+        self.motion_cost = MotionCost(blocks or ((tuple(range(domain.dim)), 1.0),))
+
+    def _meets(self, lo, hi):
+        return np.any(np.all((lo[:, None] < self.hi) & (hi[:, None] > self.lo), axis=2), axis=1)
+
+    def is_free(self, q):
+        q = np.asarray(q, float)
+        hit = np.any(np.all((self.lo < q[:, None]) & (q[:, None] < self.hi), axis=2), axis=1)
+        return self.domain.contains(q) & ~hit
+
+    def classify(self, lo, hi):
+        held = np.any(np.all((lo[:, None] >= self.lo) & (hi[:, None] <= self.hi), axis=2), axis=1)
+        state = np.where(self._meets(lo, hi), CellState.MIXED, CellState.FREE)
+        return np.where(held, CellState.BLOCKED, state).astype(np.int8)
+
+    def are_free(self, q0, q1):
+        """Slab by slab."""
+        q0 = self.domain.wrapped(q0)
+        change = self.domain.difference(q1, q0)
+        still = change[:, None] == 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.sort([(end - q0[:, None]) / change[:, None] for end in (self.lo, self.hi)], axis=0)
+        enter, leave = np.where(still, -np.inf, ends[0]), np.where(still, np.inf, ends[1])
+        within = np.all(~still | ((self.lo < q0[:, None]) & (q0[:, None] < self.hi)), axis=2)
+        crosses = within & (np.maximum(enter.max(axis=2), 0) < np.minimum(leave.min(axis=2), 1))
+        return self.is_free(q0) & self.is_free(q1) & ~crosses.any(axis=1)
+
+
+def random_mesh(seed, dim, *, rounds=3, blocked=0.3, periodic=None):
+    """Cells halved along all axes where chance says so, of random states; not balanced."""
+    rng = np.random.default_rng(seed)
+    cells = Cells.root(dim)
+    for _ in range(2 if periodic is not None else 1):
+        cells = halved(cells)
+    for _ in range(rounds):
+        which = rng.random(len(cells)) < 0.3
+        cells = cells[~which].append(halved(cells[which]))
+    state = rng.choice(list(CellState), len(cells), p=[blocked, (1 - blocked) / 2, (1 - blocked) / 2])
+    state[0] = CellState.FREE
+    return mesh_of(Box(np.zeros(dim), 1 + np.arange(dim), periodic), cells, state.astype(np.int8))
+
+
+def mesh_of(domain, cells, state):
+    tree = tree_of(cells)
+    return Mesh(domain, tree, state[tree.order])
+
+
+def halved(cells):
+    for axis in range(cells.dim):
+        cells = cells.split(np.full(len(cells), axis))
+    return cells
+
+
+def hard_points(plr, workspace, n, seed=0):
+    """Free points: uniform ones, on walls, at vertices, and on faces of leaves or so close that 32 bits see none."""
+    rng = np.random.default_rng(seed)
+    lo, hi = plr.leaf_boxes
+    points = [workspace.sample_free(n, seed), workspace.boundary.vertices]
+    segments = workspace.boundary.segments[rng.integers(len(workspace.boundary.edges), size=n // 4)]
+    points.append(segments[:, 0] + rng.random((len(segments), 1)) * (segments[:, 1] - segments[:, 0]))
+    for beside in (0.0, 1e-9, -1e-9, 1e-7, -1e-7, 4e-7, -4e-7):
+        leaf, axis = rng.integers(len(lo), size=n // 8), rng.integers(2, size=n // 8)
+        x = lo[leaf] + rng.random((len(leaf), 2)) * (hi - lo)[leaf]
+        each = np.arange(len(leaf))
+        x[each, axis] = np.where(rng.random(len(leaf)) < 0.5, lo[leaf, axis], hi[leaf, axis])
+        x[each, axis] += beside * plr.domain.width[axis]
+        points.append(x)
+    x = np.concatenate(points)
+    return x[shapely.intersects_xy(workspace.free_space, *x.T)]
+
+
+def check_bounds(plr, workspace, oracle, n=4000, seed=0):
+    """Fails unless the bounds hold the exact distance at hard points; distances, lower and upper bounds."""
+    x = hard_points(plr, workspace, n, seed)
+    distance = oracle(x)
+    x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
+    assert len(x)
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
+    rounding = 1e-12 * (1 + distance)  # of the oracle
+    assert (lower <= distance + rounding).all(), x[np.argmax(lower - distance)]
+    assert (distance <= upper + rounding).all(), x[np.argmax(distance - upper)]
+    return distance, lower, upper
+
+
+class TwoGrounds:
+    """Half planes of factors 1 and ``dear``, the interface at ``y = level``."""
+
+    def __init__(self, level, dear):
+        self.level, self.dear = level, dear
+
+    def __call__(self, q):
+        return np.where(np.asarray(q)[:, 1] < self.level, 1.0, self.dear)
+
+    def bounds(self, lo, hi):
+        return np.where(lo[:, 1] < self.level, 1.0, self.dear), np.where(hi[:, 1] > self.level, self.dear, 1.0)
