@@ -1,6 +1,6 @@
 """Axis-aligned boxes: the bounds of a workspace, the domain of a PLR."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,6 +199,62 @@ class Box:
     def __repr__(self) -> str:
         periodic = f", periodic={self.periodic}" if self.is_periodic else ""
         return f"Box({self.lo.tolist()}, {self.hi.tolist()}{periodic})"
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """What two axes of a box span where the other coordinates are given.
+
+    Attributes:
+        domain: The box.
+        axes: The two axes, the horizontal one first.
+        at: A configuration of the slice, which says where it is on the other axes, ``(dim,)``.
+    """
+
+    domain: Box
+    axes: tuple[int, int]
+    at: Float[np.ndarray, "dim"]
+
+    @classmethod
+    def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
+        """The slice where all coordinates but two are given.
+
+        Args:
+            domain: The box, of two dimensions or more.
+            at: Coordinates by axis, counted from 0; periodic ones are wrapped. None: none, of a box in the plane.
+
+        Returns:
+            The slice.
+
+        Raises:
+            ValueError: If not all axes but two are given, or a coordinate is outside the box or not finite.
+        """
+        at = {} if at is None else at
+        if not isinstance(at, Mapping) or not set(at) <= set(range(domain.dim)):
+            raise ValueError(f"at must be coordinates by axis, such as {{2: 0.5}}, got {shortened(at)}.")
+        shown = [axis for axis in range(domain.dim) if axis not in at]
+        if len(shown) != 2:
+            raise ValueError(
+                f"A picture has two axes: of {domain.dim} coordinates, at must give {domain.dim - 2}, got {len(at)}."
+            )
+        point = (domain.lo + domain.hi) / 2
+        point[list(at)] = as_finite_point("The coordinates of at", list(at.values())) if at else []
+        if not domain.contains(point[None])[0]:
+            raise ValueError(f"at must lie in {domain}, got {shortened(dict(at))}.")
+        return cls(domain, (shown[0], shown[1]), domain.wrapped(point))
+
+    @property
+    def box(self) -> Box:
+        """The box in the plane of the two axes."""
+        axes = list(self.axes)
+        return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
+
+    def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
+        """Cell centers of a grid over the slice, as :meth:`Box.grid` in the plane, as configurations."""
+        centers = self.box.grid(resolution)
+        points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
+        points[..., list(self.axes)] = centers
+        return points
 
 
 def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:

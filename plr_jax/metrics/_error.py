@@ -1,6 +1,6 @@
 """How far an approximation of a distance function is from the distance function, in value."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,9 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_distances, as_points, as_values
 from plr_jax._types import ArrayLike, DistanceFn
+from plr_jax.geometry.box import Slice
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.spaces import FreeTest
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 
@@ -105,8 +107,9 @@ def error_map(
 def error_grid(
     approximation: Callable[[ArrayLike], ArrayLike],
     distance_fn: DistanceFn,
-    workspace: Workspace,
+    workspace: Workspace | FreeTest,
     *,
+    at: Mapping[int, float | int] | None = None,
     resolution: int = 512,
 ) -> Float[np.ndarray, "rows columns"]:
     """Error ``|L(x) - V(x)|`` at the cell centers of a grid over the workspace: the picture of Fig. 2.
@@ -114,7 +117,9 @@ def error_grid(
     Args:
         approximation: What is judged, as in :func:`error_map`.
         distance_fn: The reference.
-        workspace: Where.
+        workspace: Where. In its place, a configuration space, whose free configurations count.
+        at: Of a space of more than two dimensions, where the slice is that the grid is of: coordinates by axis,
+            counted from 0, of all axes but two.
         resolution: Number of square cells along the longer side of the bounds.
 
     Returns:
@@ -122,11 +127,12 @@ def error_grid(
         approximation has no answer for a reachable point.
 
     Raises:
-        ValueError: If either function gives the wrong shape, the reference gives NaN, or the resolution is
-            less than 1.
+        ValueError: If either function gives the wrong shape, the reference gives NaN, ``at`` leaves other than two
+            axes or leads outside the domain, or the resolution is less than 1.
     """
-    centers = workspace.bounds.grid(resolution)
-    points = centers.reshape(-1, 2)
+    domain = workspace.bounds if isinstance(workspace, Workspace) else workspace.domain
+    centers = Slice.of(domain, at).grid(resolution)
+    points = centers.reshape(-1, domain.dim)
     free = workspace.is_free(points)
     distance = np.full(len(points), np.inf)
     distance[free] = as_distances("The distance function", distance_fn(points[free]), points[free])

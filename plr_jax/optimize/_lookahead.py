@@ -83,35 +83,35 @@ class _Lookahead:
         first = np.arange(1, 1 + len(starts))
         while len(x):
             y, status = self._step(x, value)
-            detours, last = self._ways_out(x, value, y, status)
-            goes_on, num_after = status == 0, num + len(x) + len(detours)
-            next_ = np.where(goes_on, num_after - 1 + np.cumsum(goes_on), np.where(status < 0, -1, 0))
-            nodes += [x, detours]
-            # A detour's configurations follow one another, the last of them goes on as the others do.
-            begins = np.append(True, last[1:] != last[:-1]) if len(last) else np.zeros(0, bool)
-            along = num + len(x) + np.arange(1, 1 + len(last))
-            ends = np.append(begins[1:], True)[: len(last)]
-            onward += [next_.copy(), np.where(ends, next_[last], along)]
-            onward[-2][last[begins]] = along[begins] - 1
-            num = num_after
+            detours = self._ways_out(x, value, y, status)
+            goes_on, inner = status == 0, num + len(x)
+            num = inner + sum(map(len, detours.values()))
+            next_ = np.where(goes_on, num - 1 + np.cumsum(goes_on), np.where(status < 0, -1, 0))
+            nodes.append(x)
+            onward.append(next_)
+            for row, detour in detours.items():
+                numbers = inner + np.arange(len(detour))
+                nodes.append(detour)
+                onward.append(np.append(numbers[1:], next_[row]))
+                next_[row], inner = inner, inner + len(detour)
             x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), first
 
     def _ways_out(
         self, x: Points, value: Float[np.ndarray, "n"], y: Points, status: Int[np.ndarray, "n"]
-    ) -> tuple[Nodes, Next]:
-        """Configurations on the ways out of dents, and of which path they are.
+    ) -> dict[int, Nodes]:
+        """What lies between stuck configurations and the ends of their ways out of dents, by row, where it is any.
 
-        Where there is one, ``y`` and ``status`` are made those of a step: to the end of the way.
+        Where there is a way, ``y`` and ``status`` become those of a step to its end.
         """
-        detours, path = [np.zeros((0, x.shape[1]))], []
+        detours = {}
         for row in np.flatnonzero(status < 0).tolist():
             chain = self.dents.way_out(x[row], value[row] - _FALL * self.shortest)
             if chain is not None:
                 y[row], status[row] = chain[-1], 0
-                detours.append(chain[:-1])
-                path += [row] * (len(chain) - 1)
-        return np.concatenate(detours), np.array(path, dtype=int)
+                if len(chain) > 1:
+                    detours[row] = chain[:-1]
+        return detours
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
         """The best step from each of some configurations: where to; 1 if that is the goal, -1 if there is none."""

@@ -1,29 +1,33 @@
 """Pictures in the plane: workspaces, contours, cells, errors."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.image import AxesImage
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
-from plr_jax._arrays import as_numbers
+from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, PiecewiseFunction
-from plr_jax.geometry.box import Box
+from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
+    DISTANCE,
     DISTANCE_COLORS,
-    DISTANCE_LABEL,
     FONT_SIZE,
     INK,
+    WORKSPACE_UNITS,
     add_colorbar,
-    cell_corners,
     dressed_axes,
-    require_2d,
+    rectangles,
 )
+from plr_jax.spaces import FreeTest
 
 _QUIET = "#6e6e6e"
 OBSTACLE = "#ececec"
@@ -40,10 +44,14 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
     Returns:
         The axes.
     """
-    ax = dressed_axes(ax, workspace.bounds, room_for_colorbar=False)
+    ax = dressed_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
+    _add_obstacles(workspace, ax)
+    return ax
+
+
+def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
     for polygon in blocked_polygons(workspace):
         ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
-    return ax
 
 
 def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
@@ -58,78 +66,105 @@ def plot_contours(
     ax: Axes | None = None,
     *,
     workspace: Workspace | None = None,
+    space: FreeTest | None = None,
     goal: ArrayLike | None = None,
+    at: Mapping[int, float | int] | None = None,
+    label: str = DISTANCE,
+    unit: str = WORKSPACE_UNITS,
     resolution: int = 800,
 ) -> Axes:
-    """Draw a 2-D distance function as colors with contour lines.
+    """Draw a distance function, or another cost-to-go, as colors with contour lines.
 
     Args:
         plr: The PLR.
         ax: Axes to draw on; a new figure where not given.
         workspace: Its obstacles are drawn on top. Without it, the values inside obstacles show, which mean
             nothing.
-        goal: A point to mark with a star, ``(2,)``.
+        space: In its place, the configuration space: what is not free is gray.
+        goal: A configuration whose place on the axes is marked with a star, ``(dim,)``.
+        at: Of a function of more than two dimensions, where the slice is that is drawn: coordinates by axis, counted
+            from 0, of all axes but two, as in ``at={2: 0.5}``. Axes of angles have ticks in radians.
+        label: The quantity, such as "time to the goal".
+        unit: Its unit, such as "s".
         resolution: Number of samples along the longer side of the domain.
 
     Returns:
         The axes. Points without an answer stay blank; a grid of one row or column gets no lines.
 
     Raises:
-        ValueError: If the PLR is not 2-D, or no point has an answer.
+        ValueError: If ``at`` leaves other than two axes, or leads outside the domain; if there is a workspace for
+            axes that are not its own, or a space of another dimension; or if no point has an answer.
     """
-    require_2d(plr)
-    ax = dressed_axes(ax, plr.domain)
-    points = plr.domain.grid(resolution)
+    shown = Slice.of(plr.domain, at)
+    _require_shown(shown, workspace, space)
+    ax = dressed_axes(ax, shown)
+    points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
-    shown = values if workspace is None else values[workspace.is_free(points.reshape(-1, 2)).reshape(values.shape)]
-    if not shown.count():
+    free = _free(points, shown, workspace, space)
+    of_free = values[free]
+    if not of_free.count():
         raise ValueError("There is nothing to draw: no point has an answer in free space.")
-    largest = float(shown.max())
-    image = _add_image(ax, plr.domain, values, DISTANCE_COLORS, 0.0, largest)
+    largest = float(of_free.max())
+    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
     if min(values.shape) > 1:
         levels = MaxNLocator(16).tick_values(0.0, largest)[1:]
-        ax.contour(points[..., 0], points[..., 1], values, levels=levels, colors="white", linewidths=0.9)
+        across = points[..., list(shown.axes)]
+        ax.contour(across[..., 0], across[..., 1], values, levels=levels, colors="white", linewidths=0.9)
     if workspace is not None:
-        plot_workspace(workspace, ax)
+        _add_obstacles(workspace, ax)
+    elif space is not None:
+        blocked = np.ma.masked_where(free, np.ones(free.shape))
+        _add_image(ax, shown.box, blocked, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
     if goal is not None:
-        ax.plot(*np.asarray(goal), "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
-    add_colorbar(ax, image, DISTANCE_LABEL)
+        at_goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
+        ax.plot(*at_goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
+    add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
 
 def plot_cells(
-    plr: PiecewiseFunction, ax: Axes | None = None, *, workspace: Workspace | None = None, color: str = _QUIET
+    plr: PiecewiseFunction,
+    ax: Axes | None = None,
+    *,
+    workspace: Workspace | None = None,
+    at: Mapping[int, float | int] | None = None,
+    color: str = _QUIET,
 ) -> Axes:
-    """Draw the cells of a 2-D partition, one rectangle a leaf.
+    """Draw the cells of a partition, one rectangle a leaf.
 
     Args:
         plr: The PLR.
         ax: Axes to draw on; a new figure where not given.
         workspace: Its obstacles are drawn on top.
+        at: Of a PLR of more than two dimensions, where the slice is that is drawn, as for :func:`plot_contours`.
         color: Color of the lines.
 
     Returns:
         The axes.
 
     Raises:
-        ValueError: If the PLR is not 2-D.
+        ValueError: If ``at`` leaves other than two axes, or leads outside the domain, or there is a workspace for
+            axes that are not its own.
     """
-    require_2d(plr)
-    ax = dressed_axes(ax, plr.domain, room_for_colorbar=False)
-    cells = cell_corners(plr)
+    shown = Slice.of(plr.domain, at)
+    _require_shown(shown, workspace, None)
+    ax = dressed_axes(ax, shown, room_for_colorbar=False)
+    cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
     ax.add_collection(LineCollection(list(closed), colors=color, linewidths=0.4, alpha=0.7, zorder=2.5))
     if workspace is not None:
-        plot_workspace(workspace, ax)
+        _add_obstacles(workspace, ax)
     return ax
 
 
 def plot_error(
     errors: Float[np.ndarray, "rows columns"],
-    workspace: Workspace,
+    workspace: Workspace | FreeTest,
     ax: Axes | None = None,
     *,
+    at: Mapping[int, float | int] | None = None,
+    unit: str = WORKSPACE_UNITS,
     largest: float | None = None,
 ) -> Axes:
     """Draw the error of an approximation over free space, as in Fig. 2 of the paper.
@@ -137,8 +172,10 @@ def plot_error(
     Args:
         errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as
             ``metrics.error_grid`` gives them. NaN is blank; points without an answer (infinite) are red.
-        workspace: Its obstacles are drawn on top.
+        workspace: Its obstacles are drawn on top. In its place, the configuration space that the errors are of.
         ax: Axes to draw on; a new figure where not given.
+        at: Of a space of more than two dimensions, the slice that ``metrics.error_grid`` was given.
+        unit: The unit of the errors.
         largest: Error at the upper end of the colors, beyond which they stay the same; where not given, the
             error that 99.9 % of the points do not exceed. Give the same number to pictures that are to be
             compared.
@@ -147,7 +184,7 @@ def plot_error(
         The axes.
 
     Raises:
-        ValueError: If no error is finite, or one is masked.
+        ValueError: If no error is finite, one is masked, or ``at`` leaves other than two axes.
 
     References:
         Putman et al., Section IV-A, Fig. 2: ``epsilon_g(x) = |L_g(x) - V_g(x)|``.
@@ -156,26 +193,58 @@ def plot_error(
     finite = errors[np.isfinite(errors)]
     if finite.size == 0:
         raise ValueError("There is nothing to draw: no error is finite.")
-    ax = dressed_axes(ax, workspace.bounds)
+    shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
+    ax = dressed_axes(ax, shown)
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    image = _add_image(ax, workspace.bounds, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
+    image = _add_image(ax, shown.box, np.ma.masked_invalid(errors), _ERROR_COLORS, 0.0, largest or None)
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
-        _add_image(ax, workspace.bounds, unanswered, "autumn", 1.0, 2.0)
-    plot_workspace(workspace, ax)
+        _add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
+    if isinstance(workspace, Workspace):
+        _add_obstacles(workspace, ax)
     clipped = "max" if finite.max() > largest else "neither"
-    add_colorbar(ax, image, "error $|L - V|$ (workspace units)", extend=clipped)
+    add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend=clipped)
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
     return ax
 
 
+def _require_shown(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
+    """Refuse obstacles of other axes than are drawn."""
+    if workspace is not None and shown.axes != (0, 1):
+        raise ValueError(f"Obstacles of a workspace belong to axes 0 and 1, but axes {shown.axes} are drawn.")
+    if workspace is not None and space is not None:
+        raise ValueError("Either a workspace or a space says what is free, got both.")
+    if space is not None and space.domain.dim != shown.domain.dim:
+        raise ValueError(f"A space of {shown.domain.dim} dimensions was expected, got {space.domain.dim}.")
+
+
+def _free(
+    points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
+) -> Bool[np.ndarray, "rows columns"]:
+    """Whether points are free: all of them, if nothing says which."""
+    flat = points.reshape(-1, shown.domain.dim)
+    if workspace is not None:
+        return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
+    return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
+
+
+def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
+    """Corners of the cells that a slice meets, counterclockwise."""
+    lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
+    others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
+    ends = hi[:, others] == shown.domain.hi[others]
+    at = shown.at[others]
+    meets = np.all((lo[:, others] <= at) & ((at < hi[:, others]) | (ends & (at == hi[:, others]))), axis=1)
+    return rectangles(lo[meets][:, shown.axes], hi[meets][:, shown.axes])
+
+
 def _add_image(
-    ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str, lowest: float, largest: float | None
+    ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, lowest: float, largest: float | None
 ) -> AxesImage:
     """Show values at the cell centers of a grid over a box."""
-    extent = (box.lo[0], box.hi[0], box.lo[1], box.hi[1])
     scale = {"cmap": colors, "vmin": lowest, "vmax": largest}
-    return ax.imshow(values, origin="lower", extent=extent, interpolation="nearest", **scale)
+    extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
+    return ax.imshow(values, origin="lower", extent=extent, aspect=aspect, interpolation="nearest", **scale)
 
 
 def _outline(polygon: shapely.Polygon) -> Path:

@@ -13,8 +13,9 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from plr_jax.geometry.polygons import triangulate
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plot._page import (
+    DISTANCE,
     DISTANCE_COLORS,
-    DISTANCE_LABEL,
+    WORKSPACE_UNITS,
     FunctionsOfLeaves,
     cell_corners,
     new_axes_3d,
@@ -25,13 +26,22 @@ from plr_jax.plot._page import (
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 
 
-def plot_surface(plr: FunctionsOfLeaves, ax: Axes3D | None = None, *, workspace: Workspace | None = None) -> Axes3D:
+def plot_surface(
+    plr: FunctionsOfLeaves,
+    ax: Axes3D | None = None,
+    *,
+    workspace: Workspace | None = None,
+    label: str = DISTANCE,
+    unit: str = WORKSPACE_UNITS,
+) -> Axes3D:
     """Draw a 2-D distance function as a surface of pieces, one a leaf, as in Fig. 1 of the paper.
 
     Args:
         plr: The PLR.
         ax: 3-D axes to draw on; a new figure where not given.
         workspace: Cells are cut to its free space, beyond which their planes mean nothing.
+        label: The quantity, such as "time to the goal".
+        unit: Its unit, such as "s".
 
     Returns:
         The axes. Leaves without an answer are left out.
@@ -46,11 +56,11 @@ def plot_surface(plr: FunctionsOfLeaves, ax: Axes3D | None = None, *, workspace:
     heights = np.array([piece[:, 2].mean() for piece in pieces])
     colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
     if ax is None:
-        ax = new_axes_3d(plr.domain)
+        ax = new_axes_3d(plr.domain, f"{label} ({unit})")
         bar = ax.figure.colorbar(colors, cax=ax.figure.add_axes((0.86, 0.2, 0.025, 0.6)))
     else:
         bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
-    style_colorbar(bar, DISTANCE_LABEL)
+    style_colorbar(bar, f"{label} ({unit})")
     # Lines are paler the more there are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
     ax.add_collection3d(

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.geometry.box import Box
+from plr_jax.geometry.box import Box, Slice
 
 
 def test_box_keeps_its_corners():
@@ -149,3 +149,39 @@ def test_points_of_other_dimensions_are_not_wrapped(ask):
         ask(np.zeros((1, 3)))
     with pytest.raises(ValueError, match="some are masked"):
         ask(np.ma.masked_less([[-1.0, 2.0]], 0))
+
+
+# --- slices ----------------------------------------------------------------------------------------------
+
+
+def test_a_slice_holds_the_coordinates_that_are_given():
+    box = Box((0, -1, 5), (4, 1, 7), periodic=(False, True, False))
+    shown = Slice.of(box, {1: 2.5})  # around the seam: 0.5
+    assert shown.axes == (0, 2) and shown.box == Box((0, 5), (4, 7))
+    points = shown.grid(4)
+    assert points.shape == (2, 4, 3)
+    np.testing.assert_allclose(points[1, 2], (2.5, 0.5, 6.5))
+    assert Slice.of(box, {0: 1}).box == Box((-1, 5), (1, 7), periodic=(True, False))
+
+
+def test_a_slice_of_the_plane_is_the_plane():
+    box = Box((0, 0), (3, 1))
+    shown = Slice.of(box, None)
+    assert shown.box == box and shown.axes == (0, 1)
+    np.testing.assert_array_equal(shown.grid(6), box.grid(6))
+
+
+@pytest.mark.parametrize(
+    ("at", "message"),
+    [
+        (None, "of 3 coordinates, at must give 1, got 0"),
+        ({0: 1.0, 1: 0.0}, "must give 1, got 2"),
+        ({3: 1.0}, "at must be coordinates by axis"),
+        ({-1: 6.0}, "at must be coordinates by axis"),
+        ({0: 9.0}, "at must lie in Box"),
+        ({0: float("nan")}, "must have finite coordinates"),
+    ],
+)
+def test_slices_that_are_none(at, message):
+    with pytest.raises(ValueError, match=message):
+        Slice.of(Box((0, -1, 5), (4, 1, 7)), at)

@@ -173,9 +173,16 @@ def test_a_surface_without_answers_is_refused():
         plot.plot_surface(Empty())
 
 
-@pytest.mark.parametrize("draw", [plot.plot_cells, plot.plot_contours, plot.plot_surface])
-def test_only_two_dimensions_can_be_drawn(draw):
-    with pytest.raises(ValueError, match="Only a 2-D PLR can be drawn, got one of 3"):
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (plot.plot_cells, "A picture has two axes: of 3 coordinates, at must give 1, got 0"),
+        (plot.plot_contours, "A picture has two axes: of 3 coordinates, at must give 1, got 0"),
+        (plot.plot_surface, "Only a 2-D PLR can be drawn as a surface, got one of 3"),
+    ],
+)
+def test_more_than_two_dimensions_need_a_slice(draw, message):
+    with pytest.raises(ValueError, match=message):
         draw(ThreeCells(domain=Box((0, 0, 0), (1, 1, 1))))
 
 
