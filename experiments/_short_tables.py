@@ -10,15 +10,12 @@ _APPROXIMATIONS = {
     "PLR": "PLR, planes",
     "PLR, continuous": "PLR, continuous",
     "bilinear grid, 16-bit": "bilinear grid, 16-bit",
-    "interpax, cubic, 16-bit": "cubic grid, 16-bit",
-    "LinearNDInterpolator": "triangles",
-    "LightGBM linear trees": "linear trees",
     "network, 16-bit": "network, 16-bit",
 }
 _IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
 _QUERIES = (
     *("PLR", "map_coordinates", "network", f"SciPy RegularGridInterpolator{_IN_FLOAT64}"),
-    *("Numba loop, one core", "Numba loop, all cores"),
+    "Numba loop, all cores",
 )
 
 
