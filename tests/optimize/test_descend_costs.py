@@ -262,7 +262,7 @@ def test_a_body_turns_to_fit_through_a_door():
     assert_paths_hold(descent, space, starts, goal)
     # The chord of the body along the middle of the wall has to fit through 0.4: it turns by a sixth of pi and back.
     assert (descent.costs >= 2.0 + 2 * 0.3 * math.pi / 6).all()
-    assert descent.costs[0] <= 2.75
+    assert descent.costs[0] <= 2.9
     # The other one turns on, and so by half a turn in all.
     assert descent.costs[1] >= 2.0 + 0.3 * math.pi - 1e-6
     assert (descent.costs >= np.asarray(plr.lower(starts))).all()

@@ -102,6 +102,8 @@ def test_obstacles_lie_above_the_lines_of_contours():
 
 def test_a_surface_of_times_says_so():
     class Leaf(OfAngles):
+        leaf_of_box = np.arange(1)
+
         def values_in_leaves(self, leaf, x):
             return np.abs(x).sum(axis=1)
 
