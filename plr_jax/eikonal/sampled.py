@@ -51,4 +51,5 @@ class SampledSpace:
         """Whether all samples of straight motions are."""
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
-        return np.asarray(self.space.is_free(x.reshape(-1, self.domain.dim))).reshape(x.shape[:2]).all(axis=1)
+        free = np.asarray(self.space.is_free(x.reshape(-1, self.domain.dim)))
+        return np.all(free.reshape(x.shape[:2]), axis=1)
