@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import (
+    CellState,
     DiscRobot,
     PlaneSpace,
     RectangleRobot,
@@ -229,3 +230,15 @@ def test_bounds_hold_for_a_body_that_turns():
     for of in (plr, lambda x: np.stack(plr.bounds(x))):
         turned = [of(np.column_stack([q[:, :2], np.full(len(q), heading)])) for heading in (-np.pi, np.pi)]
         np.testing.assert_array_equal(*turned)
+
+
+def test_cells_flush_with_walls_have_upper_bounds():
+    """Queries round into cells on the other side, of which those in the wall hold no free point."""
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.25, 0.25, 0.5, 0.75)])
+    space, goal = BoxSpace(Box((0, 0), (1, 1)), [(0.25, 0.25), (0.5, 0.75)]), (0.1, 0.3)
+    plr = solve_eikonal(space, goal, max_leaves=100)
+    _, _, upper = check_bounds(plr, plane, VisibilityGraph(plane, goal))
+    lo, hi = plr.leaf_boxes
+    is_free = space.classify(lo, hi) == CellState.FREE
+    assert np.isfinite(plr.bounds((lo + hi)[is_free] / 2)[1]).all()
+    assert np.isfinite(upper).mean() > 0.8
