@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -179,15 +180,32 @@ class CostToGoField:
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
         """Whether a straight motion to a corner is free from all free points that a query may place in a cell."""
-        mesh, free = self.mesh, np.flatnonzero(self.mesh.state == CellState.FREE)
-        lo, hi = mesh.grown_boxes
+        mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
+        free = np.flatnonzero(mesh.state == CellState.FREE)
+        is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
+        is_clear[~is_clear] = self._are_clear_beside(free[~is_clear])
         sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
-        sees[free] = (self.space.classify(lo[free], hi[free]) == CellState.FREE)[:, None]
+        sees[free[is_clear]] = True
         if isinstance(self.space, SeesBoxes):
             cell, corner = np.nonzero(np.isfinite(self._corner_costs) & ~sees)
             q = np.stack(mesh.boxes)[corner_bits(mesh.dim)[corner], cell[:, None], np.arange(mesh.dim)]
             sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
         return sees
+
+    def _are_clear_beside(self, cell: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+        """Whether beside free cells, where a query may place points in them, each part is free or blocked.
+
+        From a free part the shortest motion to the cell is free; beside a wall that is flush with the cell, the other
+        parts are blocked.
+        """
+        (lo, hi), (first, last) = self.mesh.boxes, self.mesh.grown_boxes
+        ends, axes = np.stack([first, lo, hi, last])[:, cell], np.arange(self.mesh.dim)
+        clear = np.ones(len(cell), bool)
+        for part in product(range(3), repeat=self.mesh.dim):
+            begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
+            some = np.flatnonzero((begin < end).all(axis=1))  # at the border of the domain there is nothing beside
+            clear[some] &= self.space.classify(begin[some], end[some]) != CellState.MIXED
+        return clear
 
 
 def _filled(values: Float[np.ndarray, "m"], group: Int[np.ndarray, "m"], num_corners: int) -> Float[np.ndarray, "m"]:

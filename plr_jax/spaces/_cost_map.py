@@ -29,7 +29,10 @@ class CostMap(Protocol):
     def bounds(
         self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """A positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``."""
+        """A positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
+
+        Around periodic axes boxes may leave the domain.
+        """
         ...
 
 

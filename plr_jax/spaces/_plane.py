@@ -122,9 +122,8 @@ class PlaneSpace:
         passable = shapely.intersects(self._passable, boxes)
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
         free = np.flatnonzero(state == CellState.FREE)
-        state[free[self._touch_contacts(shapely.box(*(center - half)[free].T, *(center + half)[free].T))]] = (
-            CellState.MIXED
-        )
+        boxes = shapely.box(*(center - half)[free].T, *(center + half)[free].T)
+        state[free[self._touch_contacts(boxes)]] = CellState.MIXED
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Bool[np.ndarray, "n"]:

@@ -22,7 +22,7 @@ class CellState(IntEnum):
     """No path passes: no configuration in the interior of the box is free."""
 
     FREE = 1
-    """Every configuration of the closed box is free."""
+    """Every configuration of the closed box is free, and through any of them the way into other such boxes."""
 
     MIXED = 2
     """Neither is proven."""

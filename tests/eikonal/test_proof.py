@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import (
+    CellState,
     DiscRobot,
     PlaneSpace,
     RectangleRobot,
@@ -231,17 +232,13 @@ def test_bounds_hold_for_a_body_that_turns():
         np.testing.assert_array_equal(*turned)
 
 
-def test_leaves_that_answer_inf_are_proven_of_no_path():
-    """Samples of few leaves miss a passage that is there: then nothing is proven, or leaves hold it."""
-    space = BoxSpace(Box((0, 0), (1, 1)), [(0.01, 0.0), (1.0, 0.99)])
-    goal = np.array([0.005, 0.005])
-    x = np.linspace(0, 1, 50)
-    x = np.column_stack([x, np.full(50, 0.995)])
-    distance = 0.985 + np.maximum(x[:, 0] - 0.01, 0)  # at the least
-    for max_bytes in (60, 90, 200):
-        try:
-            plr = solve_eikonal(space, goal, max_leaves=1500, max_bytes=max_bytes)
-        except ValueError as error:
-            assert "Allow more max_bytes" in str(error) or "too small: one leaf" in str(error)
-        else:
-            assert (np.asarray(plr.bounds(x)[0]) <= distance + 0.02).all()
+def test_cells_flush_with_walls_have_upper_bounds():
+    """Queries round into cells on the other side, of which those in the wall hold no free point."""
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.25, 0.25, 0.5, 0.75)])
+    space, goal = BoxSpace(Box((0, 0), (1, 1)), [(0.25, 0.25), (0.5, 0.75)]), (0.1, 0.3)
+    plr = solve_eikonal(space, goal, max_leaves=100)
+    _, _, upper = check_bounds(plr, plane, VisibilityGraph(plane, goal))
+    lo, hi = plr.leaf_boxes
+    is_free = space.classify(lo, hi) == CellState.FREE
+    assert np.isfinite(plr.bounds((lo + hi)[is_free] / 2)[1]).all()
+    assert np.isfinite(upper).mean() > 0.8

@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
-from eikonal_helpers import ROOM, random_mesh
+from eikonal_helpers import EMPTY, ROOM, random_mesh
 
 from plr_jax import PlaneSpace, solve_eikonal
-from plr_jax.eikonal.storing import _changes_beside, _intersections, _overlaps
+from plr_jax.eikonal.solve import _field
+from plr_jax.eikonal.storing import _changes_beside, _intersections, _overlaps, _with_proof
+from plr_jax.plr._file import Contents
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import CornerLeafModel
 from plr_jax.plr.partition.cells import PLACING, Cells
-from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr.partition.tree import levels_of, tree_of
 
 
 def random_tree(seed, dim, splits=40):
@@ -64,3 +68,15 @@ def test_a_leaf_a_cell_or_fewer_leaves_in_so_many_bytes():
     answer = np.maximum(few(x), 0)
     assert (lower <= answer).all() and (answer <= upper).all()
     assert lower.mean() < np.asarray(lower_of_cells).mean()
+
+
+def test_nothing_is_proven_of_leaves_that_answer_inf_for_open_cells():
+    field = _field(EMPTY, None, np.array([0.1, 0.1]), 64, 0.0)
+    mesh, model = field.mesh, leaf_model("continuous")
+    closed = mesh.boxes[0].max(axis=1) > 0.3
+    assert isinstance(model, CornerLeafModel) and closed.any()
+    tied = ~closed[mesh.all_faces.lower] & ~closed[mesh.all_faces.upper]
+    stored = model.of_corners(mesh.tree, mesh.all_faces, tied, closed, field.corner_values, 1e-3)
+    contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
+    with pytest.raises(ValueError, match=r"some leaves answer inf, .* Allow more max_bytes"):
+        _with_proof(contents, field)
