@@ -56,15 +56,15 @@ def test_saving_leaves_no_other_files_and_replaces(tmp_path):
         (lambda data: data[:60] + b"\xaa\xaa" + data[62:], "checksum"),
         (
             lambda data: data[:4] + b"\x09" + data[5:],
-            "format version 9, this release reads versions 2 and 3; update plr_jax",
+            "format version 9, this release reads versions 2 to 4; update plr_jax",
         ),
         (
             lambda data: data[:4] + b"\x01" + data[5:],
-            "format version 1, this release reads versions 2 and 3; build it again",
+            "format version 1, this release reads versions 2 to 4; build it again",
         ),
         (
             lambda data: b"CPL\n\x01" + data[5:],
-            "format version 1, this release reads versions 2 and 3; build it again",
+            "format version 1, this release reads versions 2 to 4; build it again",
         ),
     ],
 )
@@ -93,5 +93,5 @@ def test_of_a_file_that_goes_on_no_more_is_read_than_its_header_states(tmp_path)
     with pytest.raises(ValueError, match="does not start like a PLR file"):
         load(path)
     path.write_bytes(data[:4] + b"\x01" + data[5:])
-    with pytest.raises(ValueError, match="format version 1, this release reads versions 2 and 3; build it again"):
+    with pytest.raises(ValueError, match="format version 1, this release reads versions 2 to 4; build it again"):
         load(path)

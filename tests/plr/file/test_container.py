@@ -41,15 +41,15 @@ def test_the_layout_by_hand():
         (lambda data: data[:19], "the data end too early"),
         (
             lambda data: data[:4] + b"\x09" + data[5:],
-            "format version 9, this release reads versions 2 and 3; update plr_jax",
+            "format version 9, this release reads versions 2 to 4; update plr_jax",
         ),
         (
             lambda data: data[:4] + b"\x01" + data[5:],
-            "format version 1, this release reads versions 2 and 3; build it again",
+            "format version 1, this release reads versions 2 to 4; build it again",
         ),
         (
             lambda data: b"CPL\n\x01" + data[5:],
-            "format version 1, this release reads versions 2 and 3; build it again",
+            "format version 1, this release reads versions 2 to 4; build it again",
         ),
         (lambda data: data[:-5], "it has 51 bytes, its header states 56: the file is truncated or corrupt"),
         (lambda data: data + b"\0", "truncated or corrupt"),
