@@ -27,7 +27,6 @@ from experiments.solving._counted import counted
 from experiments.solving._grids import Sizes, all_neighbors, even_sizes, grid_search, marched
 from experiments.solving._prm_star import prm_star
 from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
-from plr_jax.eikonal.costs import axis_scale
 
 CELLS = (50_000, 100_000)
 SAMPLES = (1_000, 3_000, 10_000, 30_000)
@@ -94,7 +93,7 @@ def _free(space: ConfigurationSpace, num_points: int, seed: int) -> Float[np.nda
 
 def _grid(body: Body, num_cells: int, x: Float[np.ndarray, "n dof"]) -> tuple[GridField, dict[str, Any]]:
     """Costs on a grid, and how far those of one half as fine are from them."""
-    space, scale = body.space, axis_scale(body.space.motion_cost)
+    space, scale = body.space, body.space.motion_cost.scale
     began = time.perf_counter()
     sizes = even_sizes(space.domain, scale, num_cells)
     truth = body.on_grid(space, body.goal, sizes)

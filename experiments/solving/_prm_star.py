@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from experiments.solving._counted import counted
 from plr_jax import ConfigurationSpace, Roadmap
-from plr_jax.eikonal.costs import axis_scale
 from plr_jax.geometry.graph import Graph, dijkstra
 
 
@@ -26,7 +25,7 @@ class SampledCosts(NamedTuple):
 def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, "dof"], num_samples: int, seed: int) -> SampledCosts:
     """A roadmap of a space, its samples' costs those of the space, which need not be Euclidean lengths."""
     asked = counted(space)
-    scale = axis_scale(space.motion_cost)
+    scale = space.motion_cost.scale
     began = time.perf_counter()
     roadmap = Roadmap(
         space.domain, asked.is_free, goal, num_samples, seed=seed, is_visible=asked.are_free, weights=scale

@@ -32,14 +32,10 @@ class CellCosts:
     upper: Float[np.ndarray, "cells"]
     pulls: Float[np.ndarray, "2 cells dim"] | None = None
 
-    def lengths(self, change: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """Costs of straight motions where the factor is 1 and nothing pulls."""
-        return self.motion.norm(change)
-
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""
         pulls = None if self.pulls is None else self.pulls[:, cell]
-        return self.lengths(change) * self.upper[cell] + pulled(pulls, change)
+        return self.motion.norm(change) * self.upper[cell] + pulled(pulls, change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
@@ -51,11 +47,3 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     if pulls is None:
         lower, _, _ = cost_bounds(motion, cost_map, *mesh.boxes)
     return CellCosts(motion, cost_map, lower, upper, pulls)
-
-
-def axis_scale(motion: MotionCost) -> Float[np.ndarray, "dim"]:
-    """What a step of length 1 along each axis costs."""
-    scale = np.empty(motion.dof)
-    for axes, weight in motion.blocks:
-        scale[list(axes)] = weight
-    return scale

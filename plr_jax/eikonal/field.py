@@ -174,7 +174,7 @@ class CostToGoField:
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
         """What is rounded, and what the way costs to each cell from a point beside it that a query places in it."""
-        beside = self.costs.lengths(PLACING * self.mesh.domain.width[None])
+        beside = self.costs.motion.norm(PLACING * self.mesh.domain.width[None])
         return _ROUNDING * np.abs(self._nodal).max() + beside * self.costs.upper
 
     @cached_property

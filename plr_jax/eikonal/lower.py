@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
-from plr_jax.eikonal.costs import CellCosts, axis_scale, cell_costs
+from plr_jax.eikonal.costs import CellCosts, cell_costs
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.program import Iterate, SlopeProgram
@@ -47,7 +47,7 @@ class SlopeSolver:
         self.space, self.cost_map, self.goal = space, cost_map, goal
         self.max_cells, self.tolerance = max_cells, tolerance
         num_cells = max(int(_COARSEST * max_cells), _FEWEST)
-        mesh = coarse_mesh(space, axis_scale(space.motion_cost), num_cells, max_cells)
+        mesh = coarse_mesh(space, space.motion_cost.scale, num_cells, max_cells)
         self.program = self._program(mesh)
         self._iterate: Iterate | None = None
 
@@ -105,7 +105,7 @@ def slope_program(
     home = mesh.locate(goal[None])
     mesh = mesh.without(~mesh.connected_to(int(home[0])))
     functions = function_space(mesh, _degree(mesh.dim))
-    gradient = csr_array(vstack(functions.gradients(axis_scale(space.motion_cost))))
+    gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
     value_at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]

@@ -133,12 +133,12 @@ class _FreeGraph:
         """Nodes near the goal that can go straight there, and what that costs at the most."""
         node = np.arange(self.goal)
         change = self._changes(node, np.full(len(node), self.goal))
-        near = np.argsort(self.costs.lengths(change), kind="stable")[:_NEAR_GOAL]
+        near = np.argsort(self.costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
         domain = self.mesh.domain
         q, change = domain.lo + domain.width * self.points[near], change[near]
         free = np.flatnonzero(space.are_free(q, q + change))
         q, change = q[free], change[free]
-        cost, cost_map = self.costs.lengths(change), self.costs.cost_map
+        cost, cost_map = self.costs.motion.norm(change), self.costs.cost_map
         if cost_map is not None:
             box = np.minimum(q, q + change), np.maximum(q, q + change)
             _, upper, pulls = cost_bounds(self.costs.motion, cost_map, *box)
@@ -178,7 +178,7 @@ class _FreeGraph:
 
     def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
         """What straight motions cost at the least."""
-        return self.costs.lengths(self._changes(begin, end)) * self._least
+        return self.costs.motion.norm(self._changes(begin, end)) * self._least
 
     @cached_property
     def _least(self) -> float:
@@ -198,7 +198,7 @@ class _FreeGraph:
     ) -> Float[np.ndarray, "n"]:
         """What straight motions cost at the most, cell by cell; ``inf`` if one of their cells is not free."""
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
-        length, rate = self.costs.lengths(change), change / mesh.domain.width
+        length, rate = self.costs.motion.norm(change), change / mesh.domain.width
         ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
         going = np.flatnonzero(length > 0)
         while len(going):

@@ -55,7 +55,7 @@ def _shifted(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarra
     """The nodes after those between two others are moved to where the legs from and to these cost least."""
     nodes, motion, domain = nodes.copy(), costs.space.motion_cost, costs.space.domain
     before, number = _neighbors(onward, first)
-    extent = float((motion.norm(np.eye(motion.dof)) * domain.width).max())
+    extent = float((motion.scale * domain.width).max())
     for shift in _WIDEST * extent / 2.0 ** np.arange(_NUM_SHIFTS):
         changes = shift * unit_motions(motion)
         for parity in (0, 1, 0, 1):  # of two neighbors one stays

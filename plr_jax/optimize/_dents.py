@@ -33,7 +33,7 @@ class Dents:
         self, values: Callable[[Chain], Float[np.ndarray, "k"]], space: ConfigurationSpace, directions: Chain
     ):
         self.values, self.space = values, space
-        scale = space.motion_cost.norm(np.eye(space.domain.dim))
+        scale = space.motion_cost.scale
         side = _CELL * float((scale * space.domain.width).max())
         self.counts = np.maximum(1, np.rint(scale * space.domain.width / side))
         self.steps = np.concatenate([side * share * directions for share in _STEPS])

@@ -52,7 +52,7 @@ class _Lookahead:
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
         self.field, self.costs, self.goal = field, costs, goal
         self.domain, motion = costs.space.domain, costs.space.motion_cost
-        longest = _LONGEST * float((motion.norm(np.eye(motion.dof)) * self.domain.width).max())
+        longest = _LONGEST * float((motion.scale * self.domain.width).max())
         lengths = longest / 2.0 ** np.arange(_NUM_LENGTHS)
         self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(unit_motions(motion))))
         self.shortest = float(lengths[-1])

@@ -16,7 +16,7 @@ def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
     """Motions of cost 1 in many directions: those of all axes, and those of each block alone."""
     everything = tuple(range(motion.dof))
     parts = {everything, *(axes for axes, _ in motion.blocks)}
-    scale = motion.norm(np.eye(motion.dof))
+    scale = motion.scale
     changes = []
     for axes in sorted(parts):
         change = np.zeros((len(directions := _directions(len(axes))), motion.dof))

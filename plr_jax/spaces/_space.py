@@ -58,6 +58,11 @@ class MotionCost:
         """Number of axes."""
         return sum(len(axes) for axes, _ in self.blocks)
 
+    @property
+    def scale(self) -> Float[np.ndarray, "dof"]:
+        """What a motion of length 1 along each axis costs."""
+        return self.norm(np.eye(self.dof))
+
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
         """Cost of straight motions, around periodic axes the short way.
 

@@ -12,6 +12,7 @@ def test_motions_cost_the_weighted_lengths_of_their_blocks():
     q1 = np.array([[3.0, 4, 0], [1, 1, -3], [1, 2, 3 - 20 * np.pi], [0, np.nan, 0]])
     expected = [10, 0.5 * (2 * np.pi - 6), 2, np.nan]
     np.testing.assert_allclose(cost.lengths(q0, q1, SHIP), expected, atol=1e-12)
+    np.testing.assert_array_equal(cost.scale, [2, 2, 0.5])
     assert cost.dof == 3 and cost.lengths(q0[:0], q1[:0], SHIP).shape == (0,)
 
 
