@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
@@ -29,14 +28,12 @@ class CostToGoField:
         program: The program whose solution bounds it from below.
         values: That solution, 0 at the goal; its slopes may be a little too steep.
         paths: The paths that bound it from above.
-        costs: Of motions in each cell.
         space: The configuration space.
     """
 
     program: SlopeProgram
     values: Float[np.ndarray, "dofs"]
     paths: NodePaths
-    costs: CellCosts
     space: ConfigurationSpace
 
     @property
@@ -165,7 +162,7 @@ class CostToGoField:
         most = np.full((len(cell), len(vertices)), np.inf)
         for corner, place in enumerate(corner_bits(dim)):
             change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
-            straight = self.costs.most(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
+            straight = self.program.costs.most(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))
@@ -174,8 +171,8 @@ class CostToGoField:
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
         """What is rounded, and what the way costs to each cell from a point beside it that a query places in it."""
-        beside = self.costs.motion.norm(PLACING * self.mesh.domain.width[None])
-        return _ROUNDING * np.abs(self._nodal).max() + beside * self.costs.upper
+        beside = self.program.costs.motion.norm(PLACING * self.mesh.domain.width[None])
+        return _ROUNDING * np.abs(self._nodal).max() + beside * self.program.costs.upper
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:

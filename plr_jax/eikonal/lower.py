@@ -5,11 +5,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
-from plr_jax.eikonal.costs import CellCosts, cell_costs
+from plr_jax.eikonal.costs import cell_costs
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.program import Iterate, SlopeProgram
-from plr_jax.eikonal.slopes import SlopeSets
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
@@ -109,15 +108,8 @@ def slope_program(
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
     value_at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
-    costs, cell = cell_costs(space, cost_map, mesh), np.repeat(mesh.open_cells, num_controls)
-    sets, doubt = _slope_sets(costs, cell), costs.upper[cell] / costs.lower[cell]
-    return SlopeProgram(functions, gradient, sets, doubt, volume, functions.integrals(), value_at_goal)
-
-
-def _slope_sets(costs: CellCosts, cell: Int[np.ndarray, "controls"]) -> SlopeSets:
-    blocks = [axes for axes, _ in costs.motion.blocks]
-    pulls = None if costs.pulls is None else np.moveaxis(costs.pulls[:, cell], 2, 1)
-    return SlopeSets(blocks, costs.lower[cell], pulls)
+    costs = cell_costs(space, cost_map, mesh)
+    return SlopeProgram(functions, gradient, costs, volume, functions.integrals(), value_at_goal)
 
 
 def _degree(dim: int) -> int:

@@ -121,13 +121,7 @@ class Mesh:
             inner = child >= 0
             middle = np.ldexp(tree.cells.position[node, axis] + 0.5, -tree.cells.depth[node, axis])
             node = np.where(inner, child + (x[rows, axis] >= middle), node)
-        return self._leaf_of_node[node]
-
-    @cached_property
-    def _leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        leaf = np.full(len(self.tree.child), -1)
-        leaf[self.tree.node_of_leaf] = np.arange(len(self.state))
-        return leaf
+        return tree.leaf_of_node[node]
 
     def connected_to(self, cell: int) -> Bool[np.ndarray, "cells"]:
         """Which cells are connected to one by open faces."""

@@ -18,6 +18,7 @@ References:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csc_matrix, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.elements import FunctionSpace
 from plr_jax.eikonal.slopes import SlopeSets
 
@@ -43,8 +45,7 @@ class SlopeProgram:
     Attributes:
         space: The functions.
         gradient: Maps degrees of freedom to the control vectors, axis by axis, in the coordinates of the sets.
-        sets: How steep the functions may be at each control point.
-        doubt: Largest over least cost of a step in each control point's cell.
+        costs: What motions cost in each cell.
         volume: Of each control point.
         weight: The integral of each degree of freedom's basis function.
         goal: The value at the goal, in terms of the degrees of freedom.
@@ -52,8 +53,7 @@ class SlopeProgram:
 
     space: FunctionSpace
     gradient: csr_array
-    sets: SlopeSets
-    doubt: Float[np.ndarray, "controls"]
+    costs: CellCosts
     volume: Float[np.ndarray, "controls"]
     weight: Float[np.ndarray, "dofs"]
     goal: Float[np.ndarray, "dofs"]
@@ -62,6 +62,23 @@ class SlopeProgram:
     def dim(self) -> int:
         """Number of axes."""
         return self.space.mesh.dim
+
+    @cached_property
+    def _cell(self) -> Int[np.ndarray, "controls"]:
+        """The cell of each control point."""
+        return np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
+
+    @cached_property
+    def sets(self) -> SlopeSets:
+        """How steep the functions may be at each control point."""
+        blocks = [axes for axes, _ in self.costs.motion.blocks]
+        pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, self._cell], 2, 1)
+        return SlopeSets(blocks, self.costs.lower[self._cell], pulls)
+
+    @cached_property
+    def doubt(self) -> Float[np.ndarray, "controls"]:
+        """Largest over least cost of a step in each control point's cell."""
+        return self.costs.upper[self._cell] / self.costs.lower[self._cell]
 
     def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
         """By what slopes at the control points are too steep, below 1 where they are not."""

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
+from plr_jax._arrays import as_booleans
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -34,7 +35,7 @@ class SampledSpace:
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether configurations are free."""
-        return self.space.is_free(q)
+        return as_booleans("is_free", self.space.is_free(q), len(np.asarray(q)))
 
     @cached_property
     def _samples(self) -> Float[np.ndarray, "k dim"]:
@@ -43,7 +44,7 @@ class SampledSpace:
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
         """Free or blocked if all samples are, else mixed."""
         x = lo[:, None] + (hi - lo)[:, None] * self._samples
-        free = np.asarray(self.space.is_free(x.reshape(-1, x.shape[2]))).reshape(x.shape[:2])
+        free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
@@ -51,5 +52,5 @@ class SampledSpace:
         """Whether all samples of straight motions are."""
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
-        free = np.asarray(self.space.is_free(x.reshape(-1, self.domain.dim))).reshape(x.shape[:2])
+        free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
         return np.asarray(free.all(axis=1))

@@ -8,7 +8,6 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, as_finite_point, require_integer, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.costs import cell_costs
 from plr_jax.eikonal.field import CostToGoField
 from plr_jax.eikonal.lower import SlopeSolver
 from plr_jax.eikonal.paths import shortest_paths
@@ -111,6 +110,5 @@ def _field(
                 raise
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
-    costs = cell_costs(space, cost_map, solver.mesh)
-    paths = shortest_paths(solver.mesh, costs, goal, space)
-    return CostToGoField(solver.program, solver.values, paths, costs, space)
+    paths = shortest_paths(solver.mesh, solver.program.costs, goal, space)
+    return CostToGoField(solver.program, solver.values, paths, space)

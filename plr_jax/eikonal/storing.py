@@ -16,6 +16,7 @@ from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import CornerLeafModel, Rules
 from plr_jax.plr.partition.cells import PLACING, Cells
+from plr_jax.plr.partition.pairs import overlapping_leaves
 from plr_jax.plr.partition.tree import Tree, corner_bits, levels_of, tree_of
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -32,7 +33,7 @@ def plr_on_mesh(field: CostToGoField, is_proven: bool) -> PLR:
     closed, values = mesh.state == CellState.BLOCKED, field.corner_values
     stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, _step(field))
     contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
-    return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
+    return plr_of_leaves(_with_proof(contents, mesh.tree, field) if is_proven else contents)
 
 
 def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: bool) -> PLR:
@@ -46,7 +47,7 @@ def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: boo
     sampler = Sampler(field.estimates, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
     contents = Contents(domain, model, levels_of(cells)[0], cells, stored)
-    return plr_of_leaves(_with_proof(contents, field) if is_proven else contents)
+    return plr_of_leaves(_with_proof(contents, tree_of(cells), field) if is_proven else contents)
 
 
 def _model() -> CornerLeafModel:
@@ -60,11 +61,10 @@ def _step(field: CostToGoField) -> float:
     return max(_STEP_PER_GAP * field.mean_gap, least)
 
 
-def _with_proof(contents: Contents, field: CostToGoField) -> Contents:
+def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Contents:
     """The leaves, with bounds of each over all cells of the mesh that meet it."""
     mesh, num_leaves = field.mesh, len(contents.cells)
-    leaves = tree_of(contents.cells)
-    leaf, cell = _overlaps(leaves, mesh.tree)
+    leaf, cell = overlapping_leaves(tree, mesh.tree)
     is_open = mesh.state[cell] != CellState.BLOCKED
     leaf, cell = leaf[is_open], cell[is_open]
     lo, hi = _intersections(contents.cells, leaf, mesh.cells, cell)
@@ -96,40 +96,6 @@ def _changes_beside(cells: Cells, coefficients: Float[np.ndarray, "leaves corner
     across = [coefficients[:, bits == 1] - coefficients[:, bits == 0] for bits in corners.T]
     steepest = np.stack([np.abs(change).max(axis=1) for change in across], axis=1)
     return np.sum(beside * steepest, axis=1) * np.prod(1 + 2 * beside, axis=1)
-
-
-def _overlaps(a: Tree, b: Tree) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """All pairs of leaves of two trees of one domain whose interiors meet."""
-    pairs, found = np.zeros((2, 1), np.int64), []
-    trees = (a, b)
-    while pairs.shape[1]:
-        inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=True)])
-        found.append(pairs[:, ~inner.any(axis=0)])
-        # The larger of two nodes gives way to its children, or the one that has some.
-        volume = np.stack([-tree.cells.depth[nodes].sum(axis=1) for tree, nodes in zip(trees, pairs, strict=True)])
-        first = inner[0] & (~inner[1] | (volume[0] >= volume[1]))
-        children = []
-        for side, which in enumerate((first, inner.any(axis=0) & ~first)):
-            tree, some = trees[side], pairs[:, which]
-            for half in range(2):
-                child = some.copy()
-                child[side] = tree.child[some[side]] + half
-                axis = tree.axis[some[side]]
-                children.append(child[:, _meet(a.cells, child[0], b.cells, child[1], axis)])
-        pairs = np.concatenate(children, axis=1)
-    leaf_of = [np.full(len(tree.child), -1) for tree in trees]
-    for of, tree in zip(leaf_of, trees, strict=True):
-        of[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
-    first, second = np.concatenate(found, axis=1)
-    return leaf_of[0][first], leaf_of[1][second]
-
-
-def _meet(
-    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
-) -> np.ndarray:
-    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
-    common = np.minimum(a.depth[i, axis], b.depth[j, axis])
-    return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def _intersections(

@@ -61,10 +61,10 @@ class PLR:
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance at each point from which the goal can be reached.
 
-        The proof is about the distance function that :func:`construct` or :func:`certify` was given, at points of
+        The proof is about what :func:`construct`, :func:`certify` or :func:`solve_eikonal` was given, at points of
         free space, walls included, but not at such as count as free, or reach the goal, to the workspace's tolerance
         alone. It covers what a query rounds; in a domain far from the origin, where 32-bit floats resolve points
-        worse than cells, it is about the rounded points where they come as JAX arrays, or inside a compiled function.
+        worse than cells, it is about rounded points where they come as JAX arrays, or inside a compiled function.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
@@ -86,19 +86,19 @@ class PLR:
         is far closer to the truth. It jumps from leaf to leaf, and so is not consistent: a search must open nodes
         again to which it finds a shorter way.
 
-        Of points ``(..., dim)`` as :meth:`bounds` takes them: at least 0, ``inf`` outside the domain, NaN for NaN. In
-        obstacles, and where the goal cannot be reached, it means nothing. Raises ``ValueError`` if nothing is proven
-        of the PLR.
+        Of points ``(..., dim)`` as :meth:`bounds` takes them: at least 0, ``inf`` outside the domain, NaN for NaN;
+        where the goal cannot be reached it means nothing. Raises ``ValueError`` if nothing is proven of the PLR.
         """
         self._require_band()
         return LowerBound(self)
 
     def _require_band(self) -> Float[Array, "2 rows"]:
-        if self.band is None:
-            raise ValueError(
-                "Nothing is proven of this PLR: build it with certified=True, or use certify(plr, oracle)."
-            )
-        return self.band
+        if self.band is not None:
+            return self.band
+        raise ValueError(
+            "Nothing is proven of this PLR: construct it with certified=True, use certify(plr, oracle), or give "
+            "solve_eikonal a space that classifies boxes."
+        )
 
     @property
     def max_error(self) -> float | None:

@@ -1,13 +1,13 @@
 """Costs of motions that differ from place to place, and with the way they go: slow ground, risk, climbing, wind."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_values, shortened
+from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost
 
@@ -84,7 +84,7 @@ class Climbing:
             vars(self)[name] = as_finite(name, getattr(self, name))
 
     def _gradients(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n dof"]:
-        gradient = np.asarray(self.gradient_fn(q), np.float64)
+        gradient = as_numbers("gradient_fn's answer", self.gradient_fn(q), f"real numbers of shape {q.shape}")
         if gradient.shape != q.shape:
             raise ValueError(f"gradient_fn must return gradients of shape {q.shape}, got {gradient.shape}.")
         bad = np.flatnonzero(~(np.linalg.norm(gradient, axis=1) <= (1 + 1e-12) * self.steepest))
@@ -180,9 +180,7 @@ class LipschitzCost:
             ValueError: If the function returns another shape, or a number that is not finite or below ``least``.
         """
         q = np.asarray(q, np.float64)
-        factor = np.asarray(self.cost_fn(q), np.float64)
-        if factor.shape != q.shape[:1]:
-            raise ValueError(f"cost_fn must return one number a configuration, ({len(q)},), got {factor.shape}.")
+        factor = as_values("cost_fn", self.cost_fn(q), len(q))
         bad = np.flatnonzero(~((factor >= self.least) & (factor < np.inf)))
         if bad.size:
             raise ValueError(
@@ -217,16 +215,9 @@ def cost_bounds(
         the larger product with ``dq`` besides, None unless the cost is a :class:`DirectionalCost`.
     """
     bounds = cost_map.bounds(lo, hi)
-    try:
-        lower, upper = np.asarray(bounds, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}."
-        ) from None
-    if lower.shape != lo.shape[:1]:
-        raise ValueError(
-            f"A cost map's bounds must be two arrays of {len(lo)} numbers, one a box, got {lower.shape}."
-        )
+    if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
+        raise ValueError(f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}.")
+    lower, upper = (as_values("Each of a cost map's bounds", bound, len(lo)) for bound in bounds)
     bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
     if bad.size:
         raise ValueError(

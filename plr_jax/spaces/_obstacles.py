@@ -1,4 +1,4 @@
-"""What of a workspace's obstacles certainly meets bodies that are known to some distance only."""
+"""What of a workspace's obstacles meets bodies: in motion, and where they are known to some distance only."""
 
 from typing import Any, TypeAlias
 
@@ -6,10 +6,22 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
+from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import Robot
 
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
+
+
+def are_free_motions(
+    workspace: Workspace, robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether a robot's straight motions are free; those whose ends are not finite are not."""
+    finite = np.isfinite(q0 + q1).all(axis=1)
+    free = np.zeros(len(q0), dtype=bool)
+    free[finite] = motion_test(workspace, robot)(q0[finite], q1[finite])
+    return free
 
 
 def have_walls_within(

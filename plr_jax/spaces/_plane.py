@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float, Int8
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.point import PointRobot
 from plr_jax.robots.robot import Robot
-from plr_jax.spaces._obstacles import come_near
+from plr_jax.spaces._obstacles import are_free_motions, come_near
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _SLIVER = 0.01
@@ -90,11 +89,7 @@ class PlaneSpace:
         Raises:
             ValueError: If the shapes are others or differ.
         """
-        q0, q1 = as_motions(q0, q1, 2)
-        finite = np.isfinite(q0 + q1).all(axis=1)
-        free = np.zeros(len(q0), dtype=bool)
-        free[finite] = motion_test(self.workspace, self.robot)(q0[finite], q1[finite])
-        return free
+        return are_free_motions(self.workspace, self.robot, *as_motions(q0, q1, 2))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """What is proven of boxes of positions.

@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body
-from plr_jax.spaces._obstacles import come_near, have_walls_within
+from plr_jax.spaces._obstacles import are_free_motions, come_near, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _WIDEST_ARC = math.pi / 3
@@ -102,11 +102,7 @@ class RigidBodySpace:
         Raises:
             ValueError: If the shapes are others or differ.
         """
-        q0, q1 = as_motions(q0, q1, 3)
-        finite = np.isfinite(q0 + q1).all(axis=1)
-        free = np.zeros(len(q0), dtype=bool)
-        free[finite] = motion_test(self.workspace, self.robot)(q0[finite], q1[finite])
-        return free
+        return are_free_motions(self.workspace, self.robot, *as_motions(q0, q1, 3))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """What is proven of boxes of positions and headings.

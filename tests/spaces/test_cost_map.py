@@ -52,8 +52,8 @@ def test_bad_arguments_are_refused(arguments, message):
 @pytest.mark.parametrize(
     ("cost_fn", "message"),
     [
-        (lambda q: 1.0, r"one number a configuration, \(3,\), got \(\)"),
-        (lambda q: q, r"one number a configuration, \(3,\), got \(3, 2\)"),
+        (lambda q: 1.0, r"one number a point, shape \(3,\), got \(\)"),
+        (lambda q: q, r"one number a point, shape \(3,\), got \(3, 2\)"),
         (lambda q: np.array([1.0, 0.1, 1.0]), "finite numbers of at least 0.5, got 0.1 at"),
         (lambda q: np.array([1.0, np.nan, 1.0]), "got nan at"),
         (lambda q: np.array([1.0, 1.0, np.inf]), "got inf at"),

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.pairs import Pairs, leaf_pairs
 from plr_jax.plr.partition.tree import Tree, tree_of
 
 _TOUCH = 2.0**-20  # what touching in a point along an axis counts, in finest slots
@@ -36,35 +37,23 @@ def _touching(
     reachable: Int[np.ndarray, "reachable"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Pairs of an unreachable and a reachable leaf that touch, found down the tree: the larger node gives way."""
-    leaf = np.full(len(tree.child), -1)
-    leaf[tree.node_of_leaf] = tree.order
-    holds = _holding(tree, leaf, unreachable), _holding(tree, leaf, reachable)
-    volume = -tree.cells.depth.sum(axis=1)
-    pairs, found = np.zeros((2, 1), np.int64), []
-    while pairs.shape[1]:
-        inner = tree.child[pairs] >= 0
-        found.append(pairs[:, ~inner.any(axis=0)])
-        first = inner[0] & (~inner[1] | (volume[pairs[0]] >= volume[pairs[1]]))
-        children = []
-        for side, which in enumerate((first, inner.any(axis=0) & ~first)):
-            for half in range(2):
-                child = pairs[:, which]
-                child[side] = tree.child[child[side]] + half
-                child = child[:, holds[0][child[0]] & holds[1][child[1]]]
-                children.append(child[:, _contacts(tree.cells, child[0], child[1], is_periodic) > 0])
-        pairs = np.concatenate(children, axis=1)
-    mine, others = np.concatenate(found, axis=1)
-    mine, others = leaf[mine], leaf[others]
-    pairs_of_both = np.isin(mine, unreachable) & np.isin(others, reachable)
-    return mine[pairs_of_both], others[pairs_of_both]
+    """Pairs of an unreachable and a reachable leaf that touch."""
+    holds = _holding(tree, unreachable), _holding(tree, reachable)
+
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        stays = holds[0][pairs[0]] & holds[1][pairs[1]]
+        stays[stays] = _contacts(tree.cells, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        return stays
+
+    roots = np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64)
+    mine, others = tree.order[leaf_pairs(tree, tree, roots, keep)]
+    return mine, others
 
 
-def _holding(
-    tree: Tree, leaf: Int[np.ndarray, "nodes"], leaves: Int[np.ndarray, "some"]
-) -> Bool[np.ndarray, "nodes"]:
+def _holding(tree: Tree, leaves: Int[np.ndarray, "some"]) -> Bool[np.ndarray, "nodes"]:
     """Which nodes hold one of some leaves."""
-    holds = np.isin(leaf, leaves) & (leaf >= 0)
+    holds = np.zeros(len(tree.child), bool)
+    holds[tree.node_of_leaf] = np.isin(tree.order, leaves)
     for splits in reversed(tree.splits):
         holds[splits] = holds[tree.child[splits]] | holds[tree.child[splits] + 1]
     return holds

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.pairs import Pairs, leaf_pairs, overlap
 from plr_jax.plr.partition.tree import Tree, corner_bits
 
 _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
@@ -44,44 +45,16 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     seams = np.flatnonzero(periodic)
     pairs = np.concatenate([pairs, np.stack([0 * seams, 0 * seams, seams])], axis=1)
-    found = []
-    while pairs.shape[1]:
-        inner = tree.child[pairs[:2]] >= 0
-        found.append(pairs[:, ~inner.any(axis=0)])
-        lower = _descend(tree, pairs[:, inner[0]], 0)
-        upper = _descend(tree, pairs[:, inner[1] & ~inner[0]], 1)
-        pairs = np.concatenate([lower, upper], axis=1)
+
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         if pairs.shape[1] > most:
             raise ValueError(f"its {len(tree.node_of_leaf)} leaves share more than {most} faces; build it of fewer")
-    leaf_of_node = np.full(len(tree.child), -1)
-    leaf_of_node[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))
-    lower, upper, axis = np.concatenate(found, axis=1) if found else np.empty((3, 0), np.int64)
-    lower, upper = leaf_of_node[lower], leaf_of_node[upper]
+        # Of halves along the face's own axis, the one beyond the other's reach of the face does not touch it.
+        return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
+
+    lower, upper, axis = leaf_pairs(tree, tree, pairs, keep)
     order = np.lexsort((axis, upper, lower))
     return SharedFaces(lower[order], upper[order], axis[order])
-
-
-def _descend(tree: Tree, pairs: Int[np.ndarray, "3 pairs"], side: int) -> Int[np.ndarray, "3 children"]:
-    """Pairs in which the node of one side, the lower (0) or the upper (1), gives way to its children at the face."""
-    node = pairs[side]
-    children = []
-    for half in range(2):
-        child = pairs.copy()
-        child[side] = tree.child[node] + half
-        across = tree.axis[node] == pairs[2]
-        # Of halves along the face's own axis, the one beyond the other's reach of the face does not touch it.
-        keep = np.where(across, half != side, _overlap(tree, child[0], child[1], tree.axis[node]))
-        children.append(child[:, keep])
-    return np.concatenate(children, axis=1)
-
-
-def _overlap(
-    tree: Tree, a: Int[np.ndarray, "n"], b: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
-) -> Bool[np.ndarray, "n"]:
-    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
-    depth_a, depth_b = tree.cells.depth[a, axis], tree.cells.depth[b, axis]
-    common = np.minimum(depth_a, depth_b)
-    return tree.cells.position[a, axis] >> (depth_a - common) == tree.cells.position[b, axis] >> (depth_b - common)
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:

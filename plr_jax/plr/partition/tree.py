@@ -1,6 +1,7 @@
 """The tree over a partition's leaves: level by level, as a file stores it, and as a table of nodes."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -39,6 +40,13 @@ class Tree:
     def leaves(self) -> Cells:
         """Cells of the leaves, in the order of the tree's traversal."""
         return self.cells[self.node_of_leaf]
+
+    @cached_property
+    def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
+        """Which leaf a node is, in the order of the tree's traversal; -1 if none."""
+        leaf = np.full(len(self.child), -1)
+        leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
+        return leaf
 
 
 def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
