@@ -14,7 +14,6 @@ from plr_jax.plr.partition.faces import SharedFaces, shared_faces
 from plr_jax.plr.partition.tree import Tree, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace
 
-_TABLE_BITS = 20  # of the number of slots with which cells are found
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
 
 
@@ -93,35 +92,46 @@ class Mesh:
 
     def locate(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
         """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
-        table, shape = self._table
-        index = tuple(np.clip((x.T * np.array(shape)[:, None]).astype(np.int64), 0, np.array(shape)[:, None] - 1))
-        cell = table[index]
-        deep = np.flatnonzero(cell < 0)
-        cell[deep] = self._descend(x[deep])
-        return cell
+        most = (1 << self._finest) - 1
+        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
+        first, cell = self._curve
+        return cell[np.searchsorted(first, self._along_curve(slot), side="right") - 1]
 
     @cached_property
-    def _table(self) -> tuple[Int[np.ndarray, "*slots"], tuple[int, ...]]:
-        """Equal slots of the domain, with the cell that holds each; -1 where a slot holds several."""
-        bits = np.minimum(self.cells.depth.max(axis=0), _TABLE_BITS // self.dim)
-        table = np.full(tuple((1 << bits).tolist()), -1)
-        shallow = np.flatnonzero(np.all(self.cells.depth <= bits, axis=1))
-        first = self.cells.position[shallow] << (bits - self.cells.depth[shallow])
-        last = first + (1 << (bits - self.cells.depth[shallow]))
-        for cell, *slots in zip(shallow.tolist(), first.tolist(), last.tolist(), strict=True):
-            table[tuple(slice(*ends) for ends in zip(*slots, strict=True))] = cell
-        return table, table.shape
+    def _finest(self) -> Int[np.ndarray, "dim"]:
+        """How often the smallest cells are halved along each axis."""
+        return self.cells.depth.max(axis=0)
 
-    def _descend(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        tree = self.tree
-        node = np.zeros(len(x), np.int64)
-        rows = np.arange(len(x))
-        for _ in range(int(tree.cells.depth.sum(axis=1).max())):
-            axis, child = tree.axis[node], tree.child[node]
-            inner = child >= 0
-            middle = np.ldexp(tree.cells.position[node, axis] + 0.5, -tree.cells.depth[node, axis])
-            node = np.where(inner, child + (x[rows, axis] >= middle), node)
-        return tree.leaf_of_node[node]
+    @cached_property
+    def _curve(self) -> tuple[Int[np.ndarray, "cells"], Int[np.ndarray, "cells"]]:
+        """Where cells begin along a curve that fills them one after the other, and the cells in this order."""
+        first = self._along_curve(self.cells.position << (self._finest - self.cells.depth))
+        order = np.argsort(first)
+        return first[order], order
+
+    def _along_curve(self, slot: Int[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
+        """Where slots as wide as the smallest cells are along the curve: row by row of the largest, in these Morton's.
+
+        References:
+            Morton, "A computer oriented geodetic data base and a new technique in file sequencing", 1966.
+        """
+        splits = self._splits
+        place = np.ravel_multi_index(tuple((slot >> splits).T), tuple(1 << (self._finest - splits)))
+        place <<= self.dim * splits
+        for axis in range(self.dim):
+            place += self._spread[slot[:, axis] & ((1 << splits) - 1)] << axis
+        return place
+
+    @cached_property
+    def _splits(self) -> int:
+        """How often the smallest cells are halved more than the largest."""
+        return int((self._finest - self.cells.depth.min(axis=0)).max())
+
+    @cached_property
+    def _spread(self) -> Int[np.ndarray, "numbers"]:
+        """Numbers whose bits are so far apart that those of each axis fit in between."""
+        bit = np.arange(self._splits)
+        return (((np.arange(1 << self._splits)[:, None] >> bit) & 1) << self.dim * bit).sum(axis=1)
 
     def connected_to(self, cell: int) -> Bool[np.ndarray, "cells"]:
         """Which cells are connected to one by open faces."""
