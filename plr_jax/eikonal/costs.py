@@ -5,7 +5,7 @@ In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``uppe
 motion goes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,6 +31,11 @@ class CellCosts:
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
     pulls: Float[np.ndarray, "2 cells dim"] | None = None
+
+    @property
+    def midway(self) -> "CellCosts":
+        """Costs of which the most is midway between their bounds."""
+        return replace(self, upper=(self.lower + self.upper) / 2)
 
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""

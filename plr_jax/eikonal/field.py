@@ -28,12 +28,14 @@ class CostToGoField:
         program: The program whose solution bounds it from below.
         values: That solution, 0 at the goal; its slopes may be a little too steep.
         paths: The paths that bound it from above.
+        likely: Paths through cells that are likely free, which estimate it.
         space: The configuration space.
     """
 
     program: SlopeProgram
     values: Float[np.ndarray, "dofs"]
     paths: NodePaths
+    likely: NodePaths
     space: ConfigurationSpace
 
     @property
@@ -59,15 +61,16 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells: midway between the bounds, as near by if one is missing."""
-        corners = corner_bits(self.mesh.dim)
-        cell, corner = np.divmod(np.arange(len(self.mesh.state) * len(corners)), len(corners))
-        lower = self.lower_at(cell, corners[corner].astype(float))
-        gap = self._corner_costs.ravel() - lower
-        group = self._corner_group
-        return (lower + _filled(np.where(np.isfinite(gap), gap, np.nan), group, len(corners)) / 2).reshape(
-            -1, len(corners)
-        )
+        """An estimate at the corners of open cells, by likely paths; as near by where there is none; 0 of others."""
+        mesh, corners = self.mesh, corner_bits(self.mesh.dim)
+        cell, corner = np.divmod(np.arange(len(mesh.open_cells) * len(corners)), len(corners))
+        lower = self.lower_at(mesh.open_cells[cell], corners[corner].astype(float))
+        node = mesh.corners[mesh.open_cells].ravel()
+        excess = np.maximum(self.likely.cost[node] - lower, 0.0)
+        excess = _filled(np.where(np.isfinite(excess), excess, np.nan), node, len(corners))
+        values = np.zeros((len(mesh.state), len(corners)))
+        values[mesh.open_cells[cell], corner] = np.minimum(lower + excess, self.paths.cost[node])
+        return values
 
     @cached_property
     def mean_gap(self) -> float:
@@ -86,24 +89,10 @@ class CostToGoField:
         return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
 
     @cached_property
-    def _corner_group(self) -> Int[np.ndarray, "all_corners"]:
-        """Corners of open cells by their place; others are alone."""
-        mesh = self.mesh
-        x = mesh.fractions(np.arange(len(mesh.state))[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
-        group = np.unique(np.where(mesh.domain.periodic, x % 1.0, x), axis=0, return_inverse=True)[1].reshape(-1)
-        closed = np.repeat(mesh.state == CellState.BLOCKED, 2**mesh.dim)
-        group[closed] = group.max() + 1 + np.arange(np.count_nonzero(closed))
-        return group
-
-    @cached_property
     def _corner_costs(self) -> Float[np.ndarray, "cells corners"]:
-        """The cost of a path from each cell's corners; ``inf`` where there is none."""
-        mesh = self.mesh
-        costs = np.full((len(mesh.state), 2**mesh.dim), np.inf)
-        costs[mesh.state == CellState.FREE] = self.paths.cost[self.paths.corners]
-        least = np.full(int(self._corner_group.max()) + 1, np.inf)
-        np.minimum.at(least, self._corner_group, costs.ravel())
-        return least[self._corner_group].reshape(costs.shape)
+        """The cost of a path from each corner of open cells; ``inf`` where there is none."""
+        is_open = self.mesh.state != CellState.BLOCKED
+        return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
 
     def bounds_over(
         self,
@@ -205,10 +194,10 @@ class CostToGoField:
         return clear
 
 
-def _filled(values: Float[np.ndarray, "m"], group: Int[np.ndarray, "m"], num_corners: int) -> Float[np.ndarray, "m"]:
-    """Values of groups of corners, unknown ones (NaN) from the known ones of their cells, cell by cell outward."""
+def _filled(values: Float[np.ndarray, "m"], node: Int[np.ndarray, "m"], num_corners: int) -> Float[np.ndarray, "m"]:
+    """Values at nodes, unknown ones (NaN) from the known ones of their cells, cell by cell outward."""
     values = values.copy()
-    num = int(group.max()) + 1
+    num = int(node.max()) + 1
     while True:
         of_cell = values.reshape(-1, num_corners)
         known = np.isfinite(of_cell)
@@ -218,7 +207,7 @@ def _filled(values: Float[np.ndarray, "m"], group: Int[np.ndarray, "m"], num_cor
         use = np.isnan(values) & np.isfinite(near)
         if not use.any():
             return np.where(np.isnan(values), 0.0, values)
-        total = np.bincount(group[use], near[use], num)
-        weight = np.bincount(group[use], minlength=num)
+        total = np.bincount(node[use], near[use], num)
+        weight = np.bincount(node[use], minlength=num)
         fill = np.divide(total, weight, out=np.full(num, np.nan), where=weight > 0)
-        values = np.where(np.isnan(values), fill[group], values)
+        values = np.where(np.isnan(values), fill[node], values)

@@ -8,6 +8,7 @@ from tqdm import tqdm
 from plr_jax.eikonal.costs import cell_costs
 from plr_jax.eikonal.elements import function_space
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax.eikonal.paths import graph_costs
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
@@ -82,10 +83,39 @@ class SlopeSolver:
             self.program, self._iterate = finer, iterate
         self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
 
+    def likely_mesh(self) -> Mesh:
+        """The mesh with mixed cells counted as free if a straight motion through their middle is, else as blocked.
+
+        It goes from face to face the way that paths go: that of the slope.
+        """
+        mesh = self.mesh
+        is_mixed = mesh.state == CellState.MIXED
+        slope = self.program.slopes_within(self.values)[is_mixed[mesh.open_cells]]
+        lo, hi = (corner[is_mixed] for corner in mesh.boxes)
+        share = np.abs(slope / (hi - lo)).max(axis=1, keepdims=True)
+        half = np.divide(slope, 2 * share, out=np.zeros_like(lo), where=share > 0)
+        is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
+        state = mesh.state.copy()
+        state[is_mixed] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
+        return Mesh(mesh.domain, mesh.tree, state)
+
+    def _losses(self) -> Float[np.ndarray, "open"]:
+        """Losses, larger in mixed cells across which costs differ more than a motion through them would cost.
+
+        There a thin wall is in the way, and what a flow through it loses is the way around.
+        """
+        assert self._iterate is not None
+        mesh, costs, loss = self.mesh, self.program.costs.midway, losses(self.program, self._iterate)
+        at_corners = graph_costs(self.likely_mesh(), costs, self.goal, self.space)[mesh.corners[mesh.open_cells]]
+        is_reached = np.isfinite(at_corners)
+        highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
+        across = costs.most(mesh.widths[mesh.open_cells], mesh.open_cells)
+        share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
+        return np.where(mesh.state[mesh.open_cells] == CellState.MIXED, np.maximum(share, 1.0), 1.0) * loss
+
     def _marked(self) -> Int[np.ndarray, "some"]:
         """The cells that lose most, to be refined next."""
-        assert self._iterate is not None
-        mesh, loss = self.mesh, losses(self.program, self._iterate)
+        mesh, loss = self.mesh, self._losses()
         if loss.sum() <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64)
         num_cells, parts = len(mesh.state), 2**mesh.dim - 1
@@ -123,10 +153,10 @@ def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]
     Their sum is about how far the integral of the function is below that of the cost-to-go.
     """
     mesh, num_controls = program.space.mesh, len(program.space.lattice)
-    gradient = (program.gradient @ iterate.values).reshape(program.dim, -1, num_controls).mean(axis=2)
-    flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2)
+    gradient = program.mean_gradients(iterate.values)
+    flow = iterate.flow.reshape(program.dim, -1, num_controls).mean(axis=2).T
     cost = (program.doubt * program.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
-    gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=0))
+    gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=1))
     return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
 

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
-from plr_jax.plr.partition.tree import Tree, tree_of
+from plr_jax.plr.partition.tree import Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace
 
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
@@ -82,6 +82,27 @@ class Mesh:
         """Of the cells."""
         return self.widths.prod(axis=1)
 
+    @cached_property
+    def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
+        slots = 1 << self._finest
+        size = (self._finest - self.cells.depth)[:, None]
+        place = (self.cells.position[:, None] + corner_bits(self.dim)) << size
+        place = np.where(self.domain.periodic, place % slots, place)
+        keys = np.ravel_multi_index(tuple(place.reshape(-1, self.dim).T), tuple(slots + 1))
+        keys, node = np.unique(keys, return_inverse=True)
+        points = np.stack(np.unravel_index(keys, tuple(slots + 1)), axis=1) / slots
+        return points, node.reshape(len(self.cells), -1)
+
+    @property
+    def nodes(self) -> Float[np.ndarray, "nodes dim"]:
+        """Corners of cells, as fractions of the domain, below 1 along periodic axes."""
+        return self._corners[0]
+
+    @property
+    def corners(self) -> Int[np.ndarray, "cells corners"]:
+        """The nodes at the corners of each cell."""
+        return self._corners[1]
+
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
         """Points ``t``, from 0 to 1, of cells as fractions of the domain; exact for dyadic ones."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
@@ -110,7 +131,7 @@ class Mesh:
         return first[order], order
 
     def _along_curve(self, slot: Int[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        """Where slots as wide as the smallest cells are along the curve: row by row of the largest, in these Morton's.
+        """Where slots as wide as the smallest cells are along the curve: row by row of the largest, then Morton's.
 
         References:
             Morton, "A computer oriented geodetic data base and a new technique in file sequencing", 1966.

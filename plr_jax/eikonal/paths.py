@@ -36,25 +36,30 @@ Edges = Int[np.ndarray, "edges"]
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """A path to the goal from every corner of the free cells.
+    """Paths to the goal from the nodes of a mesh.
 
     Attributes:
-        points: Where the nodes are, as fractions of the domain; the last is the goal.
-        corners: The nodes at each free cell's corners; free cells are in the order of the mesh.
+        points: Where the nodes are, as fractions of the domain; after them the goal.
         cost: Of each node's path, nowhere below what it costs; ``inf`` where none was found.
         next: The node that each path goes to first; the goal's number for the goal, and where there is none.
     """
 
     points: Float[np.ndarray, "nodes dim"]
-    corners: Int[np.ndarray, "free corners"]
     cost: Costs
     next: Nodes
+
+
+def graph_costs(
+    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
+) -> Float[np.ndarray, "nodes"]:
+    """What the cheapest ways to a goal cost from the nodes of a mesh along the graph; ``inf`` where there is none."""
+    return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
 
 
 def shortest_paths(
     mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace
 ) -> NodePaths:
-    """Short paths to a goal, a fraction of the domain, from the corners of the free cells."""
+    """Short paths to a goal, a fraction of the domain, from the corners of free cells."""
     graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost = _along(next_, leg)
@@ -68,7 +73,7 @@ def shortest_paths(
         known = np.isfinite(cost)
         if np.sum(before[known] - cost[known]) <= _ENOUGH * np.sum(cost[known]):
             break
-    return NodePaths(graph.points, graph.corners, (1 + _ROUNDING) * cost, next_)
+    return NodePaths(graph.points, (1 + _ROUNDING) * cost, next_)
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
@@ -84,18 +89,18 @@ class _FreeGraph:
 
     def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
-        self.free = np.flatnonzero(mesh.state == CellState.FREE)
-        x = mesh.fractions(self.free[:, None], corner_bits(mesh.dim)).reshape(-1, mesh.dim)
-        x = np.where(mesh.domain.periodic, x % 1.0, x)
-        points, node = np.unique(x, axis=0, return_inverse=True)
-        self.corners = node.reshape(len(self.free), 2**mesh.dim)
-        self.points, self.goal = np.append(points, goal[None], axis=0), len(points)
-        self.begin, self.end, cell = self._edges(goal)
-        self.cost = costs.most(self._changes(self.begin, self.end), cell)
+        self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
+        begin, end, cell = self._edges(goal)
+        cost = costs.most(self._changes(begin, end), cell)
         if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
-            node, cost = self._straight_to_goal(space)
-            self.begin, self.end = np.append(self.begin, node), np.append(self.end, np.full(len(node), self.goal))
-            self.cost = np.append(self.cost, cost)
+            node, straight = self._straight_to_goal(space)
+            begin, end = np.append(begin, node), np.append(end, np.full(len(node), self.goal))
+            cost = np.append(cost, straight)
+        order = np.lexsort((cost, end, begin))
+        is_first = np.diff(begin[order] * len(self.points) + end[order], prepend=-1) != 0
+        cheapest = order[is_first]  # of those that join the same nodes
+        self.begin, self.end, self.cost = begin[cheapest], end[cheapest], cost[cheapest]
+        self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # edge of each node that has some
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
@@ -103,29 +108,29 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Edges, Edges, Edges]:
-        """Pairs of nodes in one closed free cell, and the cell."""
-        place = np.full(len(self.mesh.state), -1)
-        place[self.free] = np.arange(len(self.free))
-        within = np.flatnonzero(place[self.mesh.locate(goal[None])] >= 0)
-        nodes = [self.corners.ravel(), np.full(len(within), self.goal)]
-        cells = [np.repeat(self.free, self.corners.shape[1]), self.mesh.locate(goal[None])[within]]
-        for axis, bits in enumerate(corner_bits(self.mesh.dim).T):  # corners of one cell on the face of another
-            faces = self.mesh.faces[self.mesh.faces.axis == axis]
+        """Pairs of nodes in one closed free cell, some more than once, and the cell."""
+        mesh = self.mesh
+        is_free = mesh.state == CellState.FREE
+        home = mesh.locate(goal[None])
+        nodes, cells = [np.full(1, self.goal)[is_free[home]]], [home[is_free[home]]]
+        for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell on the face of a larger one
+            faces = mesh.faces[mesh.faces.axis == axis]
             for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
-                both = (place[cell] >= 0) & (place[other] >= 0)
-                cell, other, on_face = cell[both], other[both], np.flatnonzero(bits == end)
-                t = self.mesh.local(
-                    other[:, None], self.mesh.fractions(cell[:, None], corner_bits(self.mesh.dim)[on_face])
+                hangs = (
+                    (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1) & is_free[cell] & is_free[other]
                 )
-                t[:, :, axis] = 1 - end
-                row, corner = np.nonzero(np.all((t >= 0) & (t <= 1), axis=2))
-                nodes.append(self.corners[place[cell[row]], on_face[corner]])
-                cells.append(other[row])
-        node, cell = np.concatenate(nodes), np.concatenate(cells)
-        begin, end = np.repeat(node, self.corners.shape[1]), self.corners[place[cell]].ravel()
-        cell, other = np.repeat(cell, self.corners.shape[1]), begin != end
-        begin, end, cell = begin[other], end[other], cell[other]
-        return np.append(begin, end), np.append(end, begin), np.append(cell, cell)
+                on_face = np.flatnonzero(bits == end)
+                nodes.append(mesh.corners[cell[hangs]][:, on_face].ravel())
+                cells.append(np.repeat(other[hangs], len(on_face)))
+        node, cell, free = np.concatenate(nodes), np.concatenate(cells), np.flatnonzero(is_free)
+        num = mesh.corners.shape[1]
+        of, to = (corner.ravel() for corner in np.indices((num, num)))
+        hanging, corner, larger = np.repeat(node, num), mesh.corners[cell].ravel(), np.repeat(cell, num)
+        begin = np.concatenate([mesh.corners[free][:, of].ravel(), hanging, corner])
+        end = np.concatenate([mesh.corners[free][:, to].ravel(), corner, hanging])
+        cell = np.concatenate([np.repeat(free, num**2), larger, larger])
+        other = begin != end
+        return begin[other], end[other], cell[other]
 
     def _straight_to_goal(
         self, space: ConfigurationSpace
@@ -148,32 +153,22 @@ class _FreeGraph:
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
         num = len(self.points)
-        order = np.lexsort((self.cost, self.begin, self.end))
-        key = self.end[order] * num + self.begin[order]
-        first = order[np.diff(key, prepend=-1) != 0]
-        graph = csr_array((self.cost[first], (self.end[first], self.begin[first])), (num, num))
+        graph = csr_array((self.cost, (self.end, self.begin)), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
         leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
         leg[self.goal] = 0.0
         return next_, leg
 
-    @cached_property
-    def _runs(self) -> tuple[Edges, Int[np.ndarray, "beginnings"]]:
-        """Edges by their beginnings, and where those of each node that has some begin."""
-        order = np.argsort(self.begin, kind="stable")
-        return order, np.flatnonzero(np.diff(self.begin[order], prepend=-1))
-
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
         """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
-        order, first = self._runs
-        ahead, begin = next_[self.end[order]], self.begin[order]
-        total = self._lengths(begin, ahead) + cost[ahead]
-        least = np.minimum.reduceat(total, first)
-        run = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(order))))
+        ahead = next_[self.end]
+        total = self._lengths(self.begin, ahead) + cost[ahead]
+        least = np.minimum.reduceat(total, self.first)
+        run = np.repeat(np.arange(len(self.first)), np.diff(np.append(self.first, len(total))))
         is_best = np.flatnonzero(total == least[run])
         best = next_.copy()
-        best[begin[is_best]] = ahead[is_best]
+        best[self.begin[is_best]] = ahead[is_best]
         return best
 
     def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:

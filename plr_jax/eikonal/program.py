@@ -23,8 +23,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csc_matrix, csr_array, diags_array
-from scipy.sparse.linalg import splu
+from pyamg import ruge_stuben_solver
+from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
+from scipy.sparse.linalg import cg, splu
 
 from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.elements import FunctionSpace
@@ -33,6 +34,9 @@ from plr_jax.eikonal.slopes import SlopeSets
 _RELAXATION = 1.6
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
 _TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
+_RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
+_MOST_STEPS = 50  # of conjugate gradients
+_COARSEST_GRID = 500  # unknowns of multigrid's smallest equations
 _TINY = float(np.finfo(float).tiny)
 
 Flow = Float[np.ndarray, "dim controls"]
@@ -84,6 +88,14 @@ class SlopeProgram:
         """By what slopes at the control points are too steep, below 1 where they are not."""
         return self.sets.factors((self.gradient @ u).reshape(self.dim, -1))
 
+    def slopes_within(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
+        """Mean control vectors of open cells, as motions that climb the steepest."""
+        return self.mean_gradients(u) / self.costs.motion.scale
+
+    def mean_gradients(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
+        """Mean control vectors of open cells, in the coordinates of the sets."""
+        return (self.gradient @ u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
+
     def at_goal(self, u: Float[np.ndarray, "dofs"]) -> float:
         """The value at the goal."""
         return float(self.goal @ u)
@@ -121,7 +133,7 @@ class SlopeProgram:
                 least = _LEAST_PENALTY if iteration < tighten_from else _LEAST_PENALTY_AT_LAST
                 penalty = self._penalties(flow, least)
                 y, system = flow / penalty, _Poisson(self, penalty)
-            u = system.solve(load, z - y)
+            u = system.solve(load, z - y, u)
             g = (self.gradient @ u).reshape(self.dim, -1)
             if iteration >= tighten_from and iteration % _TIGHTEN_EVERY == 0:
                 radius = radius * np.minimum(1.0, self.sets.radius / np.maximum(self.sets.lengths(g), _TINY))
@@ -138,7 +150,9 @@ class SlopeProgram:
     def _potential_flow(self, load: Float[np.ndarray, "dofs"]) -> Flow:
         """The flow of least squares that carries a load: of the right size, whatever the units."""
         penalty, nowhere = 1 / self.sets.radius, np.zeros((self.dim, len(self.volume)))
-        return penalty * (self.gradient @ _Poisson(self, penalty).solve(load, nowhere)).reshape(self.dim, -1)
+        return penalty * (self.gradient @ _Poisson(self, penalty).solve(load, nowhere, np.zeros(len(load)))).reshape(
+            self.dim, -1
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,39 +164,30 @@ class Iterate:
 
 
 class _Poisson:
-    """The equation of an iteration; one degree of freedom is held at 0."""
+    """The equation of an iteration; one degree of freedom is held at 0.
+
+    In the plane its matrix is factored. Beyond, where factors fill up, conjugate gradients with algebraic multigrid
+    go on from a guess, until a share of its residual is left.
+    """
 
     def __init__(self, program: SlopeProgram, penalty: Float[np.ndarray, "controls"]):
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
-        matrix, self.free = self.divergence @ program.gradient, np.arange(1, len(program.goal))
-        if program.dim > 2:
-            order = elimination_order(program.space)
-            self.free = order[order != 0]
-        matrix = csc_matrix(matrix[self.free][:, self.free])
-        ordering = "NATURAL" if program.dim > 2 else "MMD_AT_PLUS_A"
-        self.factors: Any = splu(matrix, ordering, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self.matrix = csr_matrix((self.divergence @ program.gradient)[1:, 1:])
+        self._factors: Any = None
+        if program.dim <= 2:
+            options = {"SymmetricMode": True}
+            self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        else:
+            self._multigrid = ruge_stuben_solver(self.matrix, max_coarse=_COARSEST_GRID).aspreconditioner()
 
-    def solve(self, load: Float[np.ndarray, "dofs"], field: Flow) -> Float[np.ndarray, "dofs"]:
-        u = np.zeros(len(load))
-        u[self.free] = self.factors.solve((load + self.divergence @ field.ravel())[self.free])
-        return u
-
-
-def elimination_order(space: FunctionSpace) -> Int[np.ndarray, "dofs"]:
-    """Nested dissection along the tree: what lies on either side of a split first, then what lies on it.
-
-    References:
-        George, "Nested dissection of a regular finite element mesh", 1973.
-    """
-    tree, x = space.mesh.tree, space.points
-    node, rows = np.zeros(len(x), np.int64), np.arange(len(x))
-    keys = []
-    for _ in range(int(tree.cells.depth.sum(axis=1).max())):
-        axis, child = tree.axis[node], tree.child[node]
-        middle = np.ldexp(tree.cells.position[node, axis] + 0.5, -tree.cells.depth[node, axis])
-        at = x[rows, axis]
-        key = np.where(child < 0, 0, np.where(at == middle, 2, (at > middle).astype(np.int64)))
-        node = np.where(child < 0, node, child + (at > middle))
-        keys.append(key.astype(np.int8))
-    return np.lexsort(keys[::-1])
+    def solve(
+        self, load: Float[np.ndarray, "dofs"], field: Flow, guess: Float[np.ndarray, "dofs"]
+    ) -> Float[np.ndarray, "dofs"]:
+        right = (load + self.divergence @ field.ravel())[1:]
+        if self._factors is not None:
+            return np.append(0.0, self._factors.solve(right))
+        guess = guess[1:] - guess[0]
+        left = float(np.linalg.norm(right - self.matrix @ guess))
+        u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * left, maxiter=_MOST_STEPS, M=self._multigrid)
+        return np.append(0.0, u)

@@ -36,8 +36,9 @@ def solve_eikonal(
     Cells are halved where that matters, and proven free, blocked, or neither. The largest function that is 0 at the
     goal, continuous across every face that is not proven blocked, and nowhere steeper than a step costs, is a lower
     bound of the cost of every path, in any dimension. Paths through cells that are proven free bound it from above.
-    The PLR holds what is midway, and ``plr.bounds`` has both: as what is proven of a PLR always, they hold for
-    every point from which the goal can be reached.
+    Mixed cells count as free or blocked by one motion each for the PLR itself, an estimate between the two.
+    ``plr.bounds`` has both bounds: as what is proven of a PLR always, they hold for every point from which the goal
+    can be reached.
 
     Args:
         space: What is free, and what motions cost. Of one that only tests configurations (:class:`FreeTest`), cells
@@ -110,5 +111,7 @@ def _field(
                 raise
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
-    paths = shortest_paths(solver.mesh, solver.program.costs, goal, space)
-    return CostToGoField(solver.program, solver.values, paths, space)
+    program, mesh = solver.program, solver.mesh
+    paths = shortest_paths(mesh, program.costs, goal, space)
+    likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space)
+    return CostToGoField(program, solver.values, paths, likely, space)

@@ -23,7 +23,7 @@ from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import least_squares
 from plr_jax.spaces import CellState
 
-_STEP_PER_GAP = 0.1  # of stored values, over the mean distance of the bounds
+_STEP_PER_GAP = 0.02  # of stored values, over the mean distance of the bounds
 _SMALLEST_STEP = 2.0**-22  # of the largest value
 
 
