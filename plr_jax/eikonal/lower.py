@@ -14,7 +14,7 @@ from plr_jax.spaces import CellState, ConfigurationSpace, CostMap
 
 _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and no loss shows
-_SHARE = 0.7  # of the loss, in cells that are refined
+_SHARE = 0.8  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
 _FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
@@ -79,7 +79,7 @@ class SlopeSolver:
             iterate = _prolonged(self.program, self._iterate, finer)
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
             if len(finer.space.mesh.state) + 2**self.mesh.dim <= self.max_cells:
-                iterate = finer.solve(_NEXT, iterate, (_NEXT // 2,))
+                iterate = finer.solve(_NEXT, iterate)
             self.program, self._iterate = finer, iterate
         self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
 
@@ -97,7 +97,7 @@ class SlopeSolver:
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
         state = mesh.state.copy()
         state[is_mixed] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
-        return Mesh(mesh.domain, mesh.tree, state)
+        return mesh.with_state(state)
 
     def _losses(self) -> Float[np.ndarray, "open"]:
         """Losses, larger in mixed cells across which costs differ more than a motion through them would cost.

@@ -14,6 +14,7 @@ from plr_jax.plr.partition.faces import SharedFaces, shared_faces
 from plr_jax.plr.partition.tree import Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace
 
+_OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_curve", "_splits", "_spread", "_corners")
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
 
 
@@ -137,7 +138,7 @@ class Mesh:
             Morton, "A computer oriented geodetic data base and a new technique in file sequencing", 1966.
         """
         splits = self._splits
-        place = np.ravel_multi_index(tuple((slot >> splits).T), tuple(1 << (self._finest - splits)))
+        place = np.asarray(np.ravel_multi_index(tuple((slot >> splits).T), tuple(1 << (self._finest - splits))))
         place <<= self.dim * splits
         for axis in range(self.dim):
             place += self._spread[slot[:, axis] & ((1 << splits) - 1)] << axis
@@ -163,9 +164,13 @@ class Mesh:
 
     def without(self, is_closed: Bool[np.ndarray, "cells"]) -> "Mesh":
         """The mesh with some cells counted as blocked."""
-        state = self.state.copy()
-        state[is_closed] = CellState.BLOCKED
-        return Mesh(self.domain, self.tree, state)
+        return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
+
+    def with_state(self, state: Int8[np.ndarray, "cells"]) -> "Mesh":
+        """The same cells, of which something else is said; what is known of the cells alone is not computed again."""
+        mesh = Mesh(self.domain, self.tree, state)
+        vars(mesh).update({name: vars(self)[name] for name in _OF_CELLS if name in vars(self)})
+        return mesh
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> "Mesh":
         """The mesh with some cells halved along every axis; the parts of mixed ones are classified anew."""

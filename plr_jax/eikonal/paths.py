@@ -63,10 +63,16 @@ def shortest_paths(
     graph = _FreeGraph(mesh, costs, goal, space)
     next_, leg = graph.cheapest_edges()
     cost = _along(next_, leg)
+    blocked = np.full((2, len(next_)), -1)  # where one cannot go straight, as was found last
     for _ in range(_ROUNDS):
         before = cost
-        for ahead in (next_[next_], graph.next_of_neighbors(cost, next_)):
-            straight = graph.straight_costs(ahead, cost)
+        for kind in range(2):
+            ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
+            node = graph.hopeful(ahead, cost)
+            node = node[(ahead[node] != blocked[:, node]).all(axis=0)]
+            straight = np.full(len(next_), np.inf)
+            straight[node] = graph.straight_costs(node, ahead[node])
+            blocked[kind, node[np.isinf(straight[node])]] = ahead[node[np.isinf(straight[node])]]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
             cost = _along(next_, leg)
@@ -179,14 +185,14 @@ class _FreeGraph:
     def _least(self) -> float:
         return float(self.costs.lower[self.mesh.open_cells].min())
 
-    def straight_costs(self, ahead: Nodes, cost: Costs) -> Costs:
-        """What going straight costs at the most; ``inf`` where it leaves free cells, or gains nothing anyway."""
+    def hopeful(self, ahead: Nodes, cost: Costs) -> Int[np.ndarray, "some"]:
+        """The nodes from which going straight ahead would gain something if nothing were in the way."""
         node = np.arange(len(ahead))
-        hopeful = self._lengths(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-        straight = np.full(len(ahead), np.inf)
-        which = np.flatnonzero(hopeful)
-        straight[which] = self._through_free_cells(self.points[which], self._changes(which, ahead[which]))
-        return straight
+        return np.flatnonzero(self._lengths(node, ahead) + cost[ahead] < (1 - _GAIN) * cost)
+
+    def straight_costs(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
+        """What going straight costs at the most; ``inf`` where that leaves free cells."""
+        return self._through_free_cells(self.points[begin], self._changes(begin, end))
 
     def _through_free_cells(
         self, x: Float[np.ndarray, "n dim"], change: Float[np.ndarray, "n dim"]

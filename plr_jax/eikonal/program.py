@@ -109,7 +109,11 @@ class SlopeProgram:
         return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
 
     def solve(
-        self, num_iterations: int, start: "Iterate", factor_at: Sequence[int], tighten_from: int | float = math.inf
+        self,
+        num_iterations: int,
+        start: "Iterate",
+        factor_at: Sequence[int] = (),
+        tighten_from: int | float = math.inf,
     ) -> "Iterate":
         """So many iterations from a start.
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from eikonal_helpers import BoxSpace, mesh_of, random_mesh
 
-from plr_jax.eikonal.mesh import coarse_mesh
+from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import PLACING, Cells
+from plr_jax.plr.partition.tree import corner_bits
 from plr_jax.spaces import CellState
 
 BLOCKED, FREE, MIXED = CellState
@@ -192,3 +193,12 @@ def test_too_few_cells_for_periodic_axes_are_refused():
     assert len(coarse_mesh(space, np.ones(3), 1, 16).state) == 16
     with pytest.raises(ValueError, match="max_leaves must be at least 16 in a domain with 2 periodic axes, got 15"):
         coarse_mesh(space, np.ones(3), 1, 15)
+
+
+@pytest.mark.parametrize("periodic", [(False, False), (False, True), (True, True)])
+def test_cells_share_the_nodes_at_their_corners(periodic):
+    mesh = random_mesh(0, 2, rounds=3)
+    mesh = Mesh(Box((0, 0), (1, 1), periodic), mesh.tree, mesh.state)
+    x = mesh.fractions(np.arange(len(mesh.state))[:, None], corner_bits(2))
+    np.testing.assert_array_equal(mesh.nodes[mesh.corners], np.where(periodic, x % 1.0, x))
+    assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)

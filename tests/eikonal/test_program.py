@@ -6,7 +6,6 @@ from scipy.sparse import vstack
 
 from plr_jax.eikonal.lower import losses, slope_program
 from plr_jax.eikonal.mesh import coarse_mesh
-from plr_jax.eikonal.program import elimination_order
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import LipschitzCost
 
@@ -147,11 +146,3 @@ def test_losses_are_where_the_function_falls_short():
     assert loss.shape == mesh.open_cells.shape and (loss >= 0).all()
     is_mixed = mesh.state[mesh.open_cells] == 2
     assert loss[is_mixed].sum() > 0.5 * loss.sum()
-
-
-def test_elimination_takes_each_degree_of_freedom_once_and_separators_last():
-    space = program_of(BoxSpace(Box(np.zeros(3), np.ones(3))), (0, 0, 0), num_cells=64).space
-    order = elimination_order(space)
-    assert sorted(order.tolist()) == list(range(len(order)))
-    on_first_split = space.points[:, 0] == 0.5
-    assert on_first_split[order][-on_first_split.sum() :].all()
