@@ -8,7 +8,7 @@ from space_helpers import BOUNDS, random_workspace, rectangle
 from plr_jax import PlaneSpace, PointRobot, Problem, VisibilityGraph, Workspace, validate
 from plr_jax.eikonal.costs import cell_costs
 from plr_jax.eikonal.mesh import coarse_mesh
-from plr_jax.eikonal.paths import shortest_paths
+from plr_jax.eikonal.paths import NodePaths, shortest_paths
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import LipschitzCost
 
@@ -16,12 +16,16 @@ SLOPED = LipschitzCost(lambda q: 1 + q[:, 0] / 2 + q[:, 1] / 4, 0.6, 1.0)
 
 
 def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
-    """Paths on a mesh whose mixed cells are halved, and where its nodes and the goal are."""
+    """Paths on a mesh whose mixed cells are halved, and where the corners of free cells and the goal are."""
     mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
     fraction = (np.array(goal) - space.domain.lo) / space.domain.width
     paths = shortest_paths(mesh, cell_costs(space, cost_map, mesh), fraction, space)
+    keep = np.append(np.unique(mesh.corners[mesh.state == 1]), len(mesh.nodes))
+    place = np.full(len(mesh.nodes) + 1, len(keep) - 1)
+    place[keep] = np.arange(len(keep))
+    paths = NodePaths(paths.points[keep], paths.cost[keep], place[paths.next[keep]])
     return paths, space.domain.lo + paths.points * space.domain.width
 
 
@@ -157,4 +161,4 @@ def test_paths_in_space_are_free_and_cost_what_they_say(goal):
 
 def test_where_no_cell_is_free_there_is_the_goal_alone():
     paths, x = paths_of(PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])), (0.5, 0.5), num_cells=1, rounds=0)
-    assert paths.cost.tolist() == [np.inf] * 4 + [0] and len(x) == 5
+    assert paths.cost.tolist() == [0] and len(x) == 1

@@ -8,6 +8,7 @@ from plr_jax import (
     CellState,
     PlaneSpace,
     VisibilityGraph,
+    Workspace,
     from_bytes,
     load,
     save,
@@ -210,3 +211,16 @@ def test_nothing_free_but_the_goals_cell_is_no_problem():
     lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
     assert (lower <= distance + 1e-9).all() and (distance <= upper + 1e-9).all()
     assert (space.classify(*plr.leaf_boxes) == CellState.BLOCKED).any()
+
+
+def test_the_estimate_is_far_nearer_than_the_bounds_and_knows_walls_thinner_than_cells():
+    walls = [[(x, y), (x + 0.01, y), (x + 0.01, y + 1.2), (x, y + 1.2)] for x, y in ((0.6, 0.0), (1.3, 0.3))]
+    workspace = Workspace(((0, 0), (2, 1.5)), walls)
+    goal = np.array([1.9, 0.2])
+    plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=2_000)
+    x = workspace.sample_free(5_000, 0)
+    distance = VisibilityGraph(workspace, goal)(x)
+    lower, _ = plr.bounds(x)
+    assert (np.asarray(lower) <= distance).all()
+    error = np.abs(np.asarray(plr(x)) - distance).mean()
+    assert error < 0.005 * distance.mean() and error < 0.1 * (distance - np.asarray(lower)).mean()
