@@ -67,6 +67,7 @@ from .spaces import CellState as CellState
 from .spaces import Climbing as Climbing
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import CostMap as CostMap
+from .spaces import Current as Current
 from .spaces import DirectionalCost as DirectionalCost
 from .spaces import FreeTest as FreeTest
 from .spaces import LipschitzCost as LipschitzCost

@@ -37,6 +37,11 @@ class CellCosts:
         """Costs of which the most is midway between their bounds."""
         return replace(self, upper=(self.lower + self.upper) / 2)
 
+    @property
+    def least_rates(self) -> Float[np.ndarray, "cells"]:
+        """What motions cost at the least over their lengths, whichever way they go."""
+        return self.lower if self.pulls is None else self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0)
+
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""
         pulls = None if self.pulls is None else self.pulls[:, cell]

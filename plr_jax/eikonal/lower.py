@@ -1,7 +1,7 @@
 """Proven lower bounds of the cost-to-go: the slope program on meshes that are refined where the flow loses most."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
@@ -50,6 +50,7 @@ class SlopeSolver:
         mesh = coarse_mesh(space, space.motion_cost.scale, num_cells, max_cells)
         self.program = self._program(mesh)
         self._iterate: Iterate | None = None
+        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # what motions through mixed cells are
 
     @property
     def mesh(self) -> Mesh:
@@ -78,26 +79,28 @@ class SlopeSolver:
             finer = self._program(self.mesh.refined(which, self.space))
             iterate = _prolonged(self.program, self._iterate, finer)
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
-            if len(finer.space.mesh.state) + 2**self.mesh.dim <= self.max_cells:
+            if len(finer.space.mesh.state) + 2**self.mesh.dim - 1 <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
+            self._through = _kept(self._through, self.mesh, finer.space.mesh)
             self.program, self._iterate = finer, iterate
         self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
 
     def likely_mesh(self) -> Mesh:
         """The mesh with mixed cells counted as free if a straight motion through their middle is, else as blocked.
 
-        It goes from face to face the way that paths go: that of the slope.
+        It goes from face to face the way that paths go: that of the slope, when the cell was new.
         """
         mesh = self.mesh
-        is_mixed = mesh.state == CellState.MIXED
-        slope = self.program.slopes_within(self.values)[is_mixed[mesh.open_cells]]
-        lo, hi = (corner[is_mixed] for corner in mesh.boxes)
-        share = np.abs(slope / (hi - lo)).max(axis=1, keepdims=True)
-        half = np.divide(slope, 2 * share, out=np.zeros_like(lo), where=share > 0)
+        mixed = np.flatnonzero(mesh.state == CellState.MIXED)
+        new = mixed[self._through[mixed] == CellState.MIXED]
+        slope = np.zeros((len(mesh.state), mesh.dim))
+        slope[mesh.open_cells] = self.program.slopes_within(self.values)
+        lo, hi = (corner[new] for corner in mesh.boxes)
+        share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
+        half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
-        state = mesh.state.copy()
-        state[is_mixed] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
-        return mesh.with_state(state)
+        self._through[new] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
+        return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _losses(self) -> Float[np.ndarray, "open"]:
         """Losses, larger in mixed cells across which costs differ more than a motion through them would cost.
@@ -115,10 +118,12 @@ class SlopeSolver:
 
     def _marked(self) -> Int[np.ndarray, "some"]:
         """The cells that lose most, to be refined next."""
-        mesh, loss = self.mesh, self._losses()
+        mesh, num_cells, parts = self.mesh, len(self.mesh.state), 2**self.mesh.dim - 1
+        if num_cells + parts > self.max_cells:
+            return np.zeros(0, np.int64)
+        loss = self._losses()
         if loss.sum() <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64)
-        num_cells, parts = len(mesh.state), 2**mesh.dim - 1
         order = np.argsort(-loss, kind="stable")
         enough = np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1
         least, most = (int((growth - 1) * num_cells / parts) for growth in _GROWTH)
@@ -173,3 +178,10 @@ def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> It
     place[mesh.open_cells] = np.arange(len(mesh.open_cells))
     flow = iterate.flow.reshape(coarse.dim, -1, size).mean(axis=2)[:, place[parent]]
     return Iterate(values, np.repeat(flow, size, axis=1))
+
+
+def _kept(through: Int8[np.ndarray, "coarse"], coarse: Mesh, fine: Mesh) -> Int8[np.ndarray, "fine"]:
+    """What motions through cells are, for cells that were there before; MIXED for the others."""
+    before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
+    is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
+    return np.where(is_same, through[before], np.int8(CellState.MIXED))

@@ -183,7 +183,7 @@ class _FreeGraph:
 
     @cached_property
     def _least(self) -> float:
-        return float(self.costs.lower.min())
+        return float(self.costs.least_rates.min())
 
     def hopeful(self, ahead: Nodes, cost: Costs) -> Int[np.ndarray, "some"]:
         """The nodes from which going straight ahead would gain something if nothing were in the way."""

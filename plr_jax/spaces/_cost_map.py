@@ -1,4 +1,4 @@
-"""Costs of motions that differ from place to place, and with the way they go: slow ground, risk, climbing, wind."""
+"""Costs of motions that differ from place to place, and how they are bounded over boxes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
+from plr_jax._arrays import as_finite, as_values, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost
 
@@ -56,91 +56,6 @@ class DirectionalCost(CostMap, Protocol):
         more. Where ``least`` is not positive, the bounds of the cost map are used instead.
         """
         ...
-
-
-@dataclass(frozen=True)
-class Climbing:
-    """Cost of motions over a ground of some height: length, and so much more a unit of climbing; descending is free.
-
-    Args:
-        gradient_fn: Gradient of the height at configurations ``(n, dof)``, ``(n, dof)``.
-        rate: What a unit of height costs, at least 0.
-        lipschitz: The most by which the gradient changes a unit of distance, at least 0.
-        steepest: The largest slope.
-
-    Raises:
-        ValueError: If an argument is of another kind or out of its range.
-    """
-
-    gradient_fn: Callable[[np.ndarray], ArrayLike]
-    rate: float
-    lipschitz: float
-    steepest: float
-
-    def __post_init__(self):
-        if not callable(self.gradient_fn):
-            raise ValueError(f"gradient_fn must be a function of configurations, got {shortened(self.gradient_fn)}.")
-        for name in ("rate", "lipschitz", "steepest"):
-            vars(self)[name] = as_finite(name, getattr(self, name))
-
-    def _gradients(self, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n dof"]:
-        gradient = as_numbers("gradient_fn's answer", self.gradient_fn(q), f"real numbers of shape {q.shape}")
-        if gradient.shape != q.shape:
-            raise ValueError(f"gradient_fn must return gradients of shape {q.shape}, got {gradient.shape}.")
-        bad = np.flatnonzero(~(np.linalg.norm(gradient, axis=1) <= (1 + 1e-12) * self.steepest))
-        if bad.size:
-            raise ValueError(
-                f"gradient_fn must return gradients of at most {self.steepest:g}, got {gradient[bad[0]].tolist()} at "
-                f"{q[bad[0]].tolist()}."
-            )
-        return gradient
-
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
-        """What a motion of length 1 straight uphill costs.
-
-        Args:
-            q: Configurations, ``(n, dof)``.
-
-        Returns:
-            The costs, ``(n,)``.
-
-        Raises:
-            ValueError: If the function returns another shape, or a gradient above ``steepest``.
-        """
-        return 1 + self.rate * np.linalg.norm(self._gradients(np.asarray(q, np.float64)), axis=1)
-
-    def bounds(
-        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            The bounds, ``(n,)`` each.
-        """
-        _, uphill, _, most = self.pulls(lo, hi)
-        return np.ones(len(lo)), most + np.linalg.norm(uphill, axis=1)
-
-    def pulls(
-        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-    ) -> tuple[
-        Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]
-    ]:
-        """As :meth:`DirectionalCost.pulls`: nothing, and the gradient at the center.
-
-        Args:
-            lo: Lower corners, ``(n, dof)``.
-            hi: Upper corners.
-
-        Returns:
-            Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
-        """
-        uphill = self.rate * self._gradients((lo + hi) / 2)
-        spread = self.rate * self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
-        return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,7 @@ def test_readme_tables_of_gradients(name, smoke, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", [*SMOKED, "benchmark", "proofs", "hostile_files"]
+    "name", [*SMOKED, "benchmark", "proofs", "solve", "hostile_files"]
 )  # whose sections have tests of their own
 def test_committed_results_are_those_of_a_full_run(name):
     record = json.loads((ROOT / "experiments" / "results" / f"{name}.json").read_text())
