@@ -3,7 +3,8 @@
 Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
 cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
 node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
-is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path.
+is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path. On a mesh of
+which some cells are only likely to be free, the same paths are estimates.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
