@@ -34,7 +34,7 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs of which the most is midway between their bounds."""
+        """The same, with the middle of the bounds of the factor as its upper one: for estimates."""
         return replace(self, upper=(self.lower + self.upper) / 2)
 
     @property

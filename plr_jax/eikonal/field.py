@@ -22,7 +22,7 @@ _HALVES = np.array([0.0, 0.5, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class CostToGoField:
-    """Bounds of the cost-to-go on a mesh.
+    """A proven lower bound of the cost-to-go on a mesh, a proven upper one, and an estimate between them.
 
     Attributes:
         program: The program whose solution bounds it from below.
@@ -61,7 +61,10 @@ class CostToGoField:
 
     @cached_property
     def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells, by likely paths; as near by where there is none; 0 of others."""
+        """An estimate at the corners of open cells; 0 at those of blocked ones.
+
+        By likely paths; where there is none, the lower bound and what costs near by are above theirs.
+        """
         mesh, corners = self.mesh, corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(mesh.open_cells) * len(corners)), len(corners))
         lower = self.lower_at(mesh.open_cells[cell], corners[corner].astype(float))

@@ -1,10 +1,9 @@
-"""Upper bounds of the cost-to-go: paths through free cells, straight wherever free cells allow.
+"""Short paths to a goal through free cells: upper bounds where those are proven free, estimates where likely so.
 
 Within a free cell every straight motion is free, so a graph joins its corners without another test of collision. The
 cheapest ways along that graph zigzag. They are pulled straight as in Theta*: a node goes straight to the next but one
 node of its path, or to the next node of a neighbor's, where that runs through free cells alone. To a goal whose cell
-is not free, as beside a wall, straight motions are tested one by one. Every bound is the cost of a path. On a mesh of
-which some cells are only likely to be free, the same paths are estimates.
+is not free, as beside a wall, straight motions are tested one by one.
 
 References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
@@ -41,7 +40,7 @@ class NodePaths:
 
     Attributes:
         points: Where the nodes are, as fractions of the domain; after them the goal.
-        cost: Of each node's path, nowhere below what it costs; ``inf`` where none was found.
+        cost: Of each node's path by the given costs, rounded up; ``inf`` where none was found.
         next: The node that each path goes to first; the goal's number for the goal, and where there is none.
     """
 
@@ -69,7 +68,7 @@ def shortest_paths(
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
-            node = graph.hopeful(ahead, cost)
+            node = graph.promising(ahead, cost)
             node = node[(ahead[node] != blocked[:, node]).all(axis=0)]
             straight = np.full(len(next_), np.inf)
             straight[node] = graph.straight_costs(node, ahead[node])
@@ -186,7 +185,7 @@ class _FreeGraph:
     def _least(self) -> float:
         return float(self.costs.least_rates.min())
 
-    def hopeful(self, ahead: Nodes, cost: Costs) -> Int[np.ndarray, "some"]:
+    def promising(self, ahead: Nodes, cost: Costs) -> Int[np.ndarray, "some"]:
         """The nodes from which going straight ahead would gain something if nothing were in the way."""
         node = np.arange(len(ahead))
         return np.flatnonzero(self._lengths(node, ahead) + cost[ahead] < (1 - _GAIN) * cost)

@@ -100,10 +100,6 @@ class SlopeProgram:
         """The value at the goal."""
         return float(self.goal @ u)
 
-    def mean(self, u: Float[np.ndarray, "dofs"]) -> float:
-        """Mean over open cells."""
-        return float(self.weight @ u / self.weight.sum())
-
     def zero(self) -> "Iterate":
         """No flow, and 0 everywhere."""
         return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))

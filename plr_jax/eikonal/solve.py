@@ -50,7 +50,7 @@ def solve_eikonal(
         max_bytes: Most bytes of the file. The leaves are then others than the cells: as few as that allows, grown
             from what was found on the cells. None: a leaf a cell, in as many bytes as that takes.
         tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
-            in units of cost.
+            in units of cost, at least 0; None: 0, so that all of ``max_leaves`` are used.
         seed: Seed of samples.
 
     Returns:
@@ -59,8 +59,9 @@ def solve_eikonal(
         is a first solution, that of the cells there are, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range, or
-            bounds of the cost map are not positive and finite.
+        ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or
+            too small (for one leaf, for four cells along each periodic axis, or so that open cells have no sample),
+            bounds of the cost map are not positive and finite, or it is directional and the space's cost no length.
 
     References:
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.

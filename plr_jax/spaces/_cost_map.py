@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_values, shortened
+from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost
 
@@ -53,7 +53,8 @@ class DirectionalCost(CostMap, Protocol):
         """Vectors ``a`` and ``b`` for each box, and numbers ``least`` and ``most``.
 
         Any motion ``dq`` in the box costs between ``least`` and ``most`` times ``|dq|``, and ``max(a . dq, b . dq)``
-        more. Where ``least`` is not positive, the bounds of the cost map are used instead.
+        more. Where ``least`` is at most a quarter of ``most``, as over boxes within which costs vary much, the bounds
+        of the cost map are used instead.
         """
         ...
 
@@ -143,10 +144,33 @@ def cost_bounds(
         return lower, upper, None
     if [weight for _, weight in motion.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
-    first, second, least, most = (np.asarray(bound, np.float64) for bound in cost_map.pulls(lo, hi))
+    first, second, least, most = _checked_pulls(cost_map.pulls(lo, hi), lo, hi)
     use = least > _LEAST_SHARE * most
     pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
     return np.where(use, least, lower), np.where(use, most, upper), pulls
+
+
+def _checked_pulls(
+    pulls: object, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Pulls over boxes as arrays; ``ValueError`` if they are none."""
+    if not isinstance(pulls, Sequence) or len(pulls) != 4:
+        raise ValueError(
+            f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {shortened(pulls)}."
+        )
+    expected = f"finite vectors of shape {lo.shape}"
+    first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
+    least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
+    for vectors in (first, second):
+        if vectors.shape != lo.shape or not np.isfinite(vectors).all():
+            raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
+    bad = np.flatnonzero(~((least <= most) & np.isfinite(least) & np.isfinite(most)))
+    if bad.size:
+        raise ValueError(
+            f"Bounds of a DirectionalCost's pulls must be finite, the least nowhere above the most, got "
+            f"{least[bad[0]]} and {most[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
+        )
+    return first, second, least, most
 
 
 def motion_rates(

@@ -40,7 +40,7 @@ def test_points_are_located_as_by_search(dim):
     assert mesh.locate(x).tolist() == locate_by_search(mesh, x)
 
 
-def test_points_in_tiny_cells_are_located_down_the_tree():
+def test_points_in_tiny_cells_are_located():
     space = BoxSpace(UNIT)
     mesh = refined_often(space, 12)
     assert mesh.cells.depth.max() > 12
@@ -202,3 +202,16 @@ def test_cells_share_the_nodes_at_their_corners(periodic):
     x = mesh.fractions(np.arange(len(mesh.state))[:, None], corner_bits(2))
     np.testing.assert_array_equal(mesh.nodes[mesh.corners], np.where(periodic, x % 1.0, x))
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
+
+
+def test_another_state_changes_all_that_is_said_of_open_cells_and_nothing_else():
+    mesh = random_mesh(1, 2, rounds=3)
+    _ = mesh.open_cells, mesh.is_open_face, mesh.faces, mesh.boxes, mesh.nodes, mesh.locate(mesh.nodes)
+    closed = np.random.default_rng(0).random(len(mesh.state)) < 0.5
+    other = mesh.without(closed)
+    fresh = Mesh(mesh.domain, mesh.tree, other.state)
+    np.testing.assert_array_equal(other.open_cells, np.flatnonzero(~closed & (mesh.state != BLOCKED)))
+    np.testing.assert_array_equal(other.is_open_face, fresh.is_open_face)
+    np.testing.assert_array_equal(other.faces.lower, fresh.faces.lower)
+    np.testing.assert_array_equal(other.corners, fresh.corners)
+    np.testing.assert_array_equal(other.locate(mesh.nodes), fresh.locate(mesh.nodes))

@@ -21,6 +21,11 @@ def program_of(space, goal, num_cells=16, cost_map=None, rounds=1):
     return slope_program(mesh, space, cost_map, np.array(goal, float))
 
 
+def mean(program, u):
+    """Over open cells."""
+    return program.weight @ u / program.weight.sum()
+
+
 def solved(program, rounds=6):
     """The values after many iterations, 0 at the goal, over the factor by which they are too steep."""
     iterate = program.solve(150, program.zero(), (20, 40, 80))
@@ -48,9 +53,9 @@ def test_the_best_function_is_that_of_a_linear_program(weights, seed):
         bounds=(None, None),
     )
     u, _ = solved(program)
-    best = program.mean(exact.x)
+    best = mean(program, exact.x)
     assert program.slopes(exact.x).max() <= 1 + 1e-6
-    assert 0.995 * best <= program.mean(u) <= best * (1 + 1e-6)
+    assert 0.995 * best <= mean(program, u) <= best * (1 + 1e-6)
 
 
 def test_the_best_function_is_that_of_a_general_method():
@@ -75,7 +80,7 @@ def test_the_best_function_is_that_of_a_general_method():
     )
     u, _ = solved(program)
     assert exact.success
-    np.testing.assert_allclose(program.mean(u), program.mean(exact.x), rtol=3e-3)
+    np.testing.assert_allclose(mean(program, u), mean(program, exact.x), rtol=3e-3)
 
 
 def test_in_an_empty_square_it_is_just_below_the_distance():
@@ -99,7 +104,7 @@ def test_a_step_costs_what_the_cell_says():
     np.testing.assert_allclose(tripled.sets.radius, 3 * plain.sets.radius)
     u, _ = solved(plain, rounds=1)
     np.testing.assert_allclose(tripled.slopes(3 * u), plain.slopes(u))
-    np.testing.assert_allclose(tripled.mean(solved(tripled)[0]), 3 * plain.mean(solved(plain)[0]), rtol=2e-3)
+    np.testing.assert_allclose(mean(tripled, solved(tripled)[0]), 3 * mean(plain, solved(plain)[0]), rtol=2e-3)
 
 
 def test_costs_of_cells_bound_slopes_there_alone():

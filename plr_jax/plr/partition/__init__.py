@@ -1,1 +1,1 @@
-"""Dyadic partitions of a box: cells, the tree over them, their faces and neighbors. No values."""
+"""Dyadic partitions of a box: cells, the tree over them, their faces and neighbors, and what ties values across."""
