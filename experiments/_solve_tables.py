@@ -7,7 +7,13 @@ from experiments.solving import _bodies, _cars, _nodes, _plane, _speed_map
 
 _SECTIONS = {"speed_map": _speed_map, "cars": _cars, "nodes": _nodes}
 _TESTED = ("configurations", "motions", "boxes")
-_PLANE = {"mean": "mean error", "largest": "largest", "below": "below truth", "gap": "upper - lower"}
+_PLANE = {
+    "mean": "mean error",
+    "largest": "largest",
+    "unanswered": "no answer",
+    "below": "below truth",
+    "gap": "upper - lower",
+}
 _BODIES = {"mean": "mean difference", "largest": "largest", "gap": "upper - lower", "with_upper": "upper bound"}
 
 

@@ -11,6 +11,8 @@ from experiments.solving._counted import counted
 from plr_jax import ConfigurationSpace, Roadmap
 from plr_jax.geometry.graph import Graph, dijkstra
 
+_BYTES_A_FLOAT = 4
+
 
 class SampledCosts(NamedTuple):
     """Cost-to-go of the samples of a roadmap, and what it took."""
@@ -20,6 +22,11 @@ class SampledCosts(NamedTuple):
     roadmap: Roadmap
     seconds: float
     tests: dict[str, Any]
+
+    @property
+    def num_bytes(self) -> int:
+        """Of what answers for this goal: coordinates and costs of the vertices, in float32."""
+        return _BYTES_A_FLOAT * (self.vertices.size + self.costs.size)
 
 
 def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, "dof"], num_samples: int, seed: int) -> SampledCosts:

@@ -97,7 +97,7 @@ def _errors(plr: Any, x: Float[np.ndarray, "n 2"], truth: Float[np.ndarray, "n"]
     return {
         "mean": float(error.mean()),
         "largest": float(error.max()),
-        "gap": float((upper - lower)[bounded].mean() / truth.mean()) if bounded.any() else None,
+        "gap": float((upper - lower)[bounded].mean() / truth[bounded].mean()) if bounded.any() else None,
         "without_upper": float(1 - bounded.mean()),
         "beyond_share": float((beyond > 0).mean()),
         "beyond_largest": float(beyond.max(initial=0.0)),

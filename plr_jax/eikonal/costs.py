@@ -35,12 +35,19 @@ class CellCosts:
     @property
     def midway(self) -> "CellCosts":
         """The same, with the middle of the bounds of the factor as its upper one: for estimates."""
-        return replace(self, upper=(self.lower + self.upper) / 2)
+        least = (
+            self.lower
+            if self.pulls is None
+            else np.maximum(self.lower, np.linalg.norm(self.pulls, axis=2).max(axis=0))
+        )
+        return replace(self, upper=(least + self.upper) / 2)  # so that no motion costs less than nothing
 
     @property
     def least_rates(self) -> Float[np.ndarray, "cells"]:
         """What motions cost at the least over their lengths, whichever way they go."""
-        return self.lower if self.pulls is None else self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0)
+        if self.pulls is None:
+            return self.lower
+        return np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0)
 
     def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """What straight motions within cells cost at the most."""

@@ -163,8 +163,11 @@ class CostToGoField:
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
         """What is rounded, and what the way costs to each cell from a point beside it that a query places in it."""
-        beside = self.program.costs.motion.norm(PLACING * self.mesh.domain.width[None])
-        return _ROUNDING * np.abs(self._nodal).max() + beside * self.program.costs.upper
+        costs, beside = self.program.costs, PLACING * self.mesh.domain.width
+        way = costs.motion.norm(beside[None]) * costs.upper
+        if costs.pulls is not None:
+            way = way + (np.abs(costs.pulls) @ beside).max(axis=0)
+        return _ROUNDING * np.abs(self._nodal).max() + way
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:

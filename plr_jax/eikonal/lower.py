@@ -137,6 +137,10 @@ def slope_program(
 ) -> SlopeProgram:
     """The program on the part of a mesh that the goal, a fraction of the domain, is connected to."""
     home = mesh.locate(goal[None])
+    if mesh.state[home[0]] == CellState.BLOCKED:  # to a tolerance: the goal is free
+        state = mesh.state.copy()
+        state[home] = CellState.MIXED
+        mesh = mesh.with_state(state)
     mesh = mesh.without(~mesh.connected_to(int(home[0])))
     functions = function_space(mesh, _degree(mesh.dim))
     gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))

@@ -13,12 +13,14 @@ from plr_jax.eikonal.lower import SlopeSolver
 from plr_jax.eikonal.paths import shortest_paths
 from plr_jax.eikonal.sampled import SampledSpace
 from plr_jax.eikonal.storing import plr_of_bytes, plr_on_mesh
+from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.growth.limits import ConstructionInterrupted
-from plr_jax.spaces import ConfigurationSpace, CostMap, FreeTest
+from plr_jax.spaces import ConfigurationSpace, CostMap, FreeTest, MotionCost
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}
 _MAX_CELLS_BEYOND = 50_000
+_BESIDE = 1e-6  # of the domain, by which a goal that is free to a tolerance may be outside
 
 
 def solve_eikonal(
@@ -66,10 +68,7 @@ def solve_eikonal(
     References:
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
     """
-    if not isinstance(space, FreeTest):
-        raise ValueError(
-            f"space must be a configuration space, such as PlaneSpace(workspace), got {shortened(space)}."
-        )
+    _check_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     require_integer("seed", seed, 0)
@@ -89,15 +88,33 @@ def solve_eikonal(
     return plr_of_bytes(field, int(max_bytes), int(seed), is_proven)
 
 
+def _check_space(space: object) -> None:
+    if isinstance(space, type) or not isinstance(space, FreeTest):
+        raise ValueError(
+            "space must be a configuration space, such as PlaneSpace(workspace), with a domain, a motion_cost and "
+            f"is_free, got {shortened(space)}."
+        )
+    domain, motion = space.domain, space.motion_cost
+    if not isinstance(domain, Box):
+        raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
+    if not isinstance(motion, MotionCost) or sorted(axis for axes, _ in motion.blocks for axis in axes) != list(
+        range(domain.dim)
+    ):
+        raise ValueError(
+            f"The space's motion_cost must be a MotionCost of its {domain.dim} axes, got {shortened(motion)}."
+        )
+
+
 def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
     """The goal as a fraction of the domain; ``ValueError`` if one cannot be there."""
     domain = space.domain
     goal = as_finite_point("goal", goal)
     if goal.shape != (domain.dim,):
         raise ValueError(f"goal must have {domain.dim} coordinates, as the space has axes, got {goal.size}.")
-    if not (domain.contains(goal[None])[0] and space.is_free(goal[None])[0]):
+    at = (domain.wrapped(goal[None])[0] - domain.lo) / domain.width
+    if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not space.is_free(goal[None])[0]:
         raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
-    return (domain.wrapped(goal[None])[0] - domain.lo) / domain.width
+    return np.clip(at, 0.0, 1.0)
 
 
 def _field(

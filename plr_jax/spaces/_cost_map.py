@@ -12,6 +12,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost
 
 _LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
+_LEAST_MARGIN = 0.02  # of the upper bound, which must be left of the least where pulls are against it
 
 
 @runtime_checkable
@@ -53,8 +54,8 @@ class DirectionalCost(CostMap, Protocol):
         """Vectors ``a`` and ``b`` for each box, and numbers ``least`` and ``most``.
 
         Any motion ``dq`` in the box costs between ``least`` and ``most`` times ``|dq|``, and ``max(a . dq, b . dq)``
-        more. Where ``least`` is at most a quarter of ``most``, as over boxes within which costs vary much, the bounds
-        of the cost map are used instead.
+        more. Where ``least`` is at most a quarter of ``most``, as over boxes within which costs vary much, or hardly
+        more than all points between ``a`` and ``b`` are long, the bounds of the cost map are used instead.
         """
         ...
 
@@ -145,9 +146,19 @@ def cost_bounds(
     if [weight for _, weight in motion.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
     first, second, least, most = _checked_pulls(cost_map.pulls(lo, hi), lo, hi)
-    use = least > _LEAST_SHARE * most
+    use = (least > _LEAST_SHARE * most) & (least - _distance_to_segments(first, second) > _LEAST_MARGIN * most)
     pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
     return np.where(use, least, lower), np.where(use, most, upper), pulls
+
+
+def _distance_to_segments(
+    first: Float[np.ndarray, "n dof"], second: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"]:
+    """How far the segments between vectors are from 0."""
+    change = second - first
+    square = np.sum(change * change, axis=1)
+    share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
+    return np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
 
 
 def _checked_pulls(
