@@ -18,6 +18,7 @@ _SHARE = 0.8  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
 _FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
+_DETOUR = 16  # most by which a loss counts more for the way around that it hides
 _DEEPEST = 13  # splits along an axis, which a query resolves
 _INSET = 1e-9  # of a cell, by which points keep off its faces
 
@@ -114,7 +115,7 @@ class SlopeSolver:
         highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
         across = costs.most(mesh.widths[mesh.open_cells], mesh.open_cells)
         share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
-        return np.where(mesh.state[mesh.open_cells] == CellState.MIXED, np.maximum(share, 1.0), 1.0) * loss
+        return np.where(mesh.state[mesh.open_cells] == CellState.MIXED, np.clip(share, 1.0, _DETOUR), 1.0) * loss
 
     def _marked(self) -> Int[np.ndarray, "some"]:
         """The cells that lose most, to be refined next."""

@@ -148,9 +148,9 @@ def test_bounds_of_bodies_are_nowhere_above_paths_that_are_there(proven):
     cost = np.hypot(change[..., 0], change[..., 1]) + angle * [0.0, 0.4]
     left = np.concatenate([np.cumsum(cost[::-1], axis=0)[::-1], np.zeros((1, 2))])
     bound = sum_of_distances([plr.lower for plr in proven]).per_robot(path)
-    assert (bound <= left + 1e-6).all()
+    assert (bound <= left + 1e-6).all() and (bound.sum(axis=0) > 0.7 * left.sum(axis=0)).all()
     turned_away = THROUGH.goals[None] - [0, 0, 1.2]
-    assert 0.2 < sum_of_distances([plr.lower for plr in proven]).per_robot(turned_away)[0, 1] <= 0.4 * 1.2
+    assert 0 < sum_of_distances([plr.lower for plr in proven]).per_robot(turned_away)[0, 1] <= 0.4 * 1.2
 
 
 def test_costs_of_bodies_lead_through_a_tangle():
