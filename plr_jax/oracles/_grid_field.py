@@ -117,6 +117,9 @@ def _checked_values(values: ArrayLike, dim: int) -> Float[np.ndarray, "..."]:
     numbers[np.isnan(numbers)] = np.inf
     if numbers.min() < 0:
         cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
-        raise ValueError(f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance.")
+        raise ValueError(
+            f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance, and "
+            "give np.maximum(values, 0) of a field that is negative within the goal."
+        )
     numbers.flags.writeable = False
     return numbers

@@ -64,6 +64,9 @@ class DirectionalCost(CostMap, Protocol):
 class LipschitzCost:
     """A cost map of a function that changes by at most so much a unit of distance.
 
+    What is proven with it holds if that is true. The reciprocal of a speed of at least ``v`` that changes by at most
+    ``c`` a unit changes by at most ``c / v**2``.
+
     Args:
         cost_fn: The factor at configurations ``(n, dof)``, positive.
         lipschitz: The most by which it changes along a unit of Euclidean distance in configurations, at least 0.

@@ -34,7 +34,7 @@ class MotionCost:
 
     Length in the plane is ``(((0, 1), 1.0),)``; length and weighted turn of a rigid body are
     ``(((0, 1), 1.0), ((2,), rotation_weight))``. It is a norm of the motion, the same everywhere, so a straight
-    motion is a cheapest one where nothing is in its way.
+    motion is a cheapest one where nothing is in its way. There and back cost the same: time cannot be an axis.
 
     Args:
         blocks: Pairs of axes and a weight, positive: the cost of a motion of length 1 along these axes alone. Every
