@@ -47,8 +47,10 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         began = time.perf_counter()
         values = lookup_table(oracle, _SMOKE_TABLE if smoke else TABLE)
         table = {"car": name, "seconds": time.perf_counter() - began, "bytes": values.nbytes}
-        for method, answer in {"table, nearest": looked_up, "table, interpolated": interpolated}.items():
-            of_table = partial(answer, values)
+        for method, of_table in {
+            "table, nearest": partial(looked_up, values),
+            "table, interpolated": partial(interpolated, field_of(values)),
+        }.items():
             row = table | {"method": method, "nanoseconds": _nanoseconds(of_table, x, batches, smoke)}
             rows.append(row | _errors(of_table(x), truth))
         print(aligned(_rows_of(rows, batches), 5 + len(batches)), flush=True)
@@ -79,11 +81,16 @@ def looked_up(values: Float[np.ndarray, "columns rows headings"], x: Float[np.nd
     return values[columns, rows, headings % sizes[2]]
 
 
-def interpolated(values: Float[np.ndarray, "columns rows headings"], x: Float[np.ndarray, "n 3"]) -> Any:
-    """What the eight cells around each pose say, interpolated."""
+def field_of(values: Float[np.ndarray, "columns rows headings"]) -> GridField:
+    """The table as a field between the centers of its cells."""
     half = _steps(np.array(values.shape)) / 2
     lo, hi = np.array([-HALF, 0, -np.pi]) - half, np.array([HALF, HALF, np.pi]) + half * (1, 1, -1)
-    return GridField(values.T, Box(lo, hi, periodic=(False, False, True)))(_reflected(x))
+    return GridField(values.T, Box(lo, hi, periodic=(False, False, True)))
+
+
+def interpolated(field: GridField, x: Float[np.ndarray, "n 3"]) -> Any:
+    """What the eight cells around each pose say, interpolated."""
+    return field(_reflected(x))
 
 
 def _reflected(x: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
