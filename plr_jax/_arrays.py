@@ -11,13 +11,14 @@ from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped, UInt64
 
 from plr_jax._types import ArrayLike
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200
+_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
@@ -173,6 +174,18 @@ def run_members(
     """Of runs that begin at ``first``, the items of some, and the place of each one's run among those asked for."""
     run, place = runs(first[which + 1] - first[which])
     return first[which][run] + place, run
+
+
+def mixed(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
+    """A hash of each number, in which every bit depends on all of its.
+
+    References:
+        Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+    """
+    bits = numbers.astype(np.uint64) * _FACTORS[0]
+    bits = (bits ^ (bits >> np.uint64(30))) * _FACTORS[1]
+    bits = (bits ^ (bits >> np.uint64(27))) * _FACTORS[2]
+    return bits ^ (bits >> np.uint64(31))
 
 
 def shortened(value: object) -> str:

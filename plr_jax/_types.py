@@ -149,6 +149,10 @@ class CellSources(Protocol):
         """Whether free points are seen by sources."""
         ...
 
+    def rank(self, source: Int[np.ndarray, "n"], /) -> Int[np.ndarray, "n"]:
+        """The order of sources in which the first of equals is taken."""
+        ...
+
     def of_cells(self, cells: Int[np.ndarray, "some"], /) -> "CellSources":
         """Those of some of the cells, in any order, which may be repeated."""
         ...
@@ -167,6 +171,55 @@ class CellSources(Protocol):
 
 
 @runtime_checkable
+class FamilyCellSources(CellSources, Protocol):
+    """Those of distinct cells of several distance functions: of cells that are alike but for a constant, one."""
+
+    def views(self, source: Int[np.ndarray, "n"], /) -> Int[np.ndarray, "n"]:
+        """Which point each of some sources is: a corner, by its number, or a goal, by its number and all corners'."""
+        ...
+
+    def distinct_parts(self, parent: Any, axis: Any, is_upper: Any, lo: Any, hi: Any, box: Any, /) -> Any:
+        """Of parts of cells, as of ``parts``, and hashes of their boxes, the distinct ones.
+
+        Returns:
+            The distinct ones, their keys, the index of one part that each is, and of each part which one it is.
+        """
+        ...
+
+
+@runtime_checkable
+class FamilyFn(Protocol):
+    """A distance function that answers for whole cells, at once for several of the same kind: they are a family."""
+
+    @property
+    def family(self) -> Any:
+        """An object that is the same for all functions of a family, and for no other."""
+        ...
+
+    def shared_cells(self, domain: Any, lo: Any, hi: Any, /) -> Any:
+        """What all of a family share of some boxes in a domain."""
+        ...
+
+    @staticmethod
+    def family_sources(shared: Any, fns: Sequence[Any], /) -> Any:
+        """Sources of these boxes for some of a family.
+
+        Returns:
+            The distinct ones as :class:`FamilyCellSources`, their keys, and which of them each box is for each
+            function, ``(fns, boxes)``, -1 where nothing reaches the goal.
+        """
+        ...
+
+    @property
+    def sources(self) -> Sources:
+        """The goal, then the corners."""
+        ...
+
+    def cell_sources(self, domain: Any, /) -> CellSources: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@runtime_checkable
 class CellwiseFn(Protocol):
     """A distance function in the plane that answers for whole cells, without samples."""
 
@@ -175,6 +228,19 @@ class CellwiseFn(Protocol):
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@runtime_checkable
+class CellGraph(Protocol):
+    """The cells of a grid, ``(rows, columns)`` and true where free, with steps to 4 neighbors or to 8.
+
+    Diagonal steps cut no corners: both cells beside them are free.
+    """
+
+    @property
+    def free(self) -> Bool[np.ndarray, "rows columns"]: ...
+    @property
+    def connectivity(self) -> int: ...
 
 
 @runtime_checkable

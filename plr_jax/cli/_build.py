@@ -1,14 +1,38 @@
-"""What ``plr-jax build`` builds: a PLR with a proof, of the leaf model asked for or of the one of the least error."""
+"""What ``plr-jax build`` builds: a PLR with a proof, of the model asked for or of the least error; and from what."""
 
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
 
 if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
+    from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
     from plr_jax.plr import PLR
 
 BEST = "best"
+
+
+def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
+    """The exact oracle, from what a file holds of its workspace; where there is no such file, it is written.
+
+    ``ValueError`` if the file holds something else.
+    """
+    from plr_jax.oracles import VisibilityGraph
+
+    if file is None or not file.exists():
+        oracle = VisibilityGraph(workspace, goal)
+        if file is not None:
+            oracle.save(file)
+        return oracle
+    oracle = VisibilityGraph.load(file)
+    same = oracle.workspace.free_space.equals_exact(workspace.free_space, 0.0)
+    if not same or oracle.workspace.squeeze != workspace.squeeze:
+        raise ValueError(f"{file} was prepared for another map; name another file, or remove it.")
+    return oracle.with_goal(goal)
 
 
 def build_proven(

@@ -14,7 +14,7 @@ import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command
-from plr_jax.cli._build import BEST, build_proven
+from plr_jax.cli._build import BEST, build_proven, prepared_oracle
 from plr_jax.cli._inputs import (
     DEFAULT_BYTES,
     PICTURES,
@@ -49,7 +49,7 @@ _Goal = Annotated[
 @command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
-    "plr-jax build arena.map --goal 10.5,30",
+    "plr-jax build arena.map --goal 10.5,30 --oracle arena.npz",
 )
 def build(
     map: _Map,
@@ -83,12 +83,20 @@ def build(
         bool,
         typer.Option("--leaf-bounds", help="Prove bounds of every cell, 2 bytes each, beside the largest error."),
     ] = False,
+    oracle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What is found about the map before it is compressed: read from FILE, or written to it where there "
+            "is none, for other goals to begin with.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
     from plr_jax import metrics
-    from plr_jax.oracles import VisibilityGraph
     from plr_jax.plr import save
     from plr_jax.plr.leaves import leaf_model
 
@@ -96,6 +104,7 @@ def build(
     if leaf != BEST:
         leaf_model(leaf)
     require_writable(output)
+    require_writable(oracle)
     workspace, goal_point = map_and_goal(map, goal)
     if goal_point is None:
         raise ValueError(
@@ -103,16 +112,16 @@ def build(
         )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
-    oracle = VisibilityGraph(workspace, goal_point)
+    exact = prepared_oracle(workspace, goal_point, oracle)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    plr, errors, interrupted = build_proven(oracle, workspace.bounds, leaf, leaf_bounds, seed=seed, **limits)
+    plr, errors, interrupted = build_proven(exact, workspace.bounds, leaf, leaf_bounds, seed=seed, **limits)
     save(plr, output)
     if interrupted:
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
         raise typer.Exit(INTERRUPTED_EXIT)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
-    report = metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
+    report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
     others = ", ".join(f"{name} {error:.3g}" for name, error in errors.items() if name != plr.leaf.name)
     proven = f"{plr.leaf.name}: no error above {plr.max_error:.3g}, proven"

@@ -9,11 +9,13 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._deadline import require_time
-from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle
+from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle, turn_between
 
 _COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time, between two looks at the clock
-_ARC_SEGMENTS = 8
+_MOST_CHORDS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
+_SHORTENING = 2e-5
+"""Length, in longer sides of the region, by which a path around one corner may be too short with fewer chords."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,21 +130,29 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     """
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
-    arriving = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
-    is_reflex, regions = boundary.is_reflex(tolerance), []
+    edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
+    arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
+    is_reflex = boundary.is_reflex(tolerance)
+    num_chords = _num_chords(turn_between(offset, offset[arriving]), radius, np.ptp(boundary.vertices, axis=0).max())
+    regions = []
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
         require_time(deadline, "the obstacles were grown")
         collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
         collars = collars.tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
-            vertex = boundary.edges[edge, 0]
-            before = arriving[int(boundary.sector_end[edge]), int(vertex)]
-            corner = boundary.vertices[vertex]
-            rim = arc(corner, offset[edge], offset[before], _ARC_SEGMENTS)
+            corner = boundary.vertices[boundary.edges[edge, 0]]
+            rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     return _united(regions, deadline)
+
+
+def _num_chords(turn: Float[np.ndarray, "n"], radius: float, side: np.floating) -> Int[np.ndarray, "n"]:
+    """Chords of arcs: ``k`` of them are shorter than the arc by ``radius turn^3 / (24 k^2)``."""
+    most = _MOST_CHORDS * turn / (np.pi / 2)
+    enough = np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
+    return np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
 
 
 def _united(regions: list[Any], deadline: float) -> Any:

@@ -13,6 +13,9 @@ from jaxtyping import Float
 
 from plr_jax.geometry.convex_pieces import Pieces, contain
 
+_CORNERS_OF_BOX = 4  # most pieces are boxes: those of more corners are apart
+_AT_ONCE = 1 << 11  # pieces, whose numbers stay in a core's cache
+
 Numbers: TypeAlias = Float[np.ndarray, "pieces"]
 Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 
@@ -24,19 +27,29 @@ def difference_of_cones(
 
     In double precision, to within its rounding: about 1e-15 of the coordinates.
     """
+    lowest, highest = np.empty(len(offset)), np.empty(len(offset))
+    is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
+    for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
+        for begin in range(0, len(group), _AT_ONCE):
+            some = group[begin : begin + _AT_ONCE]
+            lowest[some], highest[some] = _extremes(pieces[:, some, :count], apex[some], other_apex[some])
+    shift = offset - other_offset
+    return lowest + shift, highest + shift
+
+
+def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbers, Numbers]:
+    """Smallest and largest difference of the distances to two points, over each piece."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
     beside_a, beside_b = np.abs(ax * ey - ay * ex), np.abs(bx * ey - by * ex)
     apart = beside_b - beside_a
     place = np.divide(beside_b * along_a - beside_a * along_b, apart, out=np.zeros_like(apart), where=apart != 0)
-    np.clip(place, 0, length, out=place)  # where it is an end, it is a corner
+    place = np.minimum(np.maximum(place, 0), length)  # where it is an end, it is a corner
     to_a = np.sqrt((place - along_a) ** 2 + beside_a * beside_a)
     on_edges = to_a - np.sqrt((place - along_b) ** 2 + beside_b * beside_b)
     at_corners = np.sqrt(ax * ax + ay * ay) - np.sqrt(bx * bx + by * by)
-    shift = offset - other_offset
-    lowest = np.minimum(at_corners.min(axis=0), on_edges.min(axis=0))
-    return lowest + shift, np.maximum(at_corners.max(axis=0), on_edges.max(axis=0)) + shift
+    return np.minimum(at_corners, on_edges).min(axis=0), np.maximum(at_corners, on_edges).max(axis=0)
 
 
 def cone_above_plane(

@@ -51,6 +51,15 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     return result
 
 
+def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
+    """A point inside each piece: the mean of its corners, wherever they begin and however often one is repeated."""
+    new = np.ones(pieces.shape[1:], bool)
+    new[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
+    new[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
+    new[~new.any(axis=1)] = True
+    return ((pieces * new).sum(axis=2) / new.sum(axis=1)).T
+
+
 def areas(pieces: Pieces) -> Float[np.ndarray, "pieces"]:
     """Area of each piece."""
     x, y = pieces - pieces[:, :, :1]

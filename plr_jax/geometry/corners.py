@@ -2,17 +2,17 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._deadline import require_time
+from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.first_visible import Sees, first_visible_in_parts
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
-_CHUNK = 1 << 20
 _SLACK = 100
 """Tolerances of the workspace by which a line may cut into a corner and still count as tangent."""
 
@@ -44,17 +44,15 @@ class ReflexCorners:
         return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
 
     def is_tangent(
-        self, rows: slice | Int[np.ndarray, "rows"], others: slice | Int[np.ndarray, "others"] = slice(None)
+        self, corner: Int[np.ndarray, "*#batch"], other: Int[np.ndarray, "*#batch"]
     ) -> Bool[np.ndarray, "..."]:
-        """Whether the line from each of some corners to each of others has both walls of the former on one side.
+        """Whether the line from each corner to another one has both walls of the former on one side.
 
         Any other line cuts off a part of the obstacle there, so no shortest path turns there to go along it.
         """
-        points, above = self.points[rows], []
-        for wall in self.walls:
-            normal = turned_left(wall[rows])
-            above.append(normal @ self.points[others].T - (normal * points).sum(axis=1)[:, None])
-        return (np.minimum(*above) >= -self.slack) | (np.maximum(*above) <= self.slack)
+        x, y = np.moveaxis(self.points[other] - self.points[corner], -1, 0)
+        opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
+        return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
@@ -63,13 +61,12 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex(1e-3 * workspace.tolerance) | np.isin(boundary.edges[:, 0], contacts)
     vertex, owner = np.unique(boundary.edges[turns, 0], return_inverse=True)
-    ends = np.stack([boundary.edges[turns, 1], boundary.sector_end[turns]])
-    points = boundary.vertices[vertex]
-    walls = np.empty((2, len(points), 2))
-    walls[:, owner] = boundary.vertices[ends] - points[owner]
+    views = Viewpoints(boundary.vertices[vertex], owner, np.flatnonzero(turns))
+    walls = np.empty((2, len(vertex), 2))
+    walls[:, owner] = views.opens(boundary), views.closes(boundary)
     walls /= np.linalg.norm(walls, axis=2, keepdims=True)
     walls[:, np.isin(vertex, contacts)] = 0.0
-    return ReflexCorners(points, walls, _SLACK * workspace.tolerance), Viewpoints(points, owner, *ends)
+    return ReflexCorners(views.points, walls, _SLACK * workspace.tolerance), views
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +75,21 @@ class CornerVisibility:
 
     Args:
         corners: The corners.
+        views: The same as viewpoints.
         table: Their visibility polygons.
         edges: Corners that see one another, each pair once, ``(edges, 2)``. Left out are those whose line cuts
             off a part of the obstacle at both: a shortest path bends around neither, so it goes on at neither.
     """
 
     corners: ReflexCorners
+    views: Viewpoints
     table: VisibilityTable
     edges: Int[np.ndarray, "edges 2"]
+
+    @cached_property
+    def of_vertex(self) -> Int[np.ndarray, "vertices"]:
+        """The corner at each vertex of the boundary, -1 where there is none."""
+        return _corner_of_vertex(self.table.boundary, self.views)
 
     @property
     def num_bytes(self) -> int:
@@ -96,32 +100,39 @@ class CornerVisibility:
 
 
 def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> CornerVisibility:
-    """The corners of a workspace, swept around once for all goals.
+    """What the corners of a workspace see, found once for all goals.
 
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
     corners, views = find_corners(workspace)
-    table = visibility_table(workspace.boundary, workspace.tolerance, views, deadline)
-    return CornerVisibility(corners, table, _tangent_edges(corners, table, deadline))
+    table, (view, vertex) = visibility_of(workspace.triangulation, views, deadline)
+    seen = _corner_of_vertex(workspace.boundary, views)[vertex]
+    return CornerVisibility(corners, views, table, _tangent_edges(corners, view, seen))
 
 
-def _tangent_edges(corners: ReflexCorners, table: VisibilityTable, deadline: float) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once."""
-    everything, points = slice(None), corners.points
-    step = max(1, _CHUNK // max(1, len(points)))
-    edges = [np.empty((0, 2), int)]
-    for begin in range(0, len(points), step):
-        require_time(deadline, f"all corners were joined: {begin:,} of {len(points):,} were")
-        part = slice(begin, begin + step)
-        tangent = corners.is_tangent(part) | corners.is_tangent(everything, part).T
-        v, w = np.nonzero(np.triu(tangent, 1 + begin))
-        v += begin
-        seen = table.sees(v, points[w])
-        v, w = v[seen], w[seen]
-        seen = table.sees(w, points[v])
-        edges.append(np.stack([v[seen], w[seen]], axis=1))
-    return np.concatenate(edges)
+def _corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
+    corner = np.full(len(boundary.vertices), -1)
+    corner[boundary.edges[views.edge, 0]] = views.owner
+    return corner
+
+
+def _tangent_edges(
+    corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
+) -> Int[np.ndarray, "edges 2"]:
+    """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once.
+
+    A corner where obstacles touch may be seen from sectors that it does not look into itself.
+    """
+    other = (seen >= 0) & (seen != view)
+    view, seen = view[other], seen[other]
+    tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
+    view, seen = view[tangent], seen[tangent]
+    size = np.int64(len(corners.points))
+    key = np.sort(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen))
+    pair = key[np.append(True, key[1:] != key[:-1])[: len(key)]] >> 1
+    both = pair[1:][pair[1:] == pair[:-1]]
+    return np.stack(np.divmod(both, size), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +161,13 @@ class TurnPoints:
     def num_bytes(self) -> int:
         """Bytes of the arrays."""
         return sum(a.nbytes for a in (self.vertex, self.points, self.distance, self.normal))
+
+    @property
+    def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
+        """The cone of the points that come around each corner: directions of its right and left bound."""
+        first, second = self.normal
+        in_order = (cross_product(first, second) >= 0)[:, None]
+        return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
         """Length of the path by way of each corner; NaN if it would not bend around the corner."""

@@ -63,6 +63,37 @@ def first_visible_in_parts(
     return found, shortest
 
 
+def first_visible_of_some(
+    lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The shortest visible way of each point, of different ways for each.
+
+    Args:
+        lengths: Length of each pair of a point and a way, those of one point after those of the other.
+        counts: Number of ways of each point.
+        sees: Visibility, of a point and a pair.
+
+    Returns:
+        The pairs, -1 where a point sees none; and their lengths, ``inf`` there.
+    """
+    found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
+    pending = np.flatnonzero(counts)
+    pair, counts = np.arange(len(lengths)), counts[pending]
+    while pending.size:
+        start = np.cumsum(counts) - counts
+        least = np.minimum.reduceat(lengths, start)
+        best = np.flatnonzero(lengths == np.repeat(least, counts))
+        best = best[np.searchsorted(best, start)]
+        visible = sees(pending, pair[best])
+        place = pending[visible]
+        found[place], shortest[place] = pair[best[visible]], least[visible]
+        lengths[best] = np.inf
+        more = ~visible & (np.minimum.reduceat(lengths, start) < np.inf)
+        kept = np.repeat(more, counts)
+        pending, counts, lengths, pair = pending[more], counts[more], lengths[kept], pair[kept]
+    return found, shortest
+
+
 def _shortest(lengths: Float[np.ndarray, "n ways"], count: int) -> Int[np.ndarray, "n tests"]:
     """Columns of the smallest entries of each row, ascending, NaN last."""
     if count >= lengths.shape[1]:

@@ -55,18 +55,22 @@ def nearest_on_segment(
     return x + t * dx, y + t * dy
 
 
+def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
+    """Angle in [0, 2 pi) by which ``u`` turns counterclockwise to ``v``."""
+    return np.asarray(np.arctan2(cross_product(u, v), (u * v).sum(axis=-1)) % (2 * np.pi))
+
+
 def arc(
     center: Float[np.ndarray, "2"],
     start: Float[np.ndarray, "2"],
     end: Float[np.ndarray, "2"],
-    num_segments: int,
+    num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
     """Points on the circle about ``center`` from offset ``start`` counterclockwise to offset ``end``, as long as it.
 
-    There are ``num_segments`` chords a quarter turn, of ends the first and last of which are exact.
+    They are the ends of equal chords, the first and last of them exact.
     """
-    turn = np.arctan2(cross_product(start, end), start @ end) % (2 * np.pi)
-    angle = np.linspace(0.0, turn, 1 + max(1, int(np.ceil(num_segments * turn / (np.pi / 2) - 1e-9))))
+    angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end
     return center + points

@@ -25,6 +25,7 @@ from plr_jax.geometry.polygons import (
     triangulate,
 )
 from plr_jax.geometry.vectors import cross_product
+from plr_jax.geometry.visibility import Triangulation, triangulation_of
 
 _MITRE_LIMIT = 1.5
 """How far the corner of grown free space may be from the one it grew from: right angles keep theirs, tips do not."""
@@ -105,6 +106,14 @@ class Workspace:
         _assign(workspace, bounds, polygons_of(blocked), squeeze, free)
         return workspace
 
+    @classmethod
+    def restored(cls, bounds: Box, obstacles: tuple, squeeze: bool, free_space: Any) -> "Workspace":
+        """A workspace of another one's attributes, such as a file holds, not rounded once more."""
+        workspace = object.__new__(cls)
+        shapely.prepare(free_space)
+        vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=squeeze, free_space=free_space)
+        return workspace
+
     @property
     def tolerance(self) -> float:
         """How far outside free space a point still counts as free.
@@ -118,6 +127,11 @@ class Workspace:
     def boundary(self) -> Boundary:
         """The boundary of free space as vertices and edges, free space on the left of each edge."""
         return boundary_of(self.free_space, 8 * _grid(self.bounds))
+
+    @cached_property
+    def triangulation(self) -> Triangulation:
+        """Triangles that fill free space between the edges of ``boundary``."""
+        return triangulation_of(self.boundary, self.tolerance)
 
     @cached_property
     def _tolerant(self) -> Any:
@@ -239,8 +253,9 @@ class Workspace:
         """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
 
         The grown obstacles' sides are exact. Their corners, arcs in truth, become polygons inscribed in the
-        arcs, so a distance in the inflated workspace is never longer than the true one. Passages exactly as
-        wide as the disc are closed.
+        arcs, so a distance in the inflated workspace is never longer than the true one. A path around one
+        corner is too short by at most 0.16 % of the arc, or by 2e-5 of the longer side of free space if that is
+        more. Passages exactly as wide as the disc are closed.
 
         Args:
             radius: Radius of the disc, in workspace units, at least 0.
@@ -301,8 +316,7 @@ def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, 
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
     region = shapely.simplify(region, 4 * _grid(bounds))
-    shapely.prepare(region)
-    vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=bool(squeeze), free_space=region)
+    vars(workspace).update(vars(Workspace.restored(bounds, obstacles, bool(squeeze), region)))
 
 
 def _rounding(bounds: Box) -> float:

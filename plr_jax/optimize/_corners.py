@@ -72,7 +72,8 @@ def _edges(
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]
         score = distances_between(places.points[here], places.points) + field
-        option = np.isfinite(score) & places.is_tangent(here) & places.is_tangent(slice(None), here).T
+        pairs = here[:, None], np.arange(len(places.points))
+        option = np.isfinite(score) & places.is_tangent(*pairs) & places.is_tangent(*pairs[::-1])
         option[np.arange(len(here)), here] = False
         return np.where(option, score, np.nan)
 

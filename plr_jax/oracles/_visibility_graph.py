@@ -1,12 +1,15 @@
 """Exact shortest-path distance among polygons in the plane."""
 
 import math
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import networkx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt64
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
 from plr_jax._deadline import deadline_after
@@ -16,9 +19,14 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.corners import CornerVisibility, TurnPoints, corner_visibility, find_turn_points
 from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
 from plr_jax.geometry.shadows import shadows_of
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_table
+from plr_jax.geometry.turn_regions import TurnRegions, turn_regions
+from plr_jax.geometry.vectors import turned_left
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles._cell_sources import Sight, VisibleSources, visible_sources
+from plr_jax.oracles._visibility_file import read_visibility, write_visibility
+from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
+from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
+from plr_jax.oracles.cells.sight import GoalCones, Sight, Walls
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -80,6 +88,39 @@ class VisibilityGraph:
         _assign(oracle, self.workspace, _free_goal(self.workspace, goal), self._corners)
         return oracle
 
+    def save(self, path: str | os.PathLike) -> None:
+        """Write what preparing the oracle has found to a file: NumPy arrays in a zip archive, without pickles.
+
+        Args:
+            path: The file. It is complete or absent: it is written under another name first, then renamed.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        write_visibility(Path(path), self.workspace, self.goal, self._corners)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> "VisibilityGraph":
+        """Read an oracle that :meth:`save` wrote, without preparing its workspace again; it answers alike.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The oracle. With :meth:`with_goal` it serves other goals.
+
+        Raises:
+            ValueError: If the file is truncated, corrupt, of another kind, or of another version.
+            OSError: If the file cannot be read.
+        """
+        oracle = object.__new__(cls)
+        workspace, goal, corners = read_visibility(Path(path))
+        try:
+            _assign(oracle, workspace, _free_goal(workspace, goal), corners)
+        except ValueError as error:  # such as a goal in an obstacle
+            raise ValueError(f"{path} cannot be read as a visibility graph: {error}") from error
+        return oracle
+
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
@@ -97,8 +138,14 @@ class VisibilityGraph:
     @property
     def num_bytes(self) -> int:
         """Bytes of the arrays that a query reads and another goal needs, including what their oracles share."""
-        own = self._goal_table.num_bytes + self._turns.num_bytes + self._parents.nbytes + self.distances.nbytes
+        turns = self._turns.num_bytes + self._regions.num_bytes
+        own = self._goal_table.num_bytes + turns + self._parents.nbytes + self.distances.nbytes
         return self._corners.num_bytes + own
+
+    @cached_property
+    def _regions(self) -> TurnRegions:
+        turns = self._turns
+        return turn_regions(turns, self.workspace.triangulation, self._corners.views[turns.vertex - 1])
 
     @cached_property
     def sources(self) -> Sources:
@@ -114,8 +161,35 @@ class VisibilityGraph:
         Returns:
             The pieces of free space in the box from which the goal can be reached, and their sources.
         """
-        sight = Sight(self.sources, shadows_of(self._goal_table.followed_by(self._corners.table)), self._turns)
+        shadows = shadows_of(self._goal_table.followed_by(self._corners.table))
+        cones, walls = GoalCones.of(self.sources, self._turns), Walls(self.workspace.boundary)
+        sight = Sight(cones, shadows, self._turns, walls)
         return visible_sources(sight, self.workspace, domain)
+
+    @property
+    def family(self) -> CornerVisibility:
+        """What oracles share that :meth:`with_goal` makes of one another: the corners and what they see."""
+        return self._corners
+
+    def shared_cells(
+        self, domain: Box, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
+    ) -> SharedCells:
+        """What all of the family share of some boxes in a domain: pieces of free space, and corners that see them."""
+        return SharedCells.of(self.workspace, self._corners, domain, lo, hi)
+
+    @staticmethod
+    def family_sources(
+        shared: SharedCells, fns: Sequence["VisibilityGraph"]
+    ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
+        """The distinct sources of these boxes for some of the family, their keys, and which ones are each one's."""
+        return shared.of_goals([fn._goal_distances for fn in fns])
+
+    @property
+    def _goal_distances(self) -> GoalDistances:
+        corner, turns = self._turns.vertex - 1, self._turns
+        opens = self._corners.corners.walls[0, corner]
+        side = (turns.normal[1] == turned_left(opens)).all(axis=1)
+        return GoalDistances(self._goal_table, corner, side.astype(np.int64), turns.distance)
 
     def to_networkx(self) -> networkx.Graph:
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
@@ -192,7 +266,7 @@ class VisibilityGraph:
         seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         table = self._corners.table
-        first, distance[free[~direct]] = self._turns.first_visible(
+        first, distance[free[~direct]] = self._regions.first_visible(
             hidden, lambda point, vertex: table.sees(vertex - 1, hidden[point])
         )
         turn[free[~direct]] = np.maximum(first, 0)
@@ -201,9 +275,10 @@ class VisibilityGraph:
 
 def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: CornerVisibility) -> None:
     view = _goal_view(workspace.boundary, workspace.tolerance, goal)
-    goal_table = visibility_table(workspace.boundary, workspace.tolerance, view)
+    goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+    edges = np.concatenate([_goal_edges(corners, seen, goal), 1 + corners.edges])
     vertices = corners.corners.with_goal(goal)
-    graph = Graph(vertices.points, np.concatenate([_goal_edges(corners, goal_table, goal), 1 + corners.edges]))
+    graph = Graph(vertices.points, edges)
     distances, parents = dijkstra(graph, 0)
     turns = find_turn_points(vertices, distances, parents)
     vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
@@ -228,24 +303,23 @@ def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"
     if to_vertex.min() <= tolerance:
         vertex = to_vertex.argmin()
         edge = np.flatnonzero(boundary.edges[:, 0] == vertex)
-        ends = boundary.edges[edge, 1], boundary.sector_end[edge]
-        return Viewpoints(boundary.vertices[[vertex]], np.zeros(len(edge), int), *ends)
+        return Viewpoints(boundary.vertices[[vertex]], np.zeros(len(edge), int), edge)
     start, end = boundary.segments.transpose(1, 0, 2)
     share = ((goal - start) * (end - start)).sum(axis=1) / ((end - start) ** 2).sum(axis=1)
     foot = start + np.clip(share, 0, 1)[:, None] * (end - start)
     to_edge = np.linalg.norm(goal - foot, axis=1)
     near = to_edge.argmin()
     if to_edge[near] <= tolerance:
-        return Viewpoints(foot[[near]], np.zeros(1, int), boundary.edges[[near], 1], boundary.edges[[near], 0])
+        return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
     none = np.empty(0, int)
-    return Viewpoints(goal[None], none, none, none)
+    return Viewpoints(goal[None], none, none)
 
 
 def _goal_edges(
-    corners: CornerVisibility, goal_table: VisibilityTable, goal: Float[np.ndarray, "2"]
+    corners: CornerVisibility, seen: Int[np.ndarray, "vertices"], goal: Float[np.ndarray, "2"]
 ) -> Int[np.ndarray, "edges 2"]:
     """Edges from the goal, vertex 0, to the corners: those that see one another are joined."""
-    indices, points = np.arange(len(corners.corners.points)), corners.corners.points
-    seen = corners.table.sees(indices, np.tile(goal, (len(indices), 1)))
-    seen &= goal_table.sees(np.zeros_like(indices), points)
-    return np.stack([np.zeros(seen.sum(), int), 1 + indices[seen]], axis=1)
+    corner = np.unique(corners.of_vertex[seen])
+    corner = corner[corner >= 0]
+    corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
+    return np.stack([np.zeros_like(corner), 1 + corner], axis=1)

@@ -3,13 +3,17 @@
 from plr_jax.plr._assembly import from_bytes
 from plr_jax.plr._certify import certify
 from plr_jax.plr._construct import construct
-from plr_jax.plr._io import load, save
-from plr_jax.plr._plr import PLR, evaluate
+from plr_jax.plr._construct_many import construct_many
+from plr_jax.plr._io import load, load_pairs, save
+from plr_jax.plr._plr import PLR
+from plr_jax.plr._stack import PLRStack, evaluate, stack
 from plr_jax.plr._trace import Traces, TraceStatus, trace
+from plr_jax.plr.grid_pairs.model import GridDistance, GridPairs, construct_grid_pairs
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
+from plr_jax.plr.pairs.pair_plr import PairPLR
 from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
 from plr_jax.plr.refinement.face_samples import Faces, sample_faces
 from plr_jax.plr.refinement.losses import Planes, eikonal, jumps, quantile, squared
@@ -23,6 +27,10 @@ __all__ = [
     "ConstructionInterrupted",
     "Continuous",
     "Faces",
+    "GridDistance",
+    "GridPairs",
+    "PLRStack",
+    "PairPLR",
     "Plane",
     "Planes",
     "Refinement",
@@ -33,6 +41,8 @@ __all__ = [
     "center_error",
     "certify",
     "construct",
+    "construct_grid_pairs",
+    "construct_many",
     "cyclic_axis",
     "eikonal",
     "evaluate",
@@ -41,6 +51,7 @@ __all__ = [
     "largest_error",
     "least_squares",
     "load",
+    "load_pairs",
     "maximum_depth",
     "midrange",
     "quantile",
@@ -48,5 +59,6 @@ __all__ = [
     "sample_faces",
     "save",
     "squared",
+    "stack",
     "trace",
 ]

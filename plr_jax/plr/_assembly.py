@@ -1,6 +1,7 @@
 """PLRs put together: from the bytes of a file, or from leaves, for which its file is written."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -34,6 +35,14 @@ def from_bytes(data: bytes) -> PLR:
     return _assemble(data, decode(data))
 
 
+def deferred_plr(data: bytes) -> PLR:
+    """The PLR that a file's bytes hold, which are known to be right: its tables are made when they are first used."""
+    plr = object.__new__(PLR)
+    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
+    vars(plr).update(file=file, _deferred=partial(from_bytes, data))
+    return plr
+
+
 def plr_of_leaves(contents: Contents) -> PLR:
     """The PLR of these leaves: the one that its file gives, bit for bit, without reading it."""
     return _assemble(encode(contents), contents)
@@ -47,7 +56,7 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
     tables = build_tables(domain, cells, numbers, leaf, len(data)).of_folding(contents.folding)
     if contents.certificate is None:
-        return PLR(tables, file)
+        return PLR(tables, file, None)
     band = contents.certificate.bounds().astype(np.float32)
     rows = band.shape[1] if band.shape[1] == 1 else padded_size(band.shape[1])
     return PLR(tables, file, jnp.asarray(padded(band.T, rows).T))

@@ -144,7 +144,7 @@ def construct(
     folding = None
     if not (certified or isinstance(model, SourcedLeafModel) or isinstance(distance_fn, CellwiseFn)):
         folding = folding_of(distance_fn, domain)
-    proof = _proof(certified, leaf_bounds)
+    proof = proof_of(certified, leaf_bounds)
     if proof is not Proof.NONE:
         require_certifiable(distance_fn, domain)
     limits = check_limits(
@@ -197,7 +197,8 @@ def construct(
     return plr_of_leaves(contents)
 
 
-def _proof(certified: bool, leaf_bounds: bool) -> Proof:
+def proof_of(certified: bool, leaf_bounds: bool) -> Proof:
+    """What is to be proven."""
     certified, leaf_bounds = as_bool("certified", certified), as_bool("leaf_bounds", leaf_bounds)
     if leaf_bounds and not certified:
         raise ValueError("leaf_bounds=True needs certified=True: bounds of leaves are a part of the proof.")

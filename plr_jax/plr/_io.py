@@ -1,17 +1,22 @@
 """PLRs saved to files and loaded from them."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
 from plr_jax.plr._assembly import from_bytes
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
+from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_from_bytes
+
+Read = TypeVar("Read", PLR, PairPLR)
 
 
-def save(plr: PLR, path: str | os.PathLike) -> None:
-    """Write a PLR to a file of ``plr.num_bytes`` bytes.
+def save(plr: PLR | PairPLR, path: str | os.PathLike) -> None:
+    """Write a PLR, or a PairPLR, to a file of ``plr.num_bytes`` bytes.
 
     The format is documented in ``plr_jax/plr/file/container.py``. The file is complete or absent: it is written under
     another name first, then renamed.
@@ -24,8 +29,8 @@ def save(plr: PLR, path: str | os.PathLike) -> None:
         ValueError: If it is no PLR.
         OSError: If the file cannot be written.
     """
-    if not isinstance(plr, PLR):
-        raise ValueError(f"Only a PLR can be saved, got {shortened(plr)}.")
+    if not isinstance(plr, PLR | PairPLR):
+        raise ValueError(f"Only a PLR or a PairPLR can be saved, got {shortened(plr)}.")
     write_atomically(Path(path), plr.to_bytes())
 
 
@@ -39,14 +44,34 @@ def load(path: str | os.PathLike) -> PLR:
         The PLR.
 
     Raises:
-        ValueError: If the file is truncated, corrupt, no PLR file, or of another version of the format.
+        ValueError: If the file is truncated, corrupt, no PLR file, of pairs, or of another version of the format.
         OSError: If the file cannot be read.
     """
+    return _read(path, "a PLR", from_bytes)
+
+
+def load_pairs(path: str | os.PathLike) -> PairPLR:
+    """Read a PairPLR that :func:`save` wrote; it answers alike, bit for bit.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The PairPLR.
+
+    Raises:
+        ValueError: If the file is truncated, corrupt, not one of pairs, or of another version of the format.
+        OSError: If the file cannot be read.
+    """
+    return _read(path, "a PairPLR", pairs_from_bytes)
+
+
+def _read(path: str | os.PathLike, what: str, from_data: Callable[[bytes], Read]) -> Read:
     try:
         with open(path, "rb") as file:
             data = file.read(HEADER_SIZE)
             if is_header(data):  # or nothing says how much to read
                 data += file.read(max(file_size(data) - len(data), 0) + 1)
-        return from_bytes(data)
+        return from_data(data)
     except ValueError as error:
-        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
+        raise ValueError(f"{path} cannot be read as {what}: {error}.") from error

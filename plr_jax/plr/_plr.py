@@ -19,8 +19,14 @@ from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
-from plr_jax.plr.query.placement import Placement, corner_if_far
-from plr_jax.plr.query.points import as_array, bound_points, evaluate_points, waypoints_of_points
+from plr_jax.plr.query.points import (
+    Placement,
+    as_array,
+    bound_points,
+    corner_if_far,
+    evaluate_points,
+    waypoints_of_points,
+)
 from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import Tables
 
@@ -43,7 +49,14 @@ class PLR:
 
     tables: Tables
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
-    band: Float[Array, "2 rows"] | None = None
+    band: Float[Array, "2 rows"] | None
+
+    def __getattr__(self, name: str) -> Any:
+        """Tables and proof of a PLR of which only the file was made yet."""
+        if name not in ("tables", "band") or "_deferred" not in vars(self):
+            raise AttributeError(f"A PLR has no attribute {name!r}.")
+        vars(self).update(vars(vars(self)["_deferred"]()))
+        return vars(self)[name]
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
@@ -322,29 +335,3 @@ class PLR:
         if self.tables.folding is not None:
             return self.tables.of_folded_points()
         return self.tables.from_corner(self.domain)
-
-
-def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
-    """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
-
-    Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
-    everywhere, and zero where the distance is ``inf``.
-
-    Args:
-        plr: The PLR, of any leaf model.
-        x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
-            least 32 bits; coefficients are 32-bit floats. NumPy's 64-bit points are placed in 64 bits where the
-            domain is far from the origin.
-
-    Returns:
-        Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
-        value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
-        something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. Cones answer a
-        finite number everywhere in the domain, where the goal cannot be reached as well. The upper edge of the domain
-        belongs to the last cell; that of a periodic axis is its lower edge, and points are wrapped around it, NumPy's
-        64-bit ones in 64 bits. An approximation may be a little below 0 near the goal.
-
-    Raises:
-        ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
-    """
-    return plr(x)

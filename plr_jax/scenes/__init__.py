@@ -3,7 +3,7 @@
 from plr_jax.scenes._crowded import crowd, door
 from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
-from plr_jax.scenes._movingai import Scenario, read_map, read_scen
+from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
 from plr_jax.scenes._perturbed import perturbed
 from plr_jax.scenes._polygons import read_polygons
 from plr_jax.scenes._published import cross, floor_plan, four_rooms, maze, single_door, tangle, thin_maze
@@ -19,6 +19,7 @@ __all__ = [
     "load",
     "maze",
     "perturbed",
+    "read_cells",
     "read_dbcbs",
     "read_map",
     "read_polygons",

@@ -47,6 +47,27 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
         return Workspace.from_polygons([rings_of(polygon) for polygon in polygons], squeeze=squeeze)
 
 
+def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
+    """Read which cells of a Moving AI ``.map`` grid are free, as :class:`GridGraph` takes them.
+
+    Args:
+        path: The ``.map`` file.
+
+    Returns:
+        True where a cell is passable, as :func:`read_map` says, in the order of the file.
+
+    Raises:
+        ValueError: If the file is no Moving AI map, its rows do not match its header, or no cell is passable.
+        OSError: If the file cannot be read.
+
+    References:
+        https://movingai.com/benchmarks/formats.html.
+    """
+    path = Path(path)
+    with errors_named(path):
+        return _passable_cells(text_of(path).splitlines())
+
+
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
     rows, columns = _header(lines)
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]

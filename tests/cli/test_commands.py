@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import plr_jax
 from plr_jax import Box, VisibilityGraph, construct, scenes
 from plr_jax.cli import load_app
-from plr_jax.oracles._cell_sources import VisibleSources
+from plr_jax.oracles.cells.cell_sources import VisibleSources
 from plr_jax.plr import load, save
 from plr_jax.plr.leaves import leaf_names
 
@@ -88,6 +88,19 @@ def test_build_is_deterministic_and_its_goal_can_be_chosen(tmp_path):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     at_goal = np.asarray(load(tmp_path / "c")(np.array([[0.9, 0.1]])))
     assert at_goal[0] < 0.1 < np.asarray(load(tmp_path / "a")(np.array([[0.9, 0.1]])))[0]
+
+
+def test_build_prepares_a_map_once(tmp_path, monkeypatch):
+    out, oracle = tmp_path / "out.plr", tmp_path / "maze.npz"
+    limits = ("-o", out, "--max-leaves", 20)
+    assert run("build", "maze", *limits, "--oracle", oracle, "--goal", "0.9,0.1").exit_code == 0
+    assert run("build", "maze", *limits).exit_code == 0
+    expected = out.read_bytes()
+    monkeypatch.setattr("plr_jax.oracles._visibility_graph.corner_visibility", None)
+    assert run("build", "maze", *limits, "--oracle", oracle).exit_code == 0
+    assert out.read_bytes() == expected
+    assert "maze.npz was prepared for another map" in mistake("build", "thin_maze", *limits, "--oracle", oracle)
+    assert "cannot be read as a visibility graph" in mistake("build", "maze", *limits, "--oracle", out)
 
 
 def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):

@@ -18,9 +18,20 @@ from plr_jax import BLOptions, scenes
 ROOT = Path(__file__).parents[2]
 SMOKED = [
     *("fig1", "fig2", "fig3", "fig4", "animations", "table1", "error_curve", "table2", "race"),
-    *("continuity", "descent", "trajectory", "refinement", "sba_star", "trace", "teams"),
+    *(
+        "big_maps",
+        "continuity",
+        "descent",
+        "grid_pairs",
+        "trajectory",
+        "refinement",
+        "sba_star",
+        "trace",
+        "teams",
+        "families",
+    ),
 ]
-TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "readme_tables", "hostile_files"}
+TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}
 
 
 def run_script(name, *options):
@@ -71,6 +82,17 @@ def test_traces_arrive_along_shortest_ways(smoke):
     (row,) = record_in(smoke("trace"), "trace")["results"]["rows"]
     assert row["map"] == "maze" and row["starts"] == 200 and row["arrived"] == 1
     assert row["clear"] >= 0.99 and 1 - 1e-6 <= row["ratio"]["mean"] < 1.00001 and row["bytes"] <= row["budget"]
+
+
+def test_pairs_of_a_grid_are_never_above_the_truth_and_closer_than_landmarks(smoke):
+    rows = record_in(smoke("grid_pairs"), "grid_pairs")["results"]["rows"]
+    ours = {row["connectivity"]: row for row in rows if row["method"] == "GridPairs"}
+    assert ours.keys() == {4, 8}
+    for row in rows:
+        own = ours[row["connectivity"]]
+        assert row["violations"] == 0 and row["pairs"] > 100
+        assert own["exact"] == 1 and own["mean_gap"] < 1e-5
+        assert row is own or (row["mean_gap"] > 1e-3 and row["exact"] < 1)
 
 
 def test_table2_solves_with_every_heuristic_and_all_paths_are_valid(smoke):
@@ -176,7 +198,7 @@ def test_readme_tables_of_gradients(name, smoke, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", [*SMOKED, "benchmark", "proofs", "solve", "hostile_files"]
+    "name", [*SMOKED, "benchmark", "proofs", "solve", "compare_summaries", "hostile_files"]
 )  # whose sections have tests of their own
 def test_committed_results_are_those_of_a_full_run(name):
     record = json.loads((ROOT / "experiments" / "results" / f"{name}.json").read_text())

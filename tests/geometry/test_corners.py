@@ -17,8 +17,8 @@ def test_corners_by_hand():
     # A free sector opens counterclockwise: at (4, 8) from the top of the block to its left side.
     np.testing.assert_array_equal(corners.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
     np.testing.assert_array_equal(views.points, corners.points)
-    np.testing.assert_array_equal(BLOCK.boundary.vertices[views.start], [[6, 8], [6, 0]])
-    np.testing.assert_array_equal(BLOCK.boundary.vertices[views.end], [[4, 0], [4, 8]])
+    np.testing.assert_array_equal(views.opens(BLOCK.boundary), [[2, 0], [0, -8]])
+    np.testing.assert_array_equal(views.closes(BLOCK.boundary), [[0, -8], [-2, 0]])
 
 
 def test_a_workspace_without_corners():
@@ -47,9 +47,9 @@ def test_the_goal_comes_first_and_takes_the_place_of_a_corner():
 def test_tangent_lines_by_hand():
     vertices = find_corners(BLOCK)[0].with_goal(np.array([8.0, 4.0]))
     # From (4, 8): the goal is behind the block, (6, 8) along its top. From (6, 8): both are tangent.
-    tangent = vertices.is_tangent(np.array([1, 2]))
+    tangent = vertices.is_tangent(np.array([[1], [2]]), np.arange(3))
     assert tangent[:, [0, 2]].tolist() == [[False, True], [True, True]] and tangent[1, 1]
-    assert vertices.is_tangent(slice(None), np.array([2]))[:, 0].tolist() == [True, True, True]
+    assert vertices.is_tangent(np.arange(3), np.full(3, 2)).tolist() == [True, True, True]
 
 
 def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there():

@@ -1,9 +1,9 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.first_visible import first_visible, first_visible_in_parts
+from plr_jax.geometry.first_visible import first_visible, first_visible_in_parts, first_visible_of_some
 
 LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
 
@@ -60,3 +60,24 @@ def test_many_points_are_searched_in_parts(monkeypatch):
     monkeypatch.setattr("plr_jax.geometry.first_visible._CHUNK", 21)
     parts = first_visible_in_parts(lambda rows: lengths[rows].copy(), 50, 7, lambda p, w: visible[p, w], 2)
     np.testing.assert_array_equal(parts, first_visible(lengths, lambda p, w: visible[p, w], 2))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_ways_that_differ_from_point_to_point(seed):
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 6, 12)
+    lengths, visible = rng.integers(0, 9, counts.sum()).astype(float), rng.random(counts.sum()) < 0.4
+    lengths[rng.random(len(lengths)) < 0.1] = np.inf
+    owner = np.repeat(np.arange(12), counts)
+
+    def sees(point, pair):
+        np.testing.assert_array_equal(owner[pair], point)
+        return visible[pair]
+
+    pair, shortest = first_visible_of_some(lengths.copy(), counts, sees)
+    for point in range(12):
+        options = lengths[(owner == point) & visible]
+        assert shortest[point] == options.min(initial=np.inf)
+        if np.isfinite(shortest[point]):
+            assert owner[pair[point]] == point and visible[pair[point]] and lengths[pair[point]] == shortest[point]

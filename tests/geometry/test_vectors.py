@@ -4,7 +4,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.geometry.vectors import arc, cross_product, distances_between, left_normal, pseudo_angle, turned_left
+from plr_jax.geometry.vectors import (
+    arc,
+    cross_product,
+    distances_between,
+    left_normal,
+    pseudo_angle,
+    turn_between,
+    turned_left,
+)
 
 
 def test_cross_product_and_normal_point_left():
@@ -32,12 +40,18 @@ def test_pseudo_angle_of_the_axes():
 
 def test_an_arc_is_inscribed_and_ends_exactly():
     center, start, end = np.array([1.0, 2.0]), np.array([0.5, 0.0]), np.array([0.0, -0.5])
-    points = arc(center, start, end, 4)
-    assert len(points) == 1 + 3 * 4
+    points = arc(center, start, end, 12)
+    assert len(points) == 1 + 12
     np.testing.assert_array_equal(points[[0, -1]], [center + start, center + end])
     np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.5)
     chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
     np.testing.assert_allclose(chord, 2 * 0.5 * math.sin(math.pi / 16))
+
+
+def test_turns_are_counterclockwise():
+    east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
+    turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
+    np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])
 
 
 def test_distances_between():

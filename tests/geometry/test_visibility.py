@@ -4,7 +4,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plr_jax.geometry.visibility import Viewpoints, visibility_table
+from plr_jax.geometry.visibility import Viewpoints, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 TEN = ((0, 0), (10, 10))
@@ -17,17 +17,16 @@ def box(x0, y0, x1, y1):
 
 def views_of(workspace, points):
     """A table of points in the interior of free space, which look all around."""
-    views = Viewpoints(np.array(points, dtype=float), NONE, NONE, NONE)
-    return visibility_table(workspace.boundary, workspace.tolerance, views)
+    views = Viewpoints(np.array(points, dtype=float), NONE, NONE)
+    return visibility_of(workspace.triangulation, views)[0]
 
 
 def corner_views(workspace):
     """A table of all sectors of the boundary, each looking into free space from its vertex."""
     boundary = workspace.boundary
     sector = np.arange(len(boundary.edges))
-    points = boundary.vertices[boundary.edges[:, 0]]
-    views = Viewpoints(points, sector, boundary.edges[:, 1], boundary.sector_end)
-    return visibility_table(boundary, workspace.tolerance, views)
+    views = Viewpoints(boundary.vertices[boundary.edges[:, 0]], sector, sector)
+    return visibility_of(workspace.triangulation, views)[0]
 
 
 def random_workspace(seed):
@@ -81,7 +80,7 @@ def test_what_a_corner_sees_is_what_shapely_finds_one_pair_at_a_time(seed):
 def test_many_viewpoints_are_swept_in_parts(monkeypatch):
     workspace = random_workspace(3)
     whole = corner_views(workspace)
-    monkeypatch.setattr("plr_jax.geometry.visibility._CHUNK", 1)
+    monkeypatch.setattr("plr_jax.geometry.visibility.table._VIEWS", 1)
     parts = corner_views(workspace)
     np.testing.assert_array_equal(parts.key, whole.key)
     np.testing.assert_array_equal(parts.edge, whole.edge)

@@ -244,7 +244,7 @@ def test_pieces_hold_points_and_sources_see_them(seed):
 def test_pieces_are_found_in_parts(monkeypatch):
     oracle, _ = random_oracle(WORKSPACES[0], 3)
     whole = oracle.cell_sources(DOMAINS[0])
-    monkeypatch.setattr("plr_jax.oracles._cell_sources._CHUNK", 1)
+    monkeypatch.setattr("plr_jax.oracles.cells.cell_sources._CHUNK", 1)
     same(oracle.cell_sources(DOMAINS[0]), whole, [0], [0])
 
 

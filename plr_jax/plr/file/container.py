@@ -6,7 +6,7 @@ version 4 for leaves of folded points, whether or not an axis is periodic:
     4s      magic, b"PLR\n"
     u8      version
     u8      number of axes
-    u8      code of the leaf model
+    u8      code of the leaf model; 255 for distances of pairs of points (see ``plr/pairs/stored.py``)
     u8      what it keeps of a proof: 0 nothing, 1 the largest error, 2 bounds of every leaf as well
     u32     number of leaves
     u32     size of the whole file in bytes
@@ -37,6 +37,8 @@ from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
 VERSION, _PERIODIC_VERSION, _FOLDED_VERSION = 2, 3, 4
 _VERSIONS = (VERSION, _PERIODIC_VERSION, _FOLDED_VERSION)
+PAIRS_CODE = 255
+"""Code that stands for a leaf model in files of distances between pairs of points."""
 _MAGIC = b"PLR\n"
 _START_OF_CONTINUOUS = b"CPL\n\x01"  # in version 1, continuous PLRs had a format of their own
 _HEADER = struct.Struct("<4sBBBBII")

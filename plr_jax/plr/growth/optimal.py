@@ -29,9 +29,9 @@ _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this 
 _BITS_A_LEAF = 5.0  # about as many as one more takes
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
-_MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-_LEAST_SHARE, _LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
-_AT_ONCE = 1 << 14  # boxes
+MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
+LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
+AT_ONCE = 1 << 14  # boxes
 _KEY_BITS = 63  # of a box, for all axes
 
 
@@ -132,7 +132,7 @@ class _Search:
         if now.is_final:
             return None
         most = self._expected_leaves(now)
-        least = _LEAST_SHARE if self._limits.proof is Proof.NONE else _LEAST_SHARE_PROVEN
+        least = LEAST_SHARE if self._limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         least_share = least / (most if most < _UNLIMITED else len(now))
         price = self._next_price(now, most / len(now), least_share)
         _expand(self._levels, price, least_share, self._limits)
@@ -201,7 +201,7 @@ def _may_expand(level: _Level, limits: Limits) -> Bool[np.ndarray, "dim boxes"]:
     """Along which axes boxes may be halved that were not yet."""
     depth = level.boxes.cells.depth.T
     shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
-    return shallow & (depth - depth.min(axis=0) < _MAX_ASPECT_BITS) & (level.child[:, 0] < 0).all(axis=0)
+    return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS) & (level.child[:, 0] < 0).all(axis=0)
 
 
 def _costs(level: _Level, least_share: float) -> Float[np.ndarray, "boxes"]:
@@ -239,7 +239,7 @@ def _add_halves(
     place[is_new] = len(known) + np.searchsorted(found, first[is_new] - len(known))
     parts = [
         level.boxes.halves(parent[some], axis[some], is_upper[some])
-        for some in np.split(found, range(_AT_ONCE, len(found), _AT_ONCE))
+        for some in np.split(found, range(AT_ONCE, len(found), AT_ONCE))
         if len(some)
     ]
     if len(known):

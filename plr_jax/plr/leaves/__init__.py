@@ -1,6 +1,7 @@
 """Leaf models: what function each leaf holds. Their names and the codes of their files stand here, once."""
 
 from plr_jax._arrays import shortened
+from plr_jax.plr.file.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.continuous.model import Continuous
@@ -33,6 +34,8 @@ def code_of_leaf(leaf: LeafModel) -> int:
 
 def leaf_of_code(code: int) -> LeafModel:
     """The leaf model that a file names; raises ``ValueError`` if this release has none of that code."""
+    if code == PAIRS_CODE:
+        raise ValueError("it holds the distance between any two points; use load_pairs")
     if code >= len(_MODELS):
         raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
     return _MODELS[code]

@@ -1,13 +1,13 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from plr_jax._types import Sources
+from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
@@ -15,7 +15,7 @@ from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.partition.tree import Tree
+from plr_jax.plr.partition.tree import Level, Tree
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
@@ -242,10 +242,31 @@ class SourcedLeafModel(LeafModel, Protocol):
         """All sources, with their parents, and the index of every leaf's own."""
         ...
 
+    def of_sources(
+        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
+    ) -> tuple[Cells, Any]:
+        """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
+        ...
+
     def waypoints(
         self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
     ) -> Float[Array, "*batch dim"]:
         """The source of the leaf of each point, in JAX and in the precision of the points."""
+        ...
+
+
+MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
+"""Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
+
+
+@runtime_checkable
+class FamilyLeafModel(LeafModel, Protocol):
+    """A leaf model whose leaves are found for many distance functions of a family at once."""
+
+    def family_task(
+        self, first: FamilyFn, domain: Box, limits: Limits, seed: int
+    ) -> Callable[[Sequence[FamilyFn]], list[MemberLeaves]]:
+        """What gives the leaves of some of the family of a function, with what all share."""
         ...
 
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 
+from plr_jax._arrays import mixed
 from plr_jax.geometry.box import Box
 
 PLACING = 2.0**-21
@@ -70,6 +71,14 @@ class Cells:
             fraction *= np.ldexp(1.0, -self.depth[:, axis])[:, None]
             x[:, :, axis] = domain.lo[axis] + domain.width[axis] * fraction
         return x
+
+    def hashes(self) -> UInt64[np.ndarray, "cells"]:
+        """A hash of each cell."""
+        numbers = (np.int64(1) << self.depth) + self.position  # 1 for the whole, 2 and 3 for halves, and so on
+        total = np.zeros(len(self), np.uint64)
+        for along in numbers.T:
+            total = mixed(total + along.astype(np.uint64))
+        return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
         """Halve each cell along its axis: ``2 * cells`` children, a cell's two side by side, lower first."""

@@ -9,6 +9,7 @@ from jaxtyping import Array, Int, UInt32
 
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.grid import WORD_BITS, block_shapes, enumerate_boxes, num_pairs, row_major, slots_in_blocks
+from plr_jax.plr.query.picked import Picked
 
 _MAX_BLOCK_BITS = 16
 
@@ -24,8 +25,8 @@ class Blocks:
     Each describes so many ``axes``; ``shift`` bits of a point's place along each axis are below its block.
     """
 
-    words: tuple[UInt32[Array, "blocks"], ...]
-    shift: UInt32[Array, "dim"]
+    words: tuple[UInt32[Array, "blocks"] | Picked, ...]
+    shift: UInt32[Array, "dim"] | Picked
     axes: tuple[int, ...] = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
 

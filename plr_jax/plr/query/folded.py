@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.frame import frame_of
+from plr_jax.plr.query.picked import Picked
 
 
 @jax.tree_util.register_dataclass
@@ -26,10 +27,10 @@ class FoldedWindow:
         periodic: The periodic axes.
     """
 
-    frame: Float[Array, "7 dim"]
-    center: Float[Array, "2 dim"]
-    corners: Float[Array, "2 dim"]
-    axes: Float[Array, "dim dim"] | None
+    frame: Float[Array, "7 dim"] | Picked
+    center: Float[Array, "2 dim"] | Picked
+    corners: Float[Array, "2 dim"] | Picked
+    axes: Float[Array, "dim dim"] | Picked | None
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
@@ -72,7 +73,9 @@ class FoldedWindow:
 
 
 @jax.custom_jvp
-def _clipped(z: Float[Array, "*batch"], lo: Float[Array, ""], hi: Float[Array, ""]) -> Float[Array, "*batch"]:
+def _clipped(
+    z: Float[Array, "*batch"], lo: Float[Array, "*#batch"], hi: Float[Array, "*#batch"]
+) -> Float[Array, "*batch"]:
     """Coordinates that only rounding puts outside, moved inside; differentiated as if they were not moved."""
     return jnp.clip(z, lo, hi)
 

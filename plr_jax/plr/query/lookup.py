@@ -12,6 +12,7 @@ from plr_jax.plr.query.folded import FoldedWindow, radius
 from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
+from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.tables import Tables
 
 _ENDS_IN_DOUBLE = (
@@ -91,7 +92,8 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
     places = [_place(tables, x, axis) for axis in range(tables.dim)]
     index = _joined_bits(places, *tables.bits)
     if tables.pages is not None:
-        return _slot_in_page(tables.pages, places, index)
+        slot = _slot_in_page(tables.pages, places, index)
+        return _gather(tables.leaf_of_slot, slot).astype(jnp.uint32) if tables.is_indirect else slot
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, places, index)
     return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
@@ -175,7 +177,7 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
 
 
 def _joined_bits(
-    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"], right: UInt32[Array, "dim"]
+    places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"] | Picked, right: UInt32[Array, "dim"] | Picked
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
     return reduce(
@@ -210,7 +212,9 @@ def _index_in_block(
     return start + index
 
 
-def _gather(table: Integer[Array, "n"] | Float[Array, "n"], index: UInt32[Array, "*batch"]):
+def _gather(table: Integer[Array, "n"] | Float[Array, "n"] | Picked, index: UInt32[Array, "*batch"]):
+    if isinstance(table, Picked):
+        return table.read(index)
     return table.at[index].get(mode="promise_in_bounds")
 
 

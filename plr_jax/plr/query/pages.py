@@ -28,6 +28,7 @@ from plr_jax.plr.query.grid import (
     num_pairs,
     slots_in_blocks,
 )
+from plr_jax.plr.query.picked import Picked
 
 _BLOCK_BITS = (10, 12, 14, 16)  # few, as words of each number are compiled for; the fewest are read the fastest
 _MOST_PAIRS = 2**20
@@ -44,8 +45,8 @@ class Pages:
             belong in the index, and at which bit of a word its start is (the same for all axes).
     """
 
-    words: UInt32[Array, "blocks"]
-    bits: UInt32[Array, "3 dim"]
+    words: UInt32[Array, "blocks"] | Picked
+    bits: UInt32[Array, "3 dim"] | Picked
 
 
 class PagedLeaves(NamedTuple):

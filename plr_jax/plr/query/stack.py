@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from plr_jax._arrays import padded_size
 from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables
-from plr_jax.plr.query.placement import Placement
+from plr_jax.plr.query.points import Placement
 from plr_jax.plr.query.tables import Tables
 
 # The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points

@@ -37,6 +37,7 @@ from plr_jax.plr.query.folded import FoldedWindow
 from plr_jax.plr.query.frame import frame_of, table_corners
 from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
 from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
+from plr_jax.plr.query.picked import Picked
 
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
@@ -72,18 +73,21 @@ class Tables:
         periodic: The periodic axes, around which points are wrapped.
         radial: Axes of which the length of a point's coordinates is added to the leaf's value.
         folding: How points are folded before all this; None if they are not.
+        is_indirect: Whether ``leaf_of_slot`` says which of the numbers a slot of pages has, as in stacks of many
+            PLRs, instead of which leaf it is.
     """
 
-    frame: Float[Array, "7 dim"]
-    bits: UInt32[Array, "2 dim"]
+    frame: Float[Array, "7 dim"] | Picked
+    bits: UInt32[Array, "2 dim"] | Picked
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
-    numbers: Float[Array, "count padded"] | Float[Array, "numbers"]
+    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"] | Picked
+    numbers: Float[Array, "count padded"] | Float[Array, "numbers"] | Picked
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     radial: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedWindow | None = None
+    is_indirect: bool = field(metadata={"static": True}, default=False)
 
     @property
     def dim(self) -> int:

@@ -31,30 +31,7 @@ class CellMemory:
 
     def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
         """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
-        found, visible = np.full(x.shape[:2], np.inf), self.sources(cells)
-        at_once = max(1, _PAIRS_AT_ONCE // x.shape[1])
-        for begin in range(0, len(visible.source), at_once):
-            self._lower(found, visible, np.arange(begin, min(begin + at_once, len(visible.source))), x)
-        return found
-
-    def _lower(
-        self,
-        found: Float[np.ndarray, "cells k"],
-        visible: CellSources,
-        pairs: Int[np.ndarray, "pairs"],
-        x: Float[np.ndarray, "cells k 2"],
-    ) -> None:
-        """Lower distances to those by way of some pairs, at points in their pieces that see the source."""
-        piece, source, sources = visible.piece[pairs], visible.source[pairs], visible.sources
-        points = x[visible.cell[piece]]
-        dx, dy = points[:, :, 0] - sources.points[source, :1], points[:, :, 1] - sources.points[source, 1:]
-        length = sources.distances[source][:, None] + np.sqrt(dx * dx + dy * dy)
-        usable = visible.hold(piece, points) & (length < found[visible.cell[piece]])
-        unsure = usable & ~visible.by_all[pairs, None]
-        row, column = np.nonzero(unsure)
-        usable[row, column] = visible.see(source[row], points[row, column])
-        row, column = np.nonzero(usable)
-        np.minimum.at(found, (visible.cell[piece[row]], column), length[row, column])
+        return distances_in_cells(self.sources(cells), x)
 
     def _remember(self, cells: Cells, keys: list[_Key]) -> None:
         parents, axis = np.empty(len(cells), object), np.zeros(len(cells), np.int64)
@@ -79,6 +56,34 @@ class CellMemory:
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
         parts = [self._parts[part[run[0]]].of_cells(place[run]) for run in runs]
         return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
+
+
+def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
+    """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
+    found = np.full(x.shape[:2], np.inf)
+    at_once = max(1, _PAIRS_AT_ONCE // x.shape[1])
+    for begin in range(0, len(visible.source), at_once):
+        _lower(found, visible, np.arange(begin, min(begin + at_once, len(visible.source))), x)
+    return found
+
+
+def _lower(
+    found: Float[np.ndarray, "cells k"],
+    visible: CellSources,
+    pairs: Int[np.ndarray, "pairs"],
+    x: Float[np.ndarray, "cells k 2"],
+) -> None:
+    """Lower distances to those by way of some pairs, at points in their pieces that see the source."""
+    piece, source, sources = visible.piece[pairs], visible.source[pairs], visible.sources
+    points = x[visible.cell[piece]]
+    dx, dy = points[:, :, 0] - sources.points[source, :1], points[:, :, 1] - sources.points[source, 1:]
+    length = sources.distances[source][:, None] + np.sqrt(dx * dx + dy * dy)
+    usable = visible.hold(piece, points) & (length < found[visible.cell[piece]])
+    unsure = usable & ~visible.by_all[pairs, None]
+    row, column = np.nonzero(unsure)
+    usable[row, column] = visible.see(source[row], points[row, column])
+    row, column = np.nonzero(usable)
+    np.minimum.at(found, (visible.cell[piece[row]], column), length[row, column])
 
 
 def _keys(cells: Cells) -> list[_Key]:

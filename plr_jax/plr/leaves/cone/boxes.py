@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import run_members
-from plr_jax._types import CellSources
+from plr_jax._types import CellSources, FamilyCellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import areas
@@ -85,18 +85,32 @@ class ConeBoxes:
         """A half of each of some of the boxes."""
         cells = self.cells[parent].halves(axis, is_upper)
         visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
-        return _fitted(self.domain, self.negligible, cells, visible)
+        return fitted_boxes(self.domain, self.negligible, cells, visible)
+
+    def distinct_halves(
+        self, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"], is_upper: Bool[np.ndarray, "new"]
+    ) -> tuple["ConeBoxes", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "new"]]:
+        """The distinct ones of such halves, their keys, and which of them each half is; of cells of a family."""
+        assert isinstance(self.visible, FamilyCellSources)
+        cells = self.cells[parent].halves(axis, is_upper)
+        visible, key, first, index = self.visible.distinct_parts(
+            parent, axis, is_upper, *cells.grown_boxes(self.domain), cells.hashes()
+        )
+        return fitted_boxes(self.domain, self.negligible, cells[first], visible), key, index
 
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
     """The domain as one box; errors up to the tolerance do not count, nor do those that no query resolves."""
     resolved = float(np.finfo(np.float32).eps / 4 * visible.distance.max(initial=0.0))
-    return _fitted(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
+    return fitted_boxes(domain, max(tolerance, resolved), Cells.root(domain.dim), visible)
 
 
-def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
-    """Boxes with the cone for each whose proven error has the least integral over its free part."""
-    best, error, integral = _only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
+def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+    """Boxes with the cone for each whose proven error has the least integral over its free part.
+
+    Errors up to what is negligible do not count.
+    """
+    best, error, integral = only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     best[several], error[several], integral[several] = _best_cones(visible.of_cells(several))
     counts = error > negligible
@@ -104,7 +118,7 @@ def _fitted(domain: Box, negligible: float, cells: Cells, visible: CellSources) 
     return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
 
 
-def _only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     """The source of boxes that all of each sees and no other is better for anywhere; -1 for other boxes."""
     only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
     is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # a pair a piece, or none at all
@@ -127,7 +141,7 @@ def _best_cones(
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     box, source = _options(visible, areas(visible.pieces))
     largest, integral = errors_of_options(visible, box, source)
-    order = np.lexsort((largest, integral, box))
+    order = np.lexsort((visible.rank(source), largest, integral, box))
     order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
     return source[order], largest[order], integral[order]
 
@@ -152,7 +166,7 @@ def _options(
     count = len(visible.sources.points)
     key, index = np.unique(visible.cell * np.int64(count) + visible.best, return_inverse=True)
     box, source = np.divmod(key, count)
-    order = np.lexsort((-np.bincount(index, area, len(key)), box))
+    order = np.lexsort((visible.rank(source), -np.bincount(index, area, len(key)), box))
     box, source = box[order], source[order]
     rank = np.arange(len(box)) - np.searchsorted(box, box)
     return box[rank < _MOST_OPTIONS], source[rank < _MOST_OPTIONS]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from plr_jax._types import Sources
+from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import Pieces
@@ -18,6 +18,7 @@ from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
+from plr_jax.plr.leaves.cone.family.task import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
@@ -27,6 +28,7 @@ from plr_jax.plr.query.lookup import number_of_leaf
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
+from plr_jax.plr.sampling.pattern import sample_pattern
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""
@@ -68,6 +70,10 @@ class Cone:
             return _best_partition(sampler, sampler.memory, limits)
         return grow_from_samples(sampler, rules, limits)
 
+    def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:
+        """What finds the best partitions for many goals at once; samples only choose sources in sight."""
+        return family_task(first, domain, limits, sample_pattern(domain.dim, self.num_samples, 0, seed))
+
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         """Append what the file keeps of the leaves."""
         write_cones(body, domain, stored)
@@ -76,6 +82,12 @@ class Cone:
         """What :meth:`write` appended."""
         _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
+
+    def of_sources(
+        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
+    ) -> tuple[Cells, StoredCones]:
+        """Leaves and what is stored of them; one without a source takes that of the leaf before."""
+        return stored_cones(cells, source, sources, domain)
 
     def unreachable(self, stored: StoredCones) -> Bool[np.ndarray, "leaves"]:
         """None: where nothing reaches the goal, leaves have the source of another one."""

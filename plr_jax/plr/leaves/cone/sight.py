@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, errors_of_options
 from plr_jax.plr.sampling.cell_fit import Sampler, call_oracle
+from plr_jax.plr.sampling.pattern import Pattern
 
-_PRICE = 30.0
+PRICE = 30.0
 """Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
 _LEAST_SHORTFALL = 1e-9
 """Widths of the domain by which a distance is above a cone for certain."""
@@ -44,15 +45,19 @@ def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSour
 
 def _changes(boxes: ConeBoxes, sampler: Sampler) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Boxes that are better off with another source, and which; those that gain most, over all their area, first."""
-    box, source, by_all = _pairs(boxes)
+    box, source, by_all = pairs_of_boxes(boxes)
     is_doubted = boxes.source >= 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
     if not len(box):
         return box, source
     doubted, count = np.flatnonzero(is_doubted), len(boxes.source)
-    price = _PRICE * float(boxes.integral.sum())
-    cost = _costs(boxes[doubted], sampler, np.searchsorted(doubted, box), source, price)
+    price = PRICE * float(boxes.integral.sum())
+    some, option_box = boxes[doubted], np.searchsorted(doubted, box)
+    x = some.cells.points(sampler.pattern.u, boxes.domain)
+    distance = call_oracle(sampler.distance_fn, x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
+    error, hidden = errors_and_shares_hidden(some, sampler.pattern, x, distance, option_box, source)
+    cost = error + price * hidden
     largest, integral = errors_of_options(boxes.visible, box, source)
     is_own = source == boxes.source[box]
     is_barred = ~is_own & (largest > max(boxes.error.max(), boxes.negligible))
@@ -65,7 +70,7 @@ def _changes(boxes: ConeBoxes, sampler: Sampler) -> tuple[Int[np.ndarray, "chang
     return box[best], source[best]
 
 
-def _pairs(boxes: ConeBoxes) -> Pairs:
+def pairs_of_boxes(boxes: ConeBoxes) -> Pairs:
     """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it."""
     visible = boxes.visible
     count = len(visible.sources.points)
@@ -74,19 +79,19 @@ def _pairs(boxes: ConeBoxes) -> Pairs:
     return box, source, np.bincount(index, visible.by_all, len(key)) == np.diff(visible.first_piece)[box]
 
 
-def _costs(
+def errors_and_shares_hidden(
     boxes: ConeBoxes,
-    sampler: Sampler,
+    pattern: Pattern,
+    x: Float[np.ndarray, "boxes k 2"],
+    distance: Float[np.ndarray, "boxes k"],
     box: Int[np.ndarray, "options"],
     source: Int[np.ndarray, "options"],
-    price: float,
-) -> Float[np.ndarray, "options"]:
-    """Mean error of each source in its box, plus a price times the share of it from where a wall is in the way."""
-    pattern, sources, width = sampler.pattern, boxes.visible.sources, float(boxes.domain.width.max())
-    x = boxes.cells.points(pattern.u, boxes.domain)
-    distance = call_oracle(sampler.distance_fn, x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
+) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
+    """Mean error of each source in its box, and the share of it from where a wall is in the way."""
+    sources, width = boxes.visible.sources, float(boxes.domain.width.max())
     weight = pattern.weight * np.isfinite(distance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
     cone = sources.distances[source, None] + np.linalg.norm(x[box] - sources.points[source, None], axis=2)
     above = np.where(np.isfinite(distance), distance, 0.0)[box] - cone
-    return np.sum(weight[box] * (np.abs(above) + price * (above > _LEAST_SHORTFALL * width)), axis=1)
+    is_hidden = above > _LEAST_SHORTFALL * width
+    return np.sum(weight[box] * np.abs(above), axis=1), np.sum(weight[box] * is_hidden, axis=1)

@@ -19,14 +19,18 @@ def stored_cones(
     Where a leaf has no source, -1, it takes that of the leaf before.
     """
     order = levels_of(cells)[1]
-    source = source[order]
+    return cells[order], cones_in_order(source[order], sources, domain)
+
+
+def cones_in_order(source: Int[np.ndarray, "leaves"], sources: Sources, domain: Box) -> StoredCones:
+    """What a file keeps of leaves in the order of the tree's traversal."""
     leaf = np.flatnonzero(source >= 0)
     before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
     source = source[leaf[np.maximum(before, 0)]]
     kept = _with_parents(np.unique(source), sources.parents)
     place = np.searchsorted(kept, np.arange(len(sources.parents)))
     stored, index = store_sources(sources.points[kept], sources.distances[kept], place[sources.parents[kept]], domain)
-    return cells[order], StoredCones(stored, index[place[source]])
+    return StoredCones(stored, index[place[source]])
 
 
 def num_bytes_of(cells: Cells, cones: StoredCones, domain: Box, limits: Limits) -> int:

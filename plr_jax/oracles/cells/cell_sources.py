@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,67 +11,17 @@ from plr_jax._arrays import run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
-from plr_jax.geometry.convex_pieces import ROOM, Pieces, areas, boxes_as_pieces, clip, clip_to_box, convex_pieces
-from plr_jax.geometry.corners import TurnPoints
-from plr_jax.geometry.shadows import Shadows
+from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip, clip_to_box, convex_pieces
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles.cells.sight import Sight, Walls
 
 _CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many
 _FILLED = 1 - 1e-9
 """Share of a cell's area that its pieces fill, for it to be worth asking whether a wall is in it."""
+_OF_PIECES = ("origin", "center", "distance", "best")
+Found = TypeVar("Found", bound="VisibleSources")
 _LEAD = 1 / 128
 """Tolerances by which a source may be better yet and is left out; cells are halved less often."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What tells which sources a piece may use: where they are, what they see, which paths bend around them.
-
-    Args:
-        sources: The sources, the goal first.
-        shadows: What they see.
-        turns: Those that bend a shortest path, and the points that come around them.
-    """
-
-    sources: Sources
-    shadows: Shadows
-    turns: TurnPoints
-
-    @cached_property
-    def turn_of_source(self) -> Int[np.ndarray, "sources"]:
-        """Index of each source among the turns; -1 for the goal, the last for those that no path bends around."""
-        index = np.full(len(self.sources.points), -1)
-        index[self.turns.vertex] = np.arange(len(self.turns.vertex))
-        return index
-
-    @cached_property
-    def _walls(self) -> Any:
-        """The walls, to be asked for those that meet boxes."""
-        import shapely  # which a query does not need
-
-        walls: Any = shapely.linestrings(self.shadows.table.boundary.segments)
-        return shapely.STRtree(walls)
-
-    def meet_walls(
-        self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
-    ) -> Bool[np.ndarray, "boxes"]:
-        """Whether a wall reaches into each box."""
-        import shapely
-
-        boxes: Any = shapely.box(*lo.T, *hi.T)
-        box, wall = self._walls.query(boxes, predicate="intersects")
-        met = np.zeros(len(lo), bool)
-        met[box[~shapely.touches(boxes[box], self._walls.geometries[wall])]] = True
-        return met
-
-    def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
-        """Whether a shortest path from some point of each piece may turn at its source, for all it may see."""
-        may, corner = np.ones(len(source), bool), np.flatnonzero(source > 0)  # there may be none but the goal
-        turn, (x, y) = self.turn_of_source[source[corner]], pieces[:, corner]
-        for normal in self.turns.normal[:, turn]:
-            height = (x * normal[:, :1] + y * normal[:, 1:]).max(axis=1)
-            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
-        return may
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +36,7 @@ class VisibleSources:
         num_cells: How many cells.
         cell: The cell of each piece.
         pieces: The pieces.
+        origin: The piece of the domain that each is a part of; -1 where several were put together.
         center: A point inside each.
         distance: Distance of each center to the goal; a bound of it where no source is said to see the center.
         best: Source that each center's shortest path goes to, or one near it where none is said to see the center.
@@ -98,6 +49,7 @@ class VisibleSources:
     num_cells: int
     cell: Int[np.ndarray, "pieces"]
     pieces: Pieces
+    origin: Int[np.ndarray, "pieces"]
     center: Float[np.ndarray, "pieces 2"]
     distance: Float[np.ndarray, "pieces"]
     best: Int[np.ndarray, "pieces"]
@@ -113,7 +65,7 @@ class VisibleSources:
     @property
     def slack(self) -> float:
         """How much any bound that follows may err, as free space is known to a tolerance."""
-        return 4 * self.sight.shadows.table.tolerance
+        return 4 * self.sight.tolerance
 
     @cached_property
     def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
@@ -127,7 +79,7 @@ class VisibleSources:
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
-        tolerance, inside = self.sight.shadows.table.tolerance, np.ones(points.shape[:2], bool)
+        tolerance, inside = self.sight.tolerance, np.ones(points.shape[:2], bool)
         x, y = self.pieces[:, piece]
         for corner in range(x.shape[1]):
             start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
@@ -138,22 +90,26 @@ class VisibleSources:
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are seen by sources."""
-        return self.sight.shadows.table.sees(source, points)
+        return self.sight.see_points(source, points)
 
-    def of_cells(self, cells: Int[np.ndarray, "some"]) -> "VisibleSources":
+    def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """The order of sources in which the first of equals is taken."""
+        return self.sight.cones.kind[source]
+
+    def of_cells(self: Found, cells: Int[np.ndarray, "some"]) -> Found:
         """The same of some of the cells, in another order perhaps, and perhaps repeated."""
         rows, cell = run_members(self.first_piece, cells)
         return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
 
-    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+    def pieces_as_cells(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         """Those of some pieces, each a cell of its own."""
         return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
-    def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleSources":
+    def _of_pieces(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = run_members(self.first_pair, rows)
-        of_pieces = {name: getattr(self, name)[rows] for name in ("cell", "center", "distance", "best")}
+        of_pieces = {name: getattr(self, name)[rows] for name in ("cell", *_OF_PIECES)}
         return replace(
             self,
             pieces=self.pieces[:, rows],
@@ -172,6 +128,17 @@ class VisibleSources:
         hi: Float[np.ndarray, "parts 2"],
     ) -> "VisibleSources":
         """Of parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
+        return settled_cells(*self.cut(parent, axis, is_upper, lo, hi), lo, hi)
+
+    def cut(
+        self: Found,
+        parent: Int[np.ndarray, "parts"],
+        axis: Int[np.ndarray, "parts"],
+        is_upper: Bool[np.ndarray, "parts"],
+        lo: Float[np.ndarray, "parts 2"],
+        hi: Float[np.ndarray, "parts 2"],
+    ) -> tuple[Found, Bool[np.ndarray, "pieces"]]:
+        """Parts of the cells with the pairs of these, before anything is asked of them, and which pieces were cut."""
         rows, cell = run_members(self.first_piece, parent)
         along, upper = axis[cell], is_upper[cell]
         bound = np.where(upper, lo[cell, along], hi[cell, along])
@@ -182,14 +149,14 @@ class VisibleSources:
         cut = height.min(axis=1) < 0
         pieces = self.pieces[:, rows]
         pieces[:, cut] = clip(pieces[:, cut], height[cut])
-        columns = {name: getattr(self, name)[rows] for name in ("center", "distance", "best")}
+        columns = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         source, by_all = self.source[pairs], self.by_all[pairs]
-        inherited = VisibleSources(
+        inherited = type(self)(
             self.sight, len(parent), cell, pieces, piece=piece, source=source, by_all=by_all, **columns
         )
-        return _with_whole_cells(inherited, cut, lo, hi)
+        return inherited, cut
 
-    def append(self, *others: "VisibleSources") -> "VisibleSources":
+    def append(self: Found, *others: Found) -> Found:
         """Of these cells followed by others."""
         if not others:
             return self
@@ -198,9 +165,9 @@ class VisibleSources:
         pieces = np.cumsum([0] + [len(each.cell) for each in several])
         columns = {
             name: np.concatenate([getattr(each, name) for each in several])
-            for name in ("center", "distance", "best", "source", "by_all")
+            for name in (*_OF_PIECES, "source", "by_all")
         }
-        return VisibleSources(
+        return type(self)(
             sight=self.sight,
             num_cells=int(cells[-1]),
             cell=np.concatenate([each.cell + start for each, start in zip(several, cells[:-1], strict=True)]),
@@ -215,45 +182,49 @@ def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleS
     pieces = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
     usable = np.append(0, sight.turns.vertex)
     step = max(1, _CHUNK // len(usable))
-    found = []
-    for begin in range(0, pieces.shape[1], step):
-        part = pieces[:, begin : begin + step]
-        num_pieces = part.shape[1]
-        piece, source = np.repeat(np.arange(num_pieces), len(usable)), np.tile(usable, num_pieces)
-        every = np.ones(num_pieces, bool)
-        found.append(_settled(_unsettled(sight, np.zeros(num_pieces, int), part, piece, source), every))
-    if not found:
-        found = [_unsettled(sight, *(np.zeros(0, int), np.zeros((2, 0, ROOM)), np.zeros(0, int), np.zeros(0, int)))]
+    # Of no pieces, one part without any.
+    found = [_of_triangles(sight, pieces, begin, step, usable) for begin in range(0, max(1, pieces.shape[1]), step)]
     first, *others = found
     return replace(first.append(*others), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
 
 
-def _unsettled(
-    sight: Sight,
-    cell: Int[np.ndarray, "pieces"],
-    pieces: Pieces,
-    piece: Int[np.ndarray, "pairs"],
-    source: Int[np.ndarray, "pairs"],
+def _of_triangles(
+    sight: Sight, pieces: Pieces, begin: int, step: int, usable: Int[np.ndarray, "usable"]
 ) -> VisibleSources:
-    """Pieces of one cell of which nothing is known yet."""
-    unknown = np.full(len(cell), np.inf)
-    return VisibleSources(
-        sight, 1, cell, pieces, pieces.mean(axis=2).T, unknown, cell, piece, source, np.zeros(len(piece), bool)
-    )
+    """Some of the triangles as one cell, and all sources that each may use."""
+    part = pieces[:, begin : begin + step]
+    count = part.shape[1]
+    piece, source = np.repeat(np.arange(count), len(usable)), np.tile(usable, count)
+    cell, origin, unknown = np.zeros(count, int), begin + np.arange(count), np.full(count, np.inf)
+    center, by_all = centers(part), np.zeros(len(piece), bool)
+    unsettled = VisibleSources(sight, 1, cell, part, origin, center, unknown, cell, piece, source, by_all)
+    return _settled(unsettled, np.ones(count, bool))
 
 
-def _with_whole_cells(
-    found: VisibleSources,
+def are_filled(
+    cell: Int[np.ndarray, "pieces"],
+    area: Float[np.ndarray, "pieces"],
+    walls: Walls,
+    lo: Float[np.ndarray, "cells 2"],
+    hi: Float[np.ndarray, "cells 2"],
+) -> Bool[np.ndarray, "cells"]:
+    """Which cells of several pieces lie in free space altogether."""
+    total, count = (np.bincount(cell, weight, len(lo)) for weight in (area, None))
+    filled = np.flatnonzero((total >= _FILLED * np.prod(hi - lo, axis=1)) & (count > 1))
+    result = np.zeros(len(lo), bool)
+    result[filled[~walls.meet(lo[filled], hi[filled])]] = True
+    return result
+
+
+def settled_cells(
+    found: Found,
     changed: Bool[np.ndarray, "pieces"],
     lo: Float[np.ndarray, "cells 2"],
     hi: Float[np.ndarray, "cells 2"],
-) -> VisibleSources:
+) -> Found:
     """Settled, after the pieces of cells that lie in free space altogether are put together."""
     area = areas(found.pieces)
-    total, count = (np.bincount(found.cell, weight, len(lo)) for weight in (area, None))
-    merged = (total >= _FILLED * np.prod(hi - lo, axis=1)) & (count > 1)
-    filled = np.flatnonzero(merged)
-    merged[filled[found.sight.meet_walls(lo[filled], hi[filled])]] = False
+    merged = are_filled(found.cell, area, found.sight.walls, lo, hi)
     stays = area > 0
     if merged.any():
         is_merged = merged[found.cell]
@@ -261,6 +232,7 @@ def _with_whole_cells(
         stays = (stays & ~is_merged) | (is_merged & is_first)
         whole = found.cell[is_merged & is_first]
         found.pieces[:, is_merged & is_first] = boxes_as_pieces(lo[whole], hi[whole])
+        found.origin[is_merged & is_first] = -1
         owner = np.where(is_merged, np.flatnonzero(is_first)[np.cumsum(is_first) - 1], np.arange(len(area)))
         key = owner[found.piece] * np.int64(len(found.sources.points)) + found.source
         _, index = np.unique(key, return_index=True)
@@ -276,14 +248,14 @@ def _with_whole_cells(
     return _settled(replace(found, num_cells=len(lo)), changed)
 
 
-def _settled(found: VisibleSources, changed: Bool[np.ndarray, "pieces"]) -> VisibleSources:
+def _settled(found: Found, changed: Bool[np.ndarray, "pieces"]) -> Found:
     """After what no point of the changed pieces can use is left out, and pieces from which nothing leads to the goal.
 
     What is seen of one's center is what is seen of all, or of a part; a source that another one beats wherever the
     piece is, or the way by its center, is not needed.
     """
     center = found.center.copy()
-    center[changed] = found.pieces[:, changed].mean(axis=2).T
+    center[changed] = centers(found.pieces[:, changed])
     # At most that by the center before, which is in the same free convex piece, or in the cell that is one now.
     found = replace(found, center=center, distance=found.distance + np.linalg.norm(center - found.center, axis=1))
     open_ = np.flatnonzero(changed[found.piece] & ~found.by_all)
@@ -292,17 +264,15 @@ def _settled(found: VisibleSources, changed: Bool[np.ndarray, "pieces"]) -> Visi
     keep[open_[~bends]] = False
     open_ = open_[bends]
     piece, source = found.piece[open_], found.source[open_]
-    seen, alike = found.sight.shadows.see(source, found.pieces[:, piece], center[piece])
+    seen, alike = found.sight.see(source, found.pieces[:, piece], center[piece])
     by_all, by_center = found.by_all.copy(), found.by_all | ~changed[found.piece]
     by_all[open_], by_center[open_] = seen & alike, seen
     keep[open_[alike & ~seen]] = False
     found = replace(found, piece=found.piece[keep], source=found.source[keep], by_all=by_all[keep])
-    return _undominated(found, changed, by_center[keep])
+    return undominated(found, changed, by_center[keep])
 
 
-def _undominated(
-    found: VisibleSources, changed: Bool[np.ndarray, "pieces"], by_center: Bool[np.ndarray, "pairs"]
-) -> VisibleSources:
+def undominated(found: Found, changed: Bool[np.ndarray, "pieces"], by_center: Bool[np.ndarray, "pairs"]) -> Found:
     """With the distance at the centers of changed pieces, and without pairs that another one beats everywhere.
 
     A center that none of the sources is said to see keeps the bound of its distance that it has.
@@ -310,7 +280,7 @@ def _undominated(
     sources, pairs = found.sources, np.flatnonzero(changed[found.piece] & by_center)
     piece, source = found.piece[pairs], found.source[pairs]
     length = sources.distances[source] + np.linalg.norm(found.center[piece] - sources.points[source], axis=1)
-    order = np.lexsort((~found.by_all[pairs], length, piece))
+    order = np.lexsort((found.rank(source), ~found.by_all[pairs], length, piece))
     order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
     best_pair, distance, best = np.full(len(changed), -1), found.distance.copy(), found.best.copy()
     best_pair[piece[order]], distance[piece[order]], best[piece[order]] = pairs[order], length[order], source[order]
@@ -326,7 +296,7 @@ def _undominated(
         found.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
     )
     keep = np.isfinite(distance)[found.piece]
-    keep[rivals[lowest > np.where(by_best[piece], -_LEAD * found.sight.shadows.table.tolerance, 0.0)]] = False
+    keep[rivals[lowest > np.where(by_best[piece], -_LEAD * found.sight.tolerance, 0.0)]] = False
     found = replace(
         found,
         distance=distance,

@@ -1,0 +1,102 @@
+"""Exact distances on big maps: seconds to prepare an oracle, and microseconds a point of a batch.
+
+Fields of small obstacles (octagons, one a cell) and voids (few, star-shaped, of many walls) are synthetic; den520d is
+a published map, measured as it is and after its obstacles are grown by 0.4. Preparing begins with the workspace, so
+triangles, visibility polygons, the graph and the distances of its vertices are in it; the first query adds what is
+found once for a goal. Seconds are those of the processor, medians of several runs, each on a workspace of its own.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments._results import run
+from experiments.benchmarks._maps import load_map
+from experiments.benchmarks._oracle import polygon_field
+from plr_jax import VisibilityGraph, Workspace
+
+FIELDS, VOIDS, NUM_VOIDS, INFLATION = (4_000, 17_000, 44_000), 4_100, 4, 0.4
+NUM_RUNS, NUM_POINTS = 3, 100_000
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    num_runs, num_points = (1, 100) if smoke else (NUM_RUNS, NUM_POINTS)
+    rows = []
+    for name, make in maps(seed, smoke):
+        rows.append({"map": name, **measure(make, num_runs, num_points, seed)})
+        print(line(rows[-1]), flush=True)
+    return {"runs": num_runs, "points": num_points, "rows": rows}
+
+
+def maps(seed: int, smoke: bool) -> Iterator[tuple[str, Callable[[], Workspace]]]:
+    """Names of maps, and what makes each anew."""
+    for num_vertices in (80,) if smoke else FIELDS:
+        yield f"field {num_vertices:,}", lambda num_vertices=num_vertices: polygon_field(num_vertices, seed)[0]
+    num_vertices = 80 if smoke else VOIDS
+    yield f"voids {num_vertices:,}", lambda: voids(num_vertices, seed)
+    published = None if smoke else load_map("den520d")
+    if published is not None:
+        workspace = published[0]
+        yield "den520d", lambda: Workspace((workspace.bounds.lo, workspace.bounds.hi), workspace.obstacles)
+        yield f"den520d + {INFLATION}", lambda: workspace.inflate(INFLATION)
+
+
+def voids(num_vertices: int, seed: int) -> Workspace:
+    """Disjoint star-shaped rooms with jagged walls, in which a corner sees many others.
+
+    Args:
+        num_vertices: Vertices of the rooms together, rounded down to a multiple of their number.
+        seed: Of the random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    count = num_vertices // NUM_VOIDS
+    angle = 2 * np.pi / count * (np.arange(count) + rng.uniform(-0.3, 0.3, (NUM_VOIDS, count)))
+    radius = rng.uniform(0.44, 0.46, (NUM_VOIDS, count))
+    rings = radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rings[..., 0] += np.arange(NUM_VOIDS)[:, None]
+    return Workspace.from_polygons([{"outer": ring} for ring in rings])
+
+
+def measure(make: Callable[[], Workspace], num_runs: int, num_points: int, seed: int) -> dict[str, Any]:
+    seconds = []
+    for _ in range(num_runs):
+        to_workspace, workspace = _seconds(make)
+        x = workspace.sample_free(num_points + 1, seed)
+        workspace.is_free(x[:1])
+        to_oracle, oracle = _seconds(lambda workspace=workspace, x=x: VisibilityGraph(workspace, x[0]))
+        to_first, _ = _seconds(lambda oracle=oracle, x=x: oracle(x[:1]))
+        to_batch, _ = _seconds(lambda oracle=oracle, x=x: oracle(x[1:]))
+        seconds.append((to_workspace, to_oracle, to_first, to_batch / num_points * 1e6))
+    names = "seconds_workspace", "seconds_prepare", "seconds_first", "microseconds_a_point"
+    graph = oracle.graph
+    sizes = {"corners": graph.num_vertices - 1, "edges": graph.num_edges, "bytes": oracle.num_bytes}
+    medians = dict(zip(names, np.median(seconds, axis=0).tolist(), strict=True))
+    return {"vertices": len(workspace.boundary.vertices), **sizes, **medians}
+
+
+def _seconds(call: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.process_time()
+    result = call()
+    return time.process_time() - start, result
+
+
+def line(row: dict[str, Any]) -> str:
+    return (
+        f"{row['map']:14}{row['vertices']:>7,} vertices {row['corners']:>7,} corners {row['edges']:>8,} edges "
+        f"{row['bytes'] / 1e6:6.1f} MB  workspace {row['seconds_workspace']:6.3f} s  prepare "
+        f"{row['seconds_prepare']:6.3f} s  first query {row['seconds_first']:6.3f} s  "
+        f"{row['microseconds_a_point']:6.2f} us a point"
+    )
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    path = output / "big_maps.txt"
+    path.write_text("".join(line(row) + "\n" for row in results["rows"]))
+    return [path]
+
+
+if __name__ == "__main__":
+    run("big_maps", "Seconds to prepare an exact oracle on big maps, and what a query costs.", compute, draw)

@@ -1,0 +1,122 @@
+"""A thousand goals at once: seconds from oracles to PLRs, errors beside those built alone, and stacks of PLRs.
+
+On each map: goals drawn from free space, oracles of one workspace, all PLRs by ``construct_many``; some goals again
+by ``construct``, for its time and errors. And pairs of an index and a point of a stack, beside points of one PLR.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments._results import run
+from plr_jax import PLR, VisibilityGraph, construct, construct_many, scenes, stack
+
+GOAL_SEED, POINT_SEED = 11, 12
+MAPS = {"maze": (1_000, 1_024), "floor_plan": (2_000, 2_048)}
+"""Goals and bytes of each PLR."""
+NUM_ALONE, NUM_POINTS, RUNS = 20, 1_000_000, 15
+_COLUMNS = ["map", "goals", "bytes", "seconds", "CPU ms a goal", "alone", "mean error", "alone", "largest", "alone"]
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    maps = {"maze": (6, 300)} if smoke else MAPS
+    num_alone, num_points = (2, 2_000) if smoke else (NUM_ALONE, NUM_POINTS)
+    rows, plrs = [], []
+    for name, (num_goals, max_bytes) in maps.items():
+        row, built = _measure(name, num_goals, max_bytes, num_alone, seed)
+        rows.append(row)
+        plrs = plrs or built
+        print("  ".join(_cells(row)), flush=True)
+    stacked = _stack_times(plrs, num_points, seed)
+    print(_stack_line(stacked), flush=True)
+    return {"rows": rows, "stack": stacked}
+
+
+def _measure(
+    name: str, num_goals: int, max_bytes: int, num_alone: int, seed: int
+) -> tuple[dict[str, Any], list[PLR]]:
+    workspace = getattr(scenes, name)().workspace
+    goals = workspace.sample_free(num_goals, GOAL_SEED + seed)
+    first = VisibilityGraph(workspace, goals[0])
+    wall, cpu = time.perf_counter(), time.process_time()
+    oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
+    plrs = construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=max_bytes)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    alone_cpu = time.process_time()
+    alone = [construct(oracle, workspace.bounds, leaf="cone", max_bytes=max_bytes) for oracle in oracles[:num_alone]]
+    alone_cpu = time.process_time() - alone_cpu
+    x = workspace.sample_free(5_000, POINT_SEED + seed)
+    errors = {kind: _errors(some, oracles, x) for kind, some in (("family", plrs[:num_alone]), ("alone", alone))}
+    row = {
+        "map": name,
+        "goals": num_goals,
+        "bytes": max_bytes,
+        "seconds": wall,
+        "cpu_a_goal": cpu / num_goals,
+        "cpu_alone": alone_cpu / num_alone,
+        **errors,
+    }
+    return row, plrs
+
+
+def _errors(plrs: list[PLR], oracles: list[VisibilityGraph], x: np.ndarray) -> dict[str, float]:
+    errors = [np.abs(np.asarray(plr(x)) - oracle(x)) for plr, oracle in zip(plrs, oracles, strict=False)]
+    return {"mean": float(np.mean(errors)), "max": float(np.max(errors))}
+
+
+def _stack_times(plrs: list[PLR], num_points: int, seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(POINT_SEED + seed)
+    lo, hi = plrs[0].domain.lo, plrs[0].domain.hi
+    x = jnp.asarray(rng.uniform(lo, hi, (num_points, 2)).astype(np.float32))
+    index = jnp.asarray(rng.integers(0, len(plrs), num_points).astype(np.int32))
+    one, f = plrs[0], stack(plrs)
+    seconds: dict[str, list[float]] = {"one": [], "stack": []}
+    for number in range(RUNS + 1):
+        for kind, call in (("one", lambda: one(x)), ("stack", lambda: f(index, x))):
+            begin = time.perf_counter()
+            jax.block_until_ready(call())
+            if number:  # the first compiles
+                seconds[kind].append(time.perf_counter() - begin)
+    medians = {kind: float(np.median(each)) for kind, each in seconds.items()}
+    return {"plrs": len(plrs), "points": num_points, **medians, "ratio": medians["stack"] / medians["one"]}
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    family, alone = row["family"], row["alone"]
+    return [
+        row["map"],
+        f"{row['goals']:,}",
+        f"{row['bytes']:,}",
+        f"{row['seconds']:.1f}",
+        f"{1e3 * row['cpu_a_goal']:.1f}",
+        f"{1e3 * row['cpu_alone']:.0f}",
+        *(f"{kind[of]:.2g}" for of in ("mean", "max") for kind in (family, alone)),
+    ]
+
+
+def _stack_line(stacked: dict[str, Any]) -> str:
+    return (
+        f"{stacked['points']:,} pairs of {stacked['plrs']:,} PLRs {1e3 * stacked['stack']:.1f} ms, points of one "
+        f"{1e3 * stacked['one']:.1f} ms: ratio {stacked['ratio']:.1f}"
+    )
+
+
+def table(results: dict[str, Any]) -> str:
+    """The table of the README, in Markdown."""
+    lines = [f"| {' | '.join(_COLUMNS)} |", "|---" * len(_COLUMNS) + "|"]
+    lines += [f"| {' | '.join(_cells(row))} |" for row in results["rows"]]
+    return "\n".join([*lines, "", f"{_stack_line(results['stack'])}."])
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    path = output / "families.txt"
+    path.write_text(table(results) + "\n", encoding="utf-8")
+    return [path]
+
+
+if __name__ == "__main__":
+    run("families", "A thousand goals at once: seconds, errors, stacks.", compute, draw)

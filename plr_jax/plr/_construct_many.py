@@ -1,0 +1,205 @@
+"""Building many PLRs: those of one workspace's goals together, all others one by one, on all cores."""
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from plr_jax._arrays import require_integer, shortened
+from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
+from plr_jax.geometry.box import Box
+from plr_jax.plr._assembly import deferred_plr
+from plr_jax.plr._certify import certificate_of
+from plr_jax.plr._construct import construct, proof_of
+from plr_jax.plr._file import Contents, encode
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
+from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves
+from plr_jax.plr.partition.cells import grown_domain
+
+_MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    """Some of the PLRs, and what gives their files, in a process of its own perhaps."""
+
+    numbers: list[int]
+    files: Callable[[], list[bytes]]
+
+
+def construct_many(
+    oracles: Sequence[DistanceFn],
+    domain: Box | tuple[ArrayLike, ArrayLike],
+    *,
+    leaf: LeafModel | str = "plane",
+    max_depth: int | None = None,
+    max_leaves: int | None = None,
+    max_bytes: int | None = None,
+    tolerance: int | float | None = None,
+    certified: bool = False,
+    leaf_bounds: bool = False,
+    seed: int = 0,
+    executor: Executor | None = None,
+) -> list[Any]:
+    """Build a PLR of each of many distance functions, as one for every goal of a fleet.
+
+    Cones of goals of one workspace, whose oracles :meth:`VisibilityGraph.with_goal` made of one another, are built
+    together: what corners see is found once, and cells that are alike for several goals are looked at once. Their
+    PLRs err about as much as those that :func:`construct` builds, but are not the same: prices of a leaf are those of
+    a ladder, and no cell larger than about eight times an average leaf is a leaf unless one source serves all of it.
+    All others are what :func:`construct` builds, one by one.
+
+    Args:
+        oracles: The distance functions, of any kind.
+        domain: The box to cover, a ``Box`` or its two corners, the same for all.
+        leaf: As for :func:`construct`.
+        max_depth: As for :func:`construct`, of each PLR, as are the other limits.
+        max_leaves: Largest number of leaves.
+        max_bytes: Largest size of the file.
+        tolerance: Cells of errors up to this are not split.
+        certified: Whether to prove a bound of the largest error of each.
+        leaf_bounds: Whether the proofs have bounds of every leaf.
+        seed: Seed of the samples' scrambling. The same seed gives the same files, whatever the executor.
+        executor: What runs the parts: threads, processes, a cluster's. Of processes, the distance functions must be
+            picklable. None: threads, one a core.
+
+    Returns:
+        The PLRs, in the order of the distance functions. Their tables are made when they are first queried. If
+        interrupted (Ctrl-C), those that are done, with None for the others and a ``ConstructionInterrupted`` warning.
+
+    Raises:
+        ValueError: If there are no distance functions, or as for :func:`construct`.
+    """
+    oracles, domain, model = _as_functions(oracles), Box.of(domain), leaf_model(leaf)
+    require_integer("seed", seed, 0)
+    if executor is not None and not isinstance(executor, Executor):
+        raise ValueError(f"executor must be a concurrent.futures.Executor or None, got {shortened(executor)}.")
+    options: dict[str, Any] = {
+        "leaf": leaf,
+        "max_depth": max_depth,
+        "max_leaves": max_leaves,
+        "max_bytes": max_bytes,
+        "tolerance": tolerance,
+        "certified": certified,
+        "leaf_bounds": leaf_bounds,
+        "seed": seed,
+    }
+    limits = check_limits(
+        domain.dim,
+        model.least_bytes,
+        model.has_deep_trees or certified,
+        model.bytes_without_budget,
+        max_depth,
+        max_leaves,
+        max_bytes,
+        tolerance,
+        proof_of(certified, leaf_bounds),
+    )
+    is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
+    is_plane = domain.dim == 2 and not domain.is_periodic
+    as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited
+    families: dict[int, list[int]] = {}
+    for number, oracle in enumerate(oracles):
+        of_family = as_family and isinstance(oracle, FamilyFn)
+        families.setdefault(id(oracle.family) if of_family else -1 - number, []).append(number)
+    chunks = []
+    for numbers in families.values():
+        first = oracles[numbers[0]]
+        if as_family and isinstance(model, FamilyLeafModel) and isinstance(first, FamilyFn):
+            work = _Family(model.family_task(first, domain, limits, int(seed)), domain, model, limits.proof)
+            parts = np.array_split(np.array(numbers), -(-len(numbers) // _MEMBERS_AT_ONCE))
+            chunks += [_Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
+        else:
+            chunks.append(_Chunk(numbers, partial(_file_alone, first, domain, options)))
+    return _run(chunks, len(oracles), executor)
+
+
+def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:
+    try:
+        oracles = list(oracles)
+    except TypeError:
+        raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
+    if not oracles:
+        raise ValueError("construct_many needs one distance function at least, got none.")
+    for number, oracle in enumerate(oracles):
+        if not callable(oracle):
+            raise ValueError(f"oracles must be functions, that of number {number} is {shortened(oracle)}.")
+    return oracles
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Files of members of a family."""
+
+    task: Callable[[Sequence[Any]], list[MemberLeaves]]
+    domain: Box
+    leaf: LeafModel
+    proof: Proof
+
+    def __call__(self, oracles: Sequence[FamilyFn]) -> list[bytes]:
+        leaf, files = leaf_model(self.leaf.name), []
+        for oracle, (levels, cells, stored) in zip(oracles, self.task(oracles), strict=True):
+            contents = Contents(self.domain, leaf, levels, cells, stored)
+            if self.proof is not Proof.NONE:
+                root = oracle.cell_sources(grown_domain(self.domain))
+                contents = replace(contents, certificate=certificate_of(contents, root, self.proof))
+            files.append(encode(contents))
+        return files
+
+
+def _file_alone(oracle: DistanceFn, domain: Box, options: dict[str, Any]) -> list[bytes]:
+    return [construct(oracle, domain, **options).to_bytes()]
+
+
+def _run(chunks: list[_Chunk], count: int, executor: Executor | None) -> list[Any]:
+    """The PLRs of all chunks."""
+    plrs: list[PLR | None] = [None] * count
+    futures: dict[Future[list[bytes]], _Chunk] = {}
+    owned = ThreadPoolExecutor(_num_cores()) if executor is None else None
+    with tqdm(desc="construct_many", unit=" PLRs", total=count, delay=2, leave=False, disable=None) as progress:
+        try:
+            pool = executor or owned
+            assert pool is not None
+            futures.update((pool.submit(chunk.files), chunk) for chunk in chunks)
+            for future in as_completed(futures):
+                _keep(plrs, futures[future], _result(future, futures[future]))
+                progress.update(len(futures[future].numbers))
+        except KeyboardInterrupt:
+            for future, chunk in futures.items():
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    _keep(plrs, chunk, future.result())
+            done = sum(plr is not None for plr in plrs)
+            message = f"Interrupted at {done} of {count} PLRs: None stands for the others."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+        finally:
+            if owned is not None:
+                owned.shutdown(wait=False, cancel_futures=True)
+    return plrs
+
+
+def _keep(plrs: list[PLR | None], chunk: _Chunk, files: list[bytes]) -> None:
+    """Put the PLRs of a chunk in their places."""
+    for number, data in zip(chunk.numbers, files, strict=True):
+        plrs[number] = deferred_plr(data)
+
+
+def _result(future: "Future[list[bytes]]", chunk: _Chunk) -> list[bytes]:
+    """The files of a chunk, built here if its worker died."""
+    try:
+        return future.result()
+    except BrokenExecutor:
+        return chunk.files()
+
+
+def _num_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

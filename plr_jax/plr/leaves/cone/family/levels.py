@@ -1,0 +1,162 @@
+"""The boxes of a family, level by level of the number of splits: each looked at once for all that are alike."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt64
+
+from plr_jax._types import FamilyCellSources
+from plr_jax.plr.growth.limits import Limits, check_memory
+from plr_jax.plr.growth.optimal import AT_ONCE, MAX_ASPECT_BITS
+from plr_jax.plr.leaves.cone.boxes import ConeBoxes
+
+_UNKNOWN, _POOR = -1, -2
+_MARGIN = 1.2
+"""Times as much as along the other axis halves may cost to be looked at any further."""
+_GAIN = 2.0
+"""Prices that a box must cost to be halved: below, it seldom gains one."""
+
+
+@dataclass(eq=False)
+class BoxLevel:
+    """The distinct boxes of one number of splits that were looked at.
+
+    ``child`` is where the halves of each stand in the next level, along each axis; -1 where they were not looked at,
+    -2 where they are not worth it.
+    """
+
+    boxes: ConeBoxes
+    key: UInt64[np.ndarray, "boxes"]
+    child: Int[np.ndarray, "2 2 boxes"]
+
+    @staticmethod
+    def of(boxes: ConeBoxes, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
+        """That of boxes that were not halved yet."""
+        return BoxLevel(boxes, key, np.full((2, 2, len(key)), _UNKNOWN))
+
+    def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
+        """What each box adds to the error of a tree, its largest error a little."""
+        return self.boxes.integral + least_share * self.boxes.error
+
+    def views(self, box: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+        """Viewpoint of the best source of each of some boxes, -1 where nothing reaches the goal."""
+        source = self.boxes.source[box]
+        view = np.full(len(box), -1)
+        view[source >= 0] = self.views_of(source[source >= 0])
+        return view
+
+    def views_of(self, source: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+        """Viewpoints of sources."""
+        assert isinstance(self.boxes.visible, FamilyCellSources)
+        return self.boxes.visible.views(source)
+
+    def append(self, boxes: ConeBoxes, key: UInt64[np.ndarray, "new"]) -> None:
+        """Add new boxes behind those that there are."""
+        self.boxes = self.boxes.append(boxes)
+        self.key = np.concatenate([self.key, key])
+        self.child = np.concatenate([self.child, np.full((2, 2, len(key)), _UNKNOWN)], axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class Prunings:
+    """The best tree below every box for several prices, by level: totals, leaves, and axes, -1 of leaves."""
+
+    price: Float[np.ndarray, "prices"]
+    total: list[Float[np.ndarray, "prices _"]]
+    count: list[Int[np.ndarray, "prices _"]]
+    choice: list[Int[np.ndarray, "prices _"]]
+
+
+def expand(
+    levels: list[BoxLevel], reached: Bool[np.ndarray, "start"], price: float, least_share: float, limits: Limits
+) -> bool:
+    """Look at the halves of boxes below some that cost more than a price, and at theirs; whether there are more."""
+    below, is_open = reached, False
+    for depth in range(limits.max_depth):
+        if depth == len(levels):
+            break
+        level = levels[depth]
+        if len(below) < len(level.key):
+            below = np.append(below, np.zeros(len(level.key) - len(below), bool))
+        cost = level.costs(least_share)
+        halvable = _may_expand(level, limits) & below
+        axis, parent = np.nonzero(halvable & (cost > _GAIN * price))
+        is_open |= bool((halvable & (cost > 0) & (cost <= _GAIN * price)).any())
+        if len(parent):
+            _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
+            _drop_poor_axes(level, np.unique(parent), levels[depth + 1].costs(least_share))
+        if depth + 1 < len(levels):
+            children = level.child[:, :, below]
+            below = np.zeros(len(levels[depth + 1].key), bool)
+            below[children[children >= 0]] = True
+    check_memory(float(sum(len(level.key) for level in levels)))
+    return is_open
+
+
+def prune(levels: list[BoxLevel], price: Float[np.ndarray, "prices"], least_share: float) -> Prunings:
+    """The best tree below every box, for several prices a leaf."""
+    totals, counts, choices = [], [], []
+    for level in reversed(levels):
+        cost = level.costs(least_share)
+        total = cost + price[:, None]
+        count, choice = np.ones(total.shape, np.int32), np.full(total.shape, -1, np.int8)
+        for axis in range(2):
+            lower, upper = level.child[axis]
+            halved = np.flatnonzero(lower >= 0)
+            lower, upper = lower[halved], upper[halved]
+            if not len(halved):
+                continue
+            both = totals[-1][:, lower] + totals[-1][:, upper]
+            worth = cost[halved] > _GAIN * price[:, None]  # of other boxes halves may be known, for other members
+            at, box = np.nonzero((both < total[:, halved]) & worth)
+            here = halved[box]
+            total[at, here], choice[at, here] = both[at, box], axis
+            count[at, here] = counts[-1][at, lower[box]] + counts[-1][at, upper[box]]
+        totals.append(total)
+        counts.append(count)
+        choices.append(choice)
+    return Prunings(price, totals[::-1], counts[::-1], choices[::-1])
+
+
+def _drop_poor_axes(level: BoxLevel, parent: Int[np.ndarray, "parents"], cost: Float[np.ndarray, "next"]) -> None:
+    """Leave out, of boxes that were halved along both axes, halves that cost far more than those along the other."""
+    child = level.child[:, :, parent]
+    halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
+    axis, which = np.nonzero((halves > _MARGIN * halves[::-1]) & (halves < np.inf))
+    level.child[axis, :, parent[which]] = _POOR
+
+
+def _may_expand(level: BoxLevel, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
+    """Along which axes boxes may be halved that were not yet."""
+    depth = level.boxes.cells.depth.T
+    shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
+    return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS) & (level.child[:, 0] == _UNKNOWN)
+
+
+def _add_halves(
+    levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"]
+) -> None:
+    """Both halves of boxes of one level along the given axes, those that are alike once."""
+    level = levels[depth]
+    is_upper = np.arange(len(parent)) % 2 == 1
+    order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
+    parent, axis, is_upper = parent[order], axis[order], is_upper[order]
+    for begin in range(0, len(parent), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        boxes, key, index = level.boxes.distinct_halves(parent[some], axis[some], is_upper[some])
+        place = _places(levels, depth + 1, boxes, key)
+        level.child[axis[some], is_upper[some].astype(int), parent[some]] = place[index]
+
+
+def _places(levels: list[BoxLevel], depth: int, boxes: ConeBoxes, key: UInt64[np.ndarray, "new"]) -> Any:
+    """Where boxes stand in a level, to which those that are not there yet are added."""
+    known = levels[depth].key if depth < len(levels) else np.zeros(0, np.uint64)
+    _, first, index = np.unique(np.concatenate([known, key]), return_index=True, return_inverse=True)
+    new = np.sort(first[first >= len(known)]) - len(known)
+    place = np.where(first < len(known), first, len(known) + np.searchsorted(new, first - len(known)))
+    if not len(known):
+        levels.append(BoxLevel.of(boxes[new], key[new]))
+    elif len(new):
+        levels[depth].append(boxes[new], key[new])
+    return place[index[len(known) :]]

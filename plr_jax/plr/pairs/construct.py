@@ -1,0 +1,120 @@
+"""Building a PairPLR of a planar workspace."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int
+
+from plr_jax._arrays import shortened
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.growth.limits import check_limits
+from plr_jax.plr.pairs.growth import Lists, grow_lists
+from plr_jax.plr.pairs.lattice import outline_of
+from plr_jax.plr.pairs.outline import Outline
+from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
+from plr_jax.plr.pairs.stored import MOST_CORNERS, Stored, shortest_distances
+from plr_jax.plr.pairs.visible_corners import may_turn, visible_corners
+from plr_jax.plr.partition.tree import levels_of
+
+DEFAULT_MAX_BYTES = 2**16
+_SLACK = 8  # tolerances of the workspace
+_MOST_NUMBERS = 2**24  # of the table of leaves and corners
+
+
+def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> PairPLR:
+    """Build a PairPLR: the distance between any two points of a planar workspace.
+
+    The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
+    first. The file holds free space, which pairs of corners are joined, the partition and the lists. Distances are
+    exact but for the rounding of 32-bit floats, whatever the budget: more bytes make queries faster, up to a point,
+    as fewer corners need to be looked at.
+
+    Args:
+        workspace: The free space, with at most 8,192 corners that stand out into it.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
+
+    Returns:
+        The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
+
+    Raises:
+        ValueError: If the workspace is none, has too many corners, or free space and corners alone take more bytes.
+
+    References:
+        "all-pairs" in Section II of the paper.
+    """
+    if not isinstance(workspace, Workspace):
+        raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
+    limits = check_limits(
+        2,
+        0.5,
+        True,
+        lambda dim, leaves: leaves,
+        None,
+        None,
+        DEFAULT_MAX_BYTES if max_bytes is None else max_bytes,
+        None,
+        Proof.NONE,
+    )
+    domain, boundary = workspace.bounds, workspace.boundary
+    visibility = corner_visibility(workspace)
+    if len(visibility.corners.points) > MOST_CORNERS:
+        raise ValueError(
+            f"The workspace has {len(visibility.corners.points):,} corners; pairs are for {MOST_CORNERS:,} at most: "
+            "simplify its polygons, or ask a VisibilityGraph."
+        )
+    outline, vertex = outline_of(
+        boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
+    )
+    corner, rank = _corners_in_outline(outline, vertex, visibility, boundary)
+    edges = np.sort(rank[_taut_edges(visibility)], axis=1)
+
+    def stored(lists: Lists) -> Stored:
+        levels, order = levels_of(lists.cells)
+        place = np.argsort(order)[lists.cell]
+        by_leaf = np.lexsort((rank[lists.corner], place))
+        return Stored(domain, outline, corner, edges, levels, place[by_leaf], rank[lists.corner][by_leaf], 0.0)
+
+    most_leaves = max(1, min(limits.max_leaves, _MOST_NUMBERS // max(1, len(corner))))
+    root = visible_corners(visibility, workspace, domain)
+    lists = grow_lists(root, domain, limits, most_leaves, lambda lists: len(stored(lists).to_bytes()))
+    if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
+        raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
+    found = stored(lists)
+    rounding = _rounding(found, visibility, rank, _SLACK * workspace.tolerance)
+    return pairs_of_stored(replace(found, rounding=float(np.nextafter(np.float32(rounding), np.float32(np.inf)))))
+
+
+def _corners_in_outline(
+    outline: Outline, vertex: Int[np.ndarray, "points"], visibility: CornerVisibility, boundary: Boundary
+) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
+    """Points of the outline that are corners, ascending, and the place of each corner among these."""
+    number = {tuple(point): i for i, point in enumerate(visibility.corners.points.tolist())}
+    corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
+    found, point = np.unique(corner_of_vertex[vertex], return_index=True)
+    point = point[found >= 0]
+    rank = np.empty(len(point), np.int64)
+    rank[np.argsort(point)] = np.arange(len(point))
+    return np.sort(point), rank
+
+
+def _taut_edges(visibility: CornerVisibility) -> Int[np.ndarray, "edges 2"]:
+    """Pairs of corners that see one another and whose line is tangent at both: what shortest paths are made of."""
+    corners, (i, j) = visibility.corners, visibility.edges.T
+    as_pieces = corners.points.T[:, :, None]
+    return visibility.edges[may_turn(corners, as_pieces[:, i], j) & may_turn(corners, as_pieces[:, j], i)]
+
+
+def _rounding(stored: Stored, visibility: CornerVisibility, rank: Int[np.ndarray, "corners"], slack: float) -> float:
+    """By how much a way by the file's points may differ from the same by the true ones, which sight knows to a slack.
+
+    Both legs move as their corner does; what corners are apart is compared.
+    """
+    true = np.empty_like(stored.points)
+    true[rank] = visibility.corners.points
+    moved = float(np.linalg.norm(true - stored.points, axis=1).max(initial=0.0))
+    exact, kept = shortest_distances(true, stored.edges), stored.distances
+    finite = np.isfinite(exact)
+    return 2 * moved + float(np.abs(kept[finite] - exact[finite]).max(initial=0.0)) + slack

@@ -1,0 +1,111 @@
+"""The outline of free space on a lattice: what a file keeps of a workspace, and the walls that bound sight.
+
+An outline is made of rings of points with free space on their left. Where free space touches itself in one point a
+ring stays on its side of it, or, if paths may squeeze through, goes on around the same wall.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax.geometry.vectors import left_normal
+from plr_jax.plr.file.bits import BitReader, BitWriter
+
+_MITRE = 4.0  # times as far as a wall recedes does a tip at the most
+_COUNT_BITS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Rings of points with integer coordinates.
+
+    Attributes:
+        origin: Where both coordinates are 0.
+        step: Width of the lattice.
+        points: Points of all rings, ring by ring, in steps from the origin.
+        first: First point of each ring, and the number of points.
+        may_squeeze: Whether a path may pass between walls that touch in one point.
+    """
+
+    origin: Float[np.ndarray, "2"]
+    step: float
+    points: Int[np.ndarray, "points 2"]
+    first: Int[np.ndarray, "rings_plus_one"]
+    may_squeeze: bool
+
+    @cached_property
+    def positions(self) -> Float[np.ndarray, "points 2"]:
+        """Where the points are."""
+        return self.origin + self.step * self.points
+
+    @cached_property
+    def _following(self) -> Int[np.ndarray, "points"]:
+        """The next point of each point's ring."""
+        following = np.arange(1, len(self.points) + 1)
+        following[self.first[1:] - 1] = self.first[:-1]
+        return following
+
+    @cached_property
+    def _is_contact(self) -> Bool[np.ndarray, "points"]:
+        """Points at which free space touches itself."""
+        _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
+        return count[index] > 1
+
+    def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are in free space."""
+        import shapely  # which a query does not need
+
+        rings: Any = [shapely.linearrings(self.positions[a:b]) for a, b in pairwise(self.first)]
+        region: Any = shapely.build_area(shapely.geometrycollections(rings))
+        shapely.prepare(region)
+        return shapely.intersects_xy(region, *x.T)
+
+    def moved_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
+        """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative."""
+        moved = self.moved_points(distance)
+        return np.concatenate([moved, moved[self._following]], axis=1)
+
+    def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
+        """The points after all walls have moved so far back, out of free space, or into it if negative.
+
+        Those at which free space touches itself stay where they are if no path may squeeze through and they would
+        move apart.
+        """
+        following, points = self._following, self.positions
+        normal = left_normal(points[following] - points)
+        before = np.empty_like(normal)
+        before[following] = normal
+        mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
+        length = np.linalg.norm(mitre, axis=1, keepdims=True)
+        mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+        if distance > 0 and not self.may_squeeze:
+            mitre[self._is_contact] = 0.0
+        return points - distance * mitre
+
+    def write(self, body: BitWriter) -> None:
+        """Append the outline to a file's body."""
+        body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
+        body.write(np.array([self.may_squeeze], np.int64), 1)
+        sizes = np.diff(self.first)
+        body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
+        for along in self.points.T:
+            body.write_signed(np.diff(along, prepend=0))
+
+
+def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
+    """The outline that comes next; raises ``ValueError`` if it is none."""
+    step = np.frombuffer(body.read_alike(2, 32).astype("<u4").tobytes(), "<f8")[0]
+    if not (np.isfinite(step) and step > 0):
+        raise ValueError(f"its points are {step} apart")
+    may_squeeze = bool(body.read_alike(1, 1)[0])
+    num_rings = int(body.read_alike(1, _COUNT_BITS)[0])
+    sizes = body.read_coded(num_rings)
+    if not num_rings or sizes.min() < 3:
+        raise ValueError("it has no ring of points, or one of fewer than three")
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    points = np.stack([np.cumsum(body.read_signed(int(first[-1]))) for _ in range(2)], axis=1)
+    return Outline(origin, float(step), points, first, may_squeeze)

@@ -1,0 +1,218 @@
+"""PairPLR: the distance between any two points of a planar workspace, from one file."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float, UInt8
+
+from plr_jax._arrays import padded, padded_size
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.file.container import HEADER_SIZE, file_size
+from plr_jax.plr.pairs.one_goal import plr_to
+from plr_jax.plr.pairs.query import shortest_ways
+from plr_jax.plr.pairs.stored import Stored
+from plr_jax.plr.pairs.tables import PairTables, build_pair_tables
+from plr_jax.plr.query.points import as_array
+
+_ROUNDINGS = 16
+_ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class PairPLR:
+    """The distance between any two points of a planar workspace.
+
+    Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over it or
+    take it as an argument.
+
+    Attributes:
+        tables: What a query reads, derived from ``file`` alone.
+        file: The bytes that :func:`save` writes, padded with zeros to a power of two.
+    """
+
+    tables: PairTables
+    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+        """Distance between points: the length of the shortest path in free space.
+
+        Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, in both arguments: the gradient leads away from where
+        the path goes first. It is zero where the distance is 0 or ``inf``.
+
+        Args:
+            x: Points, ``(..., 2)``, NumPy or JAX.
+            y: Points, of a shape that broadcasts with that of ``x``.
+
+        Returns:
+            Distances, ``(...)``, 32-bit: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
+            ``inf`` outside the domain, and where no path joins the points; NaN for NaN. Points in obstacles get what
+            the corners that their leaf lists give, which means nothing.
+
+        Raises:
+            ValueError: If points do not have two coordinates, are not real, or do not broadcast.
+        """
+        return _distances(self.tables, *self._placed(x, y))
+
+    def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Proven bounds of the distance between points of free space.
+
+        The proof covers what the file and a query round. It is about points of free space, walls included, but not
+        such as count as free to the workspace's tolerance alone.
+
+        Args:
+            x: Points, as for a call.
+            y: Points.
+
+        Returns:
+            Lower bounds, at least 0, and upper bounds: lengths of paths that are certainly free, ``inf`` where none
+            was found, as from points on a wall, or nearer to one than 2e-6 of the domain's width.
+
+        Raises:
+            ValueError: As for a call.
+        """
+        return _bounds(self.tables, *self._placed(x, y))
+
+    def to(self, goal: ArrayLike) -> PLR:
+        """The distance to one goal, as an ordinary PLR of cones.
+
+        Each leaf has the one corner that serves it best, judged by what the pairs answer at some of its points, and
+        is halved a few times where none serves all of it. Nothing is proven of it: use :func:`certify`.
+
+        Args:
+            goal: The goal, ``(2,)``, in the domain.
+
+        Returns:
+            The PLR.
+
+        Raises:
+            ValueError: If the goal is not two finite numbers, lies outside the domain, or nothing reaches it.
+        """
+        return plr_to(self.stored, self, goal)
+
+    def _placed(self, x: ArrayLike, y: ArrayLike) -> tuple[ArrayLike, ...]:
+        """Points counted from the middle of the domain: those of NumPy in their own precision."""
+        middle = self.tables.middle if isinstance(self.file, Tracer) else self._middle
+        return tuple(self._from_middle(name, p, middle) for name, p in (("x", x), ("y", y)))
+
+    def _from_middle(self, name: str, x: ArrayLike, middle: ArrayLike) -> ArrayLike:
+        x = x if isinstance(x, jax.Array) else as_array(x)
+        if x.ndim == 0 or x.shape[-1] != 2:
+            raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
+        if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
+            raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
+        return x - (self.tables.middle if isinstance(x, jax.Array) else middle)
+
+    @cached_property
+    def _middle(self) -> Float[np.ndarray, "2"]:
+        return (self.domain.lo + self.domain.hi) / 2
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file, which :func:`save` writes."""
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file."""
+        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
+
+    @cached_property
+    def stored(self) -> Stored:
+        """What the file holds."""
+        return Stored.from_bytes(self.to_bytes())
+
+    @property
+    def domain(self) -> Box:
+        """The closed box that both points are of."""
+        return self.stored.domain
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves of the partition."""
+        return len(self.stored.cells)
+
+    @property
+    def num_corners(self) -> int:
+        """Number of corners that paths turn at."""
+        return len(self.stored.corner)
+
+    def __repr__(self) -> str:
+        if isinstance(self.file, Tracer):
+            return "PairPLR(of arrays that are traced)"
+        leaves, corners = self.num_leaves, self.num_corners
+        return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
+
+
+def pairs_of_stored(stored: Stored) -> PairPLR:
+    """The PairPLR whose file holds this."""
+    return pairs_from_bytes(stored.to_bytes())
+
+
+def pairs_from_bytes(data: bytes) -> PairPLR:
+    """The PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
+    stored = Stored.from_bytes(data)
+    tables = build_pair_tables(stored, len(data))
+    return PairPLR(tables, padded(np.frombuffer(data, np.uint8), padded_size(len(data))))
+
+
+@jax.jit
+def _distances(tables: PairTables, x: Array, y: Array) -> Float[Array, "*batch"]:
+    x, y, shape, answer = _checked(tables, x, y)
+    ways = shortest_ways(tables, *jax.lax.stop_gradient((x, y)))
+    length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least)
+    is_straight = (ways.from_x == y).all(axis=1) & (ways.from_y == x).all(axis=1)
+    legs = jnp.where(is_straight, _norm(x - y), _norm(x - ways.from_x) + _norm(y - ways.from_y))
+    length += jnp.where(jnp.isfinite(length), legs - jax.lax.stop_gradient(legs), 0.0)  # as it changes with the ends
+    return jnp.where(jnp.isfinite(answer), length, answer).reshape(shape)
+
+
+@jax.jit
+def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    x, y, shape, answer = _checked(tables, x, y)
+    x, y = jax.lax.stop_gradient((x, y))
+    relative, absolute = (
+        _ROUNDINGS * jnp.finfo(jnp.float32).eps,
+        _ROUNDINGS * jnp.finfo(jnp.float32).eps * _far(tables),
+    )
+    least = shortest_ways(tables, x, y).least
+    lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
+    length = shortest_ways(tables.in_free_space, x, y).length
+    upper = (1 + relative) * length + (tables.rounding[1] + absolute)
+    lower, upper = (jnp.where(jnp.isfinite(answer), bound, answer).reshape(shape) for bound in (lower, upper))
+    return lower, upper
+
+
+def _far(tables: PairTables) -> Float[Array, ""]:
+    """The largest coordinate of the domain."""
+    return (jnp.abs(tables.middle) + tables.half).max()
+
+
+def _checked(
+    tables: PairTables, x: Array, y: Array
+) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], tuple[int, ...], Float[Array, "n"]]:
+    """Pairs in a row, inside the domain; their shape; and what to answer: ``inf`` outside, NaN for NaN, else 0."""
+    x, y = jnp.broadcast_arrays(x.astype(jnp.float32), y.astype(jnp.float32))
+    shape = x.shape[:-1]
+    x, y = x.reshape(-1, 2), y.reshape(-1, 2)
+    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > tables.half * (1 + _ENDS)
+    answer = jnp.where(beyond.any(axis=1), jnp.inf, 0.0)
+    answer = jnp.where(jnp.isnan(x).any(axis=1) | jnp.isnan(y).any(axis=1), jnp.nan, answer)
+    x, y = (jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in (x, y))
+    return x, y, shape, answer
+
+
+def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """Lengths of vectors, of slope 0 at 0."""
+    square = (v * v).sum(axis=1)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -1,0 +1,233 @@
+"""A query of pairs, in JAX.
+
+The distance of two points that see one another is straight; any other way goes by a corner of each one's list. The
+first corner of the way is found best-first: those of the list, each with at most the length that a way by it can
+have, are looked into in that order, and then the way by one is the shortest by the second point's list. A corner that
+a wall hides from its point is struck off the list it is on. So the bounds that are left never exceed the distance.
+
+Most pairs need one round or two: each round is of those pairs alone that are open, in groups of one size.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped, UInt32
+
+from plr_jax.plr.pairs.tables import PairTables
+from plr_jax.plr.query.lookup import lookup
+
+_AT_ONCE = 2**14
+_GROUP = 2**11
+_MOST_ROUNDS = 64
+_LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
+_BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Pairs of points, and the search of shortest ways between them.
+
+    Attributes:
+        x: First points.
+        y: Second points.
+        leaf_x: The leaves of the first points.
+        leaf_y: Those of the second ones.
+        length: Shortest way found; ``inf`` if none is.
+        from_x: Where it goes first from the first point.
+        from_y: And from the second one.
+        least: No way that is left is shorter.
+        done_x: Corners of the first point's list that are done with, a bit each.
+        done_y: Those of the second point's that are struck off.
+    """
+
+    x: Float[Array, "n 2"]
+    y: Float[Array, "n 2"]
+    leaf_x: UInt32[Array, "n"]
+    leaf_y: UInt32[Array, "n"]
+    length: Float[Array, "n"]
+    from_x: Float[Array, "n 2"]
+    from_y: Float[Array, "n 2"]
+    least: Float[Array, "n"]
+    done_x: UInt32[Array, "n words"]
+    done_y: UInt32[Array, "n words"]
+
+    @property
+    def is_open(self) -> Bool[Array, "n"]:
+        """Whether a shorter way may be left."""
+        return self.least < self.length
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Shortest ways between points.
+
+    Attributes:
+        length: Length of the shortest way found; ``inf`` if there is none.
+        least: No way is shorter.
+        from_x: Where it goes first from the first point; the second one if it is straight, or there is none.
+        from_y: And from the second one.
+    """
+
+    length: Float[Array, "n"]
+    least: Float[Array, "n"]
+    from_x: Float[Array, "n 2"]
+    from_y: Float[Array, "n 2"]
+
+
+def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    """The shortest ways between points of the domain, counted from its middle; alike either way round."""
+    swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
+    ways = _ways_in_parts(tables, jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
+    return replace(ways, from_x=from_x, from_y=from_y)
+
+
+def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    size = len(x)
+    if size <= _AT_ONCE:
+        return _ways(tables, x, y)
+    parts = -(-size // _AT_ONCE)
+    x, y = (jnp.pad(p, ((0, parts * _AT_ONCE - size), (0, 0))).reshape(parts, _AT_ONCE, 2) for p in (x, y))
+    ways = jax.lax.map(lambda pair: _ways(tables, *pair), (x, y))
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:size], ways)
+
+
+def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    def more(state: tuple[Search, Any]) -> Bool[Array, ""]:
+        search, rounds = state
+        return (rounds < _MOST_ROUNDS) & jnp.any(search.is_open)
+
+    search = _begun(tables, x, y)
+    at_least = jax.lax.optimization_barrier(_at_least(tables, search))
+    search = replace(search, least=at_least.min(axis=1))
+    search, _ = jax.lax.while_loop(more, lambda s: (_round(tables, at_least, s[0]), s[1] + 1), (search, 0))
+    least = jnp.minimum(search.length, search.least)
+    return Ways(search.length, least, search.from_x, search.from_y)
+
+
+def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Search:
+    """The search before its first round: pairs that see one another are done."""
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
+    words = jnp.zeros((len(x), -(-tables.x.shape[1] // 32)), jnp.uint32)
+    leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
+    return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
+
+
+def _round(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """A round of all open pairs."""
+    is_open = search.is_open
+    size = len(is_open)
+    group = min(size, _GROUP)
+    lanes = jnp.flatnonzero(is_open, size=-(-size // group) * group, fill_value=size)
+    num_groups = (is_open.sum() + group - 1) // group
+
+    def of_group(number, search):
+        lane = jax.lax.dynamic_slice(lanes, (number * group,), (group,))
+        part = jax.tree.map(lambda a: a.at[lane].get(mode="clip"), search)
+        part = _looked_into(tables, at_least.at[lane].get(mode="clip"), part)
+        return jax.tree.map(lambda a, b: a.at[lane].set(b, mode="drop", unique_indices=True), search, part)
+
+    return jax.lax.fori_loop(0, num_groups, of_group, search)
+
+
+def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
+    """At most the length of the way by each corner of the first point's list."""
+    listed = tables.listed[search.leaf_x].astype(jnp.uint32)
+    size = tables.last.shape[1]
+    place = search.leaf_y[:, None] * size + listed
+    last = _at(tables.last.ravel(), place).astype(jnp.uint32)
+    x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))
+    way = _at(tables.distances.ravel(), listed * size + last) + jnp.sqrt(x * x + y * y)
+    return _legs(tables, search.leaf_x, search.x) + jnp.minimum(way, _at(tables.other.ravel(), place))
+
+
+def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], part: Search) -> Search:
+    """The search after the most promising corner of each first point of a part is looked into."""
+    size = tables.last.shape[1]
+    first, at_first, second = _smallest(at_least, part.done_x)
+    corner = tables.listed[part.leaf_x, first].astype(jnp.uint32)
+    listed = tables.listed[part.leaf_y].astype(jnp.uint32)
+    onward = _legs(tables, part.leaf_y, part.y) + _at(tables.distances.ravel(), corner[:, None] * size + listed)
+    last, length, _ = _smallest(onward, part.done_y)
+    via_x, via_y = _corner(tables, part.leaf_x, first), _corner(tables, part.leaf_y, last)
+    hidden_x, hidden_y = is_hidden(tables, part.x, via_x), is_hidden(tables, part.y, via_y)
+    length = _length(part.x - via_x) + length
+    is_way = ~(hidden_x | hidden_y)
+    better = is_way & (length < part.length)
+    return replace(
+        part,
+        length=jnp.where(better, length, part.length),
+        from_x=jnp.where(better[:, None], via_x, part.from_x),
+        from_y=jnp.where(better[:, None], via_y, part.from_y),
+        least=jnp.where(hidden_x | is_way, second, jnp.minimum(at_first, second)),
+        done_x=part.done_x | _bit(first, hidden_x | is_way, part.done_x),
+        done_y=part.done_y | _bit(last, hidden_y, part.done_y),
+    )
+
+
+def _bit(
+    place: UInt32[Array, "n"], if_so: Bool[Array, "n"], words: UInt32[Array, "n words"]
+) -> UInt32[Array, "n words"]:
+    """The bit of a place, if so, in words like those."""
+    number = jnp.arange(words.shape[1], dtype=jnp.uint32)
+    bit = jnp.where(number == (place >> 5)[:, None], jnp.uint32(1) << (place & 31)[:, None], 0)
+    return jnp.where(if_so[:, None], bit, 0)
+
+
+def _smallest(
+    values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
+) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """Where the smallest of each row is, of those not done with, to rounding; it; and the smallest of the others.
+
+    Compilers find the place of a minimum slowly, and a minimum fast. So the places stand in the last bits of what the
+    values are above a little less than the minimum, where they do not disturb the order of any that differ.
+    """
+    columns = np.arange(values.shape[1], dtype=np.uint32)
+    is_done = done[:, columns // 32] & (np.uint32(1) << columns % 32) != 0
+    values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
+    base = _BELOW * jnp.minimum(values.min(axis=1, keepdims=True), _LARGEST) - _TINY
+    mask = np.uint32(2 ** (len(columns) - 1).bit_length() - 1)
+    bits = jax.lax.bitcast_convert_type(jnp.minimum(values - base, _LARGEST), jnp.uint32) & ~mask | columns
+    smallest = jax.lax.optimization_barrier(jax.lax.bitcast_convert_type(bits, jnp.float32)).min(axis=1)
+    place = jax.lax.bitcast_convert_type(smallest, jnp.uint32) & mask
+    others = jax.lax.optimization_barrier(jnp.where(columns == place[:, None], jnp.inf, values))
+    return place, jnp.take_along_axis(values, place[:, None], axis=1)[:, 0], others.min(axis=1)
+
+
+def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+    """Lengths of the legs from points to all corners of their leaves' lists."""
+    dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
+    return jnp.sqrt(dx * dx + dy * dy)
+
+
+def _corner(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+    return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
+
+
+def _length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
+
+
+def _at(table: Shaped[Array, "m"], index: UInt32[Array, "*n"]) -> Shaped[Array, "*n"]:
+    return table.at[index].get(mode="promise_in_bounds")
+
+
+def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether a wall, moved back a little, is between points."""
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, walls):
+        for ax, ay, bx, by, ex, ey, turn in walls:
+            beside_p, beside_q = ex * py - ey * px - turn, ex * qy - ey * qx - turn
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (beside_p * beside_q < 0) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(len(x), bool), tables.walls)[0]

@@ -1,0 +1,156 @@
+"""Which corners the points of a cell may go to first, towards any goal: those that some of them see and turn at."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import run_members
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import Pieces, areas, clip, clip_to_box, convex_pieces
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners
+from plr_jax.geometry.shadows import Shadows, shadows_of
+from plr_jax.geometry.workspace import Workspace
+
+_CHUNK = 1 << 17  # pairs of a piece and a corner at a time, where there are many
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleCorners:
+    """The free convex pieces of cells, and pairs of a piece and a corner at which a path from it may turn first.
+
+    Pieces stand cell by cell, pairs piece by piece.
+
+    Attributes:
+        corners: All corners.
+        shadows: What they see.
+        num_cells: How many cells.
+        cell: The cell of each piece.
+        pieces: The pieces.
+        piece: The piece of each pair.
+        corner: The corner of each pair.
+        by_all: Whether every point of the piece sees it.
+    """
+
+    corners: ReflexCorners
+    shadows: Shadows
+    num_cells: int
+    cell: Int[np.ndarray, "pieces"]
+    pieces: Pieces
+    piece: Int[np.ndarray, "pairs"]
+    corner: Int[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]
+
+    @cached_property
+    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
+        """First piece of each cell, and their number."""
+        return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
+
+    @cached_property
+    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
+        """First pair of each piece, and their number."""
+        return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
+
+    def lists(self) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
+        """Cells and the corners listed for each, cell by cell, and whether all of the cell sees it."""
+        count = np.int64(len(self.corners.points))
+        key, index = np.unique(self.cell[self.piece] * count + self.corner, return_inverse=True)
+        cell, corner = np.divmod(key, count)
+        return cell, corner, np.bincount(index, self.by_all, len(key)) == np.diff(self.first_piece)[cell]
+
+    def of_cells(self, cells: Int[np.ndarray, "some"]) -> "VisibleCorners":
+        """The same of some of the cells, ascending."""
+        rows, cell = run_members(self.first_piece, cells)
+        return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
+
+    def append(self, other: "VisibleCorners") -> "VisibleCorners":
+        """Of these cells followed by others."""
+        return VisibleCorners(
+            self.corners,
+            self.shadows,
+            self.num_cells + other.num_cells,
+            np.concatenate([self.cell, self.num_cells + other.cell]),
+            np.concatenate([self.pieces, other.pieces], axis=1),
+            np.concatenate([self.piece, len(self.cell) + other.piece]),
+            np.concatenate([self.corner, other.corner]),
+            np.concatenate([self.by_all, other.by_all]),
+        )
+
+    def halves(
+        self,
+        parent: Int[np.ndarray, "halves"],
+        axis: Int[np.ndarray, "halves"],
+        is_upper: Bool[np.ndarray, "halves"],
+        lo: Float[np.ndarray, "halves 2"],
+        hi: Float[np.ndarray, "halves 2"],
+    ) -> "VisibleCorners":
+        """Of halves of the cells: the lower or the upper one along an axis, each with its box."""
+        rows, cell = run_members(self.first_piece, parent)
+        along, upper = axis[cell], is_upper[cell]
+        bound = np.where(upper, lo[cell, along], hi[cell, along])
+        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+        reaches = np.flatnonzero(height.max(axis=1) > 0)
+        rows, cell, height = rows[reaches], cell[reaches], height[reaches]
+        changed = height.min(axis=1) < 0
+        part = replace(self._of_pieces(rows), num_cells=len(parent), cell=cell)
+        part.pieces[:, changed] = clip(part.pieces[:, changed], height[changed])
+        stays = np.flatnonzero(areas(part.pieces) > 0)
+        return _settled(part._of_pieces(stays), changed[stays])
+
+    def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> "VisibleCorners":
+        """Those of some pieces, ascending, or repeated."""
+        pairs, piece = run_members(self.first_pair, rows)
+        return replace(
+            self,
+            cell=self.cell[rows],
+            pieces=self.pieces[:, rows],
+            piece=piece,
+            corner=self.corner[pairs],
+            by_all=self.by_all[pairs],
+        )
+
+
+def visible_corners(visibility: CornerVisibility, workspace: Workspace, domain: Box) -> VisibleCorners:
+    """Those of the domain as one cell: the triangles of free space, and all corners that each may turn at."""
+    pieces = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
+    corners, shadows = visibility.corners, shadows_of(visibility.table)
+    num_corners, parts = len(corners.points), []
+    step = max(1, _CHUNK // max(1, num_corners))
+    for begin in range(0, max(1, pieces.shape[1]), step):
+        part = pieces[:, begin : begin + step]
+        count = part.shape[1]
+        piece, corner = np.repeat(np.arange(count), num_corners), np.tile(np.arange(num_corners), count)
+        unknown = VisibleCorners(
+            corners, shadows, 1, np.zeros(count, int), part, piece, corner, np.zeros(len(piece), bool)
+        )
+        found = _settled(unknown, np.ones(count, bool))
+        parts.append((found.piece + begin, found.corner, found.by_all))
+    piece, corner, by_all = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return VisibleCorners(corners, shadows, 1, np.zeros(pieces.shape[1], int), pieces, piece, corner, by_all)
+
+
+def _settled(found: VisibleCorners, changed: Bool[np.ndarray, "pieces"]) -> VisibleCorners:
+    """After corners are left out at which no path from a changed piece turns first, or that none of it sees."""
+    may = np.ones(len(found.piece), bool)
+    pairs = np.flatnonzero(changed[found.piece])
+    may[pairs] = may_turn(found.corners, found.pieces[:, found.piece[pairs]], found.corner[pairs])
+    by_all = found.by_all.copy()
+    pairs = pairs[may[pairs] & ~by_all[pairs]]
+    pieces = found.pieces[:, found.piece[pairs]]
+    seen, alike = found.shadows.see(found.corner[pairs], pieces, pieces.mean(axis=2).T)
+    by_all[pairs], may[pairs] = seen & alike, seen | ~alike
+    return replace(found, piece=found.piece[may], corner=found.corner[may], by_all=by_all[may])
+
+
+def may_turn(corners: ReflexCorners, pieces: Pieces, corner: Int[np.ndarray, "pieces"]) -> Bool[np.ndarray, "pieces"]:
+    """Whether the line from some point of a piece to a corner may have both walls there on one side.
+
+    From elsewhere it cuts off a part of the obstacle, and so no shortest path turns there.
+    """
+    x, y = pieces
+    px, py = corners.points[corner].T[:, :, None]
+    above = [wx * (y - py) - wy * (x - px) for wx, wy in (wall[corner].T[:, :, None] for wall in corners.walls)]
+    left = (np.max(above[0], axis=1) >= -corners.slack) & (np.max(above[1], axis=1) >= -corners.slack)
+    right = (np.min(above[0], axis=1) <= corners.slack) & (np.min(above[1], axis=1) <= corners.slack)
+    return left | right

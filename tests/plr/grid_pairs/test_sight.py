@@ -1,0 +1,41 @@
+from itertools import pairwise, product
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid_helpers import legal
+
+from plr_jax.plr.grid_pairs.sight import sees, sight_of
+
+
+def all_open_paths(p, q, connectivity):
+    """Every path of the length that it would have without obstacles, as lists of cells."""
+    way = np.subtract(q, p)
+    down, right = np.sign(way)
+    diagonal = min(abs(way)) if connectivity == 8 else 0
+    steps = {(down, right): diagonal, (down, 0): abs(way[0]) - diagonal, (0, right): abs(way[1]) - diagonal}
+
+    def paths(cell, left):
+        if not any(left.values()):
+            yield [cell]
+        for step, count in left.items():
+            if count:
+                rest = paths((cell[0] + step[0], cell[1] + step[1]), {**left, step: count - 1})
+                yield from ([cell, *path] for path in rest)
+
+    return paths(p, steps)
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_cells_see_each_other_if_every_open_path_is_legal(connectivity):
+    rng = np.random.default_rng(connectivity)
+    for _ in range(8):
+        free = rng.random(rng.integers(1, 6, 2)) > 0.12
+        cells = list(np.ndindex(*free.shape))
+        p, q = zip(*product(cells, cells), strict=True)
+        found = sees(sight_of(free, connectivity), jnp.asarray(p), jnp.asarray(q))
+        for start, end, seen in zip(p, q, np.asarray(found), strict=True):
+            steps = [step for path in all_open_paths(start, end, connectivity) for step in pairwise(path)]
+            legal_steps = [legal(free, a[0], a[1], b[0] - a[0], b[1] - a[1], connectivity) for a, b in steps]
+            expected = free[start] and all(legal_steps)
+            assert seen == expected

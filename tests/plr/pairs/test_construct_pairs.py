@@ -1,0 +1,206 @@
+"""Distances between pairs of points: exact, symmetric, bounded, differentiable, and small as a file."""
+
+import csv
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from piece_helpers import general_workspace, lattice_workspace
+
+import plr_jax
+from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
+from plr_jax.plr.partition.tree import levels_of
+
+MAZE = scenes.maze().workspace
+WALL = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)]])
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return construct_pairs(MAZE, max_bytes=1024)
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return construct_pairs(WALL, max_bytes=512)
+
+
+def exact(workspace, x, y):
+    """Distances by the oracle of each second point, of which there are few."""
+    goals, which = np.unique(y, axis=0, return_inverse=True)
+    oracle = VisibilityGraph(workspace, goals[0])
+    result = np.empty(len(x))
+    for i, goal in enumerate(goals):
+        result[which == i] = oracle.with_goal(goal)(x[which == i])
+    return result
+
+
+def some_pairs(workspace, goals, n, seed):
+    """Free points, and goals that repeat."""
+    x = workspace.sample_free(goals * n, seed)
+    return x, np.repeat(workspace.sample_free(goals, seed + 1), n, axis=0)
+
+
+def test_the_maze_is_exact_in_a_kilobyte(maze):
+    assert maze.num_bytes == len(maze.to_bytes()) <= 1024
+    x, y = some_pairs(MAZE, 40, 100, seed=5)
+    np.testing.assert_allclose(maze(x, y), exact(MAZE, x, y), atol=1e-6)
+
+
+def test_hand_drawn_distances(wall):
+    around = math.hypot(2, 4) + 2 + math.hypot(2, 4)
+    x = [(2, 4), (2, 4), (2, 9), (4, 8), (4, 3), (0, 0), (4, 0), (3, 3)]
+    y = [(8, 4), (2, 9), (8, 9), (6, 8), (4, 7), (10, 0), (6, 0), (3, 3)]
+    expected = [around, 5, 6, 2, 4, 2 * math.hypot(4, 8) + 2, 18, 0]
+    np.testing.assert_allclose(wall(np.array(x, float), np.array(y, float)), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+@pytest.mark.parametrize("make", [general_workspace, lattice_workspace])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_any_workspace_is_exact_and_bounded(make, seed, squeeze):
+    workspace = make(np.random.default_rng(seed), squeeze)
+    pairs = construct_pairs(workspace, max_bytes=4096)
+    x, y = some_pairs(workspace, 12, 40, seed)
+    truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
+    np.testing.assert_allclose(pairs(x, y), truth, atol=3e-6 * scale)
+    lower, upper = (np.asarray(bound, np.float64) for bound in pairs.bounds(x, y))
+    assert (lower <= truth).all() and (upper >= truth).all()
+    assert (np.asarray(lower)[np.isfinite(truth)] >= truth[np.isfinite(truth)] - 1e-4 * scale).all()
+    if not squeeze:  # between walls that touch nothing is certainly free
+        assert np.isfinite(upper[np.isfinite(truth)]).mean() > 0.9
+
+
+def test_symmetric_to_the_last_bit_and_zero_on_the_diagonal(maze):
+    x, y = MAZE.sample_free(4000, 1), MAZE.sample_free(4000, 2)
+    np.testing.assert_array_equal(maze(x, y), maze(y, x))
+    np.testing.assert_array_equal(maze(x, x), np.zeros(4000))
+
+
+def test_what_is_not_connected_is_infinitely_far():
+    workspace = Workspace(((0, 0), (10, 4)), [[(4, 0), (6, 0), (6, 4), (4, 4)]])
+    pairs = construct_pairs(workspace)
+    assert np.isinf(pairs(np.array([1.0, 1]), np.array([9.0, 1])))
+    lower, upper = pairs.bounds(np.array([1.0, 1]), np.array([9.0, 1]))
+    assert np.isinf(lower) and np.isinf(upper)
+    assert pairs(np.array([1.0, 1]), np.array([1.0, 3])) == 2
+
+
+def test_outside_is_infinite_and_nan_stays(maze):
+    inside = np.array([0.1, 0.1])
+    for x, y in (((1.1, 0.5), inside), (inside, (0.5, -0.1)), ((np.inf, 0.5), inside)):
+        assert np.isinf(maze(np.array(x), np.array(y)))
+    assert np.isnan(maze(np.array([np.nan, 0.5]), inside)) and np.isnan(maze(inside, np.array([np.nan, 2.0])))
+    gradient = jax.grad(maze)(jnp.array([1.1, 0.5]), jnp.array(inside))
+    np.testing.assert_array_equal(gradient, [0, 0])
+
+
+def test_the_corners_of_the_domain_are_inside(maze):
+    corners = np.array([(0, 0), (1, 1), (1, 0), (0, 1)], float)
+    assert np.isfinite(maze(corners, np.array([0.1, 0.1]))).all()
+
+
+def test_gradients_are_those_of_the_first_legs(maze):
+    x, y = some_pairs(MAZE, 20, 10, seed=3)
+    of_x, of_y = jax.jit(jax.vmap(jax.grad(maze, argnums=(0, 1))))(jnp.asarray(x), jnp.asarray(y))
+    np.testing.assert_allclose(np.linalg.norm(of_x, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(of_y, axis=1), 1, atol=1e-5)
+    step = 1e-5
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        for gradient, difference in (
+            (of_x, exact(MAZE, x + shift, y) - exact(MAZE, x - shift, y)),
+            (of_y, exact(MAZE, y + shift, x) - exact(MAZE, y - shift, x)),
+        ):
+            error = np.abs(np.asarray(gradient)[:, axis] - difference / (2 * step))
+            assert np.median(error) < 1e-3 and (error < 1e-2).mean() > 0.97  # but where the way on changes
+
+
+def test_gradient_is_zero_where_the_distance_is(maze):
+    x = jnp.array([0.1, 0.1])
+    for gradient in jax.grad(maze, argnums=(0, 1))(x, x):
+        np.testing.assert_array_equal(gradient, [0, 0])
+
+
+def test_jit_vmap_and_shapes_agree(maze):
+    x, y = (jnp.asarray(MAZE.sample_free(60, seed).reshape(3, 20, 2)) for seed in (1, 2))
+    expected = maze(x, y)
+    assert expected.shape == (3, 20) and maze(x, y[0, 0]).shape == (3, 20) and maze(x[0, 0], y[0, 0]).shape == ()
+    np.testing.assert_array_equal(jax.jit(maze.__call__)(x, y), expected)
+    np.testing.assert_allclose(jax.vmap(jax.vmap(maze))(x, y), expected, atol=1e-6)
+    np.testing.assert_array_equal(jax.jit(lambda pairs, x, y: pairs(x, y))(maze, x, y), expected)
+    np.testing.assert_allclose(maze(np.asarray(x, np.float64), np.asarray(y)), expected, atol=1e-6)
+
+
+def test_large_batches_are_answered_as_small_ones(maze):
+    x, y = MAZE.sample_free(70_000, 1), MAZE.sample_free(70_000, 2)
+    every = np.asarray(maze(x, y))
+    for part in (slice(0, 100), slice(65_500, 65_600), slice(69_990, 70_000)):
+        np.testing.assert_allclose(every[part], maze(x[part], y[part]), atol=3e-7)
+
+
+def test_far_from_the_origin_it_is_as_exact():
+    far = np.array([5e5, 4e6])
+    workspace = Workspace((far, far + 10), [far + np.array(p.exterior.coords) for p in WALL.obstacles])
+    pairs = construct_pairs(workspace)
+    x, y = some_pairs(workspace, 5, 50, seed=1)
+    np.testing.assert_allclose(pairs(x, y), exact(workspace, x, y), atol=1e-5)
+
+
+def test_one_goal_is_an_ordinary_plr(maze):
+    goal = scenes.maze().goals[0]
+    plr = maze.to(goal)
+    assert isinstance(plr, plr_jax.PLR) and plr.leaf.name == "cone"
+    x = MAZE.sample_free(5000, 3)
+    error = np.abs(np.asarray(plr(x)) - VisibilityGraph(MAZE, goal)(x))
+    assert error.mean() < 1e-5 and error.max() < 0.02
+    assert plr_jax.from_bytes(plr.to_bytes()).num_bytes == plr.num_bytes
+    for wrong in ((2.0, 2.0), (np.nan, 0.0), (1.0,)):
+        with pytest.raises(ValueError, match=r"goal|Goal"):
+            maze.to(wrong)
+
+
+def test_the_published_lengths_of_the_arena(data_dir):
+    folder = data_dir / "polyanya_arena"
+    workspace = scenes.read_polygons(folder / "arena_polygons.json")
+    pairs = construct_pairs(workspace, max_bytes=32_768)
+    assert pairs.num_bytes <= 32_768
+    with (folder / "arena_euclid.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    x, y = (np.array([[float(row[f"{end}_x"]), float(row[f"{end}_y"])] for row in rows]) for end in ("start", "goal"))
+    published = np.array([float(row["euclid_length"]) for row in rows])
+    error = np.abs(np.asarray(pairs(x, y), np.float64) - published) / published
+    assert len(rows) == 160 and error.max() < 5e-5
+
+
+def test_a_smaller_budget_gives_a_coarser_partition():
+    sizes = [construct_pairs(MAZE, max_bytes=size) for size in (200, 400, 800)]
+    assert [pairs.num_bytes <= size for pairs, size in zip(sizes, (200, 400, 800), strict=True)] == [True] * 3
+    assert sizes[0].num_leaves < sizes[1].num_leaves < sizes[2].num_leaves
+
+
+def test_the_same_workspace_gives_the_same_bytes():
+    assert construct_pairs(WALL, max_bytes=300).to_bytes() == construct_pairs(WALL, max_bytes=300).to_bytes()
+
+
+def test_what_is_refused(maze):
+    for wrong in (np.zeros((3, 3)), [[0, 0]], None):
+        with pytest.raises(ValueError, match="Workspace"):
+            construct_pairs(wrong)
+    with pytest.raises(ValueError, match="alone take"):
+        construct_pairs(MAZE, max_bytes=50)
+    with pytest.raises(ValueError, match="max_bytes"):
+        construct_pairs(MAZE, max_bytes=0)
+    with pytest.raises(ValueError, match=r"shape \(\.\.\., 2\)"):
+        maze(np.zeros((4, 3)), np.zeros(2))
+    with pytest.raises(ValueError, match="real"):
+        maze(np.zeros((4, 2), complex), np.zeros(2))
+
+
+def test_properties(maze):
+    assert isinstance(maze, PairPLR) and maze.domain == Box((0, 0), (1, 1))
+    assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
+    assert len(levels_of(maze.stored.cells)[0]) == len(maze.stored.levels)
+    assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes
