@@ -16,7 +16,7 @@ from plr_jax.plr.partition.cells import Cells
 @pytest.fixture(autouse=True)
 def boxes_of_all_shapes(monkeypatch):
     """Of three splits along each axis none is too long for the trees that all are compared with."""
-    monkeypatch.setattr(optimal, "_MAX_ASPECT_BITS", 3)
+    monkeypatch.setattr(optimal, "MAX_ASPECT_BITS", 3)
 
 
 DEPTH = 3
@@ -187,7 +187,7 @@ def test_no_axis_is_halved_more_often_than_allowed():
 
 
 def test_no_box_is_longer_than_allowed(monkeypatch):
-    monkeypatch.setattr(optimal, "_MAX_ASPECT_BITS", 1)
+    monkeypatch.setattr(optimal, "MAX_ASPECT_BITS", 1)
     for seed in range(4):
         _, _, found = search(random_costs(seed))
         assert np.ptp(found.cells.depth, axis=1).max() <= 1
@@ -213,7 +213,7 @@ def test_boxes_without_error_are_leaves():
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):
     costs = random_costs(5)
     whole = search(costs, max_leaves=20)
-    monkeypatch.setattr(optimal, "_AT_ONCE", 3)
+    monkeypatch.setattr(optimal, "AT_ONCE", 3)
     parts = search(costs, max_leaves=20)
     assert parts[:2] == whole[:2]
     np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)
