@@ -142,6 +142,12 @@ def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
+def size_in_eighths(n: int) -> int:
+    """Up to an eighth more than ``n``, for large arrays that compiled functions are to see few sizes of."""
+    step = max(1, padded_size(n) // 16)
+    return -(-n // step) * step
+
+
 def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
     """A copy of an array, filled up to ``size`` rows with what broadcasts to one row."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)

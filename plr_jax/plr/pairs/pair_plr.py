@@ -1,7 +1,8 @@
 """PairPLR: the distance between any two points of a planar workspace, from one file."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, UInt8
 
 from plr_jax._arrays import padded, padded_size
+from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR
@@ -20,6 +22,7 @@ from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.pairs.tables import PairTables, build_pair_tables
 from plr_jax.plr.query.points import as_array
 
+_FEWEST, _MOST = 2**8, 2**16  # pairs that are answered at once, of many
 _ROUNDINGS = 16
 _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
 
@@ -58,7 +61,7 @@ class PairPLR:
         Raises:
             ValueError: If points do not have two coordinates, are not real, or do not broadcast.
         """
-        return _distances(self.tables, *self._placed(x, y))
+        return self._answered(_distances, x, y)[0]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance between points of free space.
@@ -77,7 +80,8 @@ class PairPLR:
         Raises:
             ValueError: As for a call.
         """
-        return _bounds(self.tables, *self._placed(x, y))
+        lower, upper = self._answered(_bounds, x, y)
+        return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
         """The distance to one goal, as an ordinary PLR of cones.
@@ -95,6 +99,15 @@ class PairPLR:
             ValueError: If the goal is not two finite numbers, lies outside the domain, or nothing reaches it.
         """
         return plr_to(self.stored, self, goal)
+
+    def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
+        """What a function of the tables and points answers: in parts, on all cores of a CPU."""
+        x, y = self._placed(x, y)
+        if not is_on_one_host(x, y, self.tables.walls):
+            return answer(self.tables, x, y)
+        points = (np.asarray(p, np.float32) for p in (x, y))
+        answers = answered_in_parts(partial(answer, self.tables), (_FEWEST, _MOST), *points)
+        return tuple(map(jnp.asarray, answers))
 
     def _placed(self, x: ArrayLike, y: ArrayLike) -> tuple[ArrayLike, ...]:
         """Points counted from the middle of the domain: those of NumPy in their own precision."""
@@ -167,14 +180,14 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 
 
 @jax.jit
-def _distances(tables: PairTables, x: Array, y: Array) -> Float[Array, "*batch"]:
+def _distances(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"]]:
     x, y, shape, answer = _checked(tables, x, y)
     ways = shortest_ways(tables, *jax.lax.stop_gradient((x, y)))
     length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least)
     is_straight = (ways.from_x == y).all(axis=1) & (ways.from_y == x).all(axis=1)
     legs = jnp.where(is_straight, _norm(x - y), _norm(x - ways.from_x) + _norm(y - ways.from_y))
     length += jnp.where(jnp.isfinite(length), legs - jax.lax.stop_gradient(legs), 0.0)  # as it changes with the ends
-    return jnp.where(jnp.isfinite(answer), length, answer).reshape(shape)
+    return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
 
 @jax.jit

@@ -9,18 +9,18 @@ Most pairs need one round or two: each round is of those pairs alone that are op
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 
 from plr_jax.plr.pairs.tables import PairTables
 from plr_jax.plr.query.lookup import lookup
 
 _AT_ONCE = 2**14
-_GROUP = 2**11
+_GROUP = 2**11  # pairs that are looked at together while many are open
+_FEWER, _FEWEST = 8, 2**8
 _MOST_ROUNDS = 64
 _LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
@@ -63,6 +63,28 @@ class Search:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
+class _Look:
+    """What a look into one corner of each first point's list gives.
+
+    Attributes:
+        length: Length of the shortest way by it; ``inf`` if that meets a wall.
+        via_x: The corner.
+        via_y: The last corner of the way.
+        least: No way that is left is shorter.
+        done_x: Corners of the first point's list that are done with, a bit each.
+        done_y: Those of the second point's that are struck off.
+    """
+
+    length: Float[Array, "n"]
+    via_x: Float[Array, "n 2"]
+    via_y: Float[Array, "n 2"]
+    least: Float[Array, "n"]
+    done_x: UInt32[Array, "n words"]
+    done_y: UInt32[Array, "n words"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
 class Ways:
     """Shortest ways between points.
 
@@ -89,23 +111,22 @@ def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n
 
 def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     size = len(x)
-    if size <= _AT_ONCE:
+    if size <= _GROUP:
         return _ways(tables, x, y)
-    parts = -(-size // _AT_ONCE)
-    x, y = (jnp.pad(p, ((0, parts * _AT_ONCE - size), (0, 0))).reshape(parts, _AT_ONCE, 2) for p in (x, y))
-    ways = jax.lax.map(lambda pair: _ways(tables, *pair), (x, y))
+    at_once = min(_AT_ONCE, -(-size // _GROUP) * _GROUP)
+    parts = -(-size // at_once)
+    x, y = (jnp.pad(p, ((0, parts * at_once - size), (0, 0))) for p in (x, y))
+    if parts == 1:
+        return jax.tree.map(lambda a: a[:size], _ways(tables, x, y))
+    pairs = x.reshape(parts, at_once, 2), y.reshape(parts, at_once, 2)
+    ways = jax.lax.map(lambda pair: _ways(tables, *pair), pairs)
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:size], ways)
 
 
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    def more(state: tuple[Search, Any]) -> Bool[Array, ""]:
-        search, rounds = state
-        return (rounds < _MOST_ROUNDS) & jnp.any(search.is_open)
-
     search = _begun(tables, x, y)
     at_least = jax.lax.optimization_barrier(_at_least(tables, search))
-    search = replace(search, least=at_least.min(axis=1))
-    search, _ = jax.lax.while_loop(more, lambda s: (_round(tables, at_least, s[0]), s[1] + 1), (search, 0))
+    search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)), jnp.zeros((), int))
     least = jnp.minimum(search.length, search.least)
     return Ways(search.length, least, search.from_x, search.from_y)
 
@@ -118,55 +139,102 @@ def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -
     return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
 
 
-def _round(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
-    """A round of all open pairs."""
+def _searched(
+    tables: PairTables, at_least: Float[Array, "n longest"], search: Search, rounds: Integer[Array, ""]
+) -> Search:
+    """The search after all rounds: the last ones are of the few pairs that are left open, side by side."""
+    size = len(at_least)
+    few = size // _FEWER if size > _FEWEST else 0
+    one = _round_of_all if size <= _GROUP else _round_of_open
+
+    def more(state: tuple[Search, Integer[Array, ""]]) -> Bool[Array, ""]:
+        return (state[1] < _MOST_ROUNDS) & (state[0].is_open.sum() > few)
+
+    search, rounds = jax.lax.while_loop(more, lambda s: (one(tables, at_least, s[0]), s[1] + 1), (search, rounds))
+    if not few:
+        return search
     is_open = search.is_open
-    size = len(is_open)
-    group = min(size, _GROUP)
-    lanes = jnp.flatnonzero(is_open, size=-(-size // group) * group, fill_value=size)
-    num_groups = (is_open.sum() + group - 1) // group
+    number = jnp.cumsum(is_open)
+    lanes = jnp.searchsorted(number, 1 + jnp.arange(few))
+    left = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
+    left = _searched(tables, _at(at_least, lanes, "clip"), left, rounds)
+    return _where(is_open & (number <= few), jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
 
-    def of_group(number, search):
-        lane = jax.lax.dynamic_slice(lanes, (number * group,), (group,))
-        part = jax.tree.map(lambda a: a.at[lane].get(mode="clip"), search)
-        part = _looked_into(tables, at_least.at[lane].get(mode="clip"), part)
-        return jax.tree.map(lambda a, b: a.at[lane].set(b, mode="drop", unique_indices=True), search, part)
 
-    return jax.lax.fori_loop(0, num_groups, of_group, search)
+def _where(is_so: Bool[Array, "n"], one: Search, other: Search) -> Search:
+    return jax.tree.map(lambda a, b: jnp.where(is_so.reshape(-1, *(1,) * (a.ndim - 1)), a, b), one, other)
+
+
+def _round_of_all(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """A round of all pairs, done for the open ones."""
+    return _after_look(search, _looked_into(tables, at_least, search), search.is_open)
+
+
+def _round_of_open(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """A round of the open pairs, group by group."""
+    is_open = search.is_open
+    number = jnp.cumsum(is_open)  # of each open pair, from 1
+
+    def of_group(which, looks):
+        first = which * _GROUP
+        lane = jnp.searchsorted(number, first + 1 + jnp.arange(_GROUP))
+        group = jax.tree.map(lambda a: _at(a, lane, "clip"), search)
+        look = _looked_into(tables, _at(at_least, lane, "clip"), group)
+        return jax.tree.map(lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, first, 0), looks, look)
+
+    looks = _Look(search.length, search.from_x, search.from_y, search.least, search.done_x, search.done_y)
+    looks = jax.lax.fori_loop(0, (number[-1] + _GROUP - 1) // _GROUP, of_group, looks)
+    return _after_look(search, jax.tree.map(lambda a: _at(a, number - 1, "clip"), looks), is_open)
+
+
+def _after_look(search: Search, look: _Look, is_open: Bool[Array, "n"]) -> Search:
+    """The search after a look for each open pair."""
+    better = is_open & (look.length < search.length)
+    return replace(
+        search,
+        length=jnp.where(better, look.length, search.length),
+        from_x=jnp.where(better[:, None], look.via_x, search.from_x),
+        from_y=jnp.where(better[:, None], look.via_y, search.from_y),
+        least=jnp.where(is_open, look.least, search.least),
+        done_x=jnp.where(is_open[:, None], look.done_x, search.done_x),
+        done_y=jnp.where(is_open[:, None], look.done_y, search.done_y),
+    )
 
 
 def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
     """At most the length of the way by each corner of the first point's list."""
     listed = tables.listed[search.leaf_x].astype(jnp.uint32)
-    size = tables.last.shape[1]
-    place = search.leaf_y[:, None] * size + listed
-    last = _at(tables.last.ravel(), place).astype(jnp.uint32)
+    size = len(tables.distances)
+    last_bits = np.uint32(2 ** (size - 1).bit_length() - 1)
+    onward = _at(tables.onward.ravel(), search.leaf_y[:, None] * size + listed)
+    last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
     x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))
-    way = _at(tables.distances.ravel(), listed * size + last) + jnp.sqrt(x * x + y * y)
-    return _legs(tables, search.leaf_x, search.x) + jnp.minimum(way, _at(tables.other.ravel(), place))
+    way = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(x * x + y * y)
+    return _legs(tables, search.leaf_x, search.x) + jnp.minimum(way, other)
 
 
-def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], part: Search) -> Search:
-    """The search after the most promising corner of each first point of a part is looked into."""
-    size = tables.last.shape[1]
-    first, at_first, second = _smallest(at_least, part.done_x)
-    corner = tables.listed[part.leaf_x, first].astype(jnp.uint32)
-    listed = tables.listed[part.leaf_y].astype(jnp.uint32)
-    onward = _legs(tables, part.leaf_y, part.y) + _at(tables.distances.ravel(), corner[:, None] * size + listed)
-    last, length, _ = _smallest(onward, part.done_y)
-    via_x, via_y = _corner(tables, part.leaf_x, first), _corner(tables, part.leaf_y, last)
-    hidden_x, hidden_y = is_hidden(tables, part.x, via_x), is_hidden(tables, part.y, via_y)
-    length = _length(part.x - via_x) + length
+def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> _Look:
+    """A look into the most promising corner of each first point."""
+    x, y, leaf_x, leaf_y = search.x, search.y, search.leaf_x, search.leaf_y
+    done_x, done_y = search.done_x, search.done_y
+    first, at_first, second = _smallest(at_least, done_x)
+    corner = tables.listed[leaf_x, first].astype(jnp.uint32)
+    listed = tables.listed[leaf_y].astype(jnp.uint32)
+    onward = _legs(tables, leaf_y, y) + _at(
+        tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
+    )
+    last, length, _ = _smallest(onward, done_y)
+    via_x, via_y = _corner(tables, leaf_x, first), _corner(tables, leaf_y, last)
+    hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
+    hidden_y = _is_leg_hidden(tables, leaf_y, last, y, via_y)
     is_way = ~(hidden_x | hidden_y)
-    better = is_way & (length < part.length)
-    return replace(
-        part,
-        length=jnp.where(better, length, part.length),
-        from_x=jnp.where(better[:, None], via_x, part.from_x),
-        from_y=jnp.where(better[:, None], via_y, part.from_y),
+    return _Look(
+        length=jnp.where(is_way, _length(x - via_x) + length, jnp.inf),
+        via_x=via_x,
+        via_y=via_y,
         least=jnp.where(hidden_x | is_way, second, jnp.minimum(at_first, second)),
-        done_x=part.done_x | _bit(first, hidden_x | is_way, part.done_x),
-        done_y=part.done_y | _bit(last, hidden_y, part.done_y),
+        done_x=done_x | _bit(first, hidden_x | is_way, done_x),
+        done_y=done_y | _bit(last, hidden_y, done_y),
     )
 
 
@@ -213,8 +281,29 @@ def _length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
-def _at(table: Shaped[Array, "m"], index: UInt32[Array, "*n"]) -> Shaped[Array, "*n"]:
-    return table.at[index].get(mode="promise_in_bounds")
+def _at(
+    table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
+) -> Shaped[Array, "..."]:
+    return table.at[index].get(mode=mode)
+
+
+def _is_leg_hidden(
+    tables: PairTables,
+    leaf: UInt32[Array, "n"],
+    place: UInt32[Array, "n"],
+    x: Float[Array, "n 2"],
+    corner: Float[Array, "n 2"],
+) -> Bool[Array, "n"]:
+    """Whether a wall, moved back a little, is between points and corners at some places of their leaves' lists."""
+    if tables.near is None:
+        return is_hidden(tables, x, corner)
+    (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
+    ax, ay, bx, by = tables.near(leaf, place)
+    ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
+    beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
+    a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
+    hides = (beside_p * beside_q < 0) & (a_is_left != b_is_left)
+    return jax.lax.optimization_barrier(jnp.where(hides, jnp.float32(0), 1)).min(axis=1) == 0
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -5,16 +5,20 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt16
+from jaxtyping import Array, Float, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size, runs
+from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
+from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.query.tables import Tables, build_tables
 
 _RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""
+_MARGIN = _RECEDING / 4
+"""How near to a hull, in widths of the domain, walls may hide its corner from it: more than a query rounds."""
 _UNROLLED = 16  # walls at a time
+_LEAVES_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -33,12 +37,14 @@ class PairTables:
     Attributes:
         partition: Finds leaves.
         walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
+        near: Those that may hide a corner of a leaf's list; None where they are too many to be worth it.
         x: First coordinate of the corners of each leaf's list; padding is ``inf``.
         y: Second coordinate.
         listed: The corners; padding is one more than the last corner.
         distances: Distance between each two corners, row by row; ``inf`` for padding.
-        last: Of the ways from each corner to a leaf's box by a corner of its list, that by which the shortest goes.
-        other: At most the length of any way by another corner of the list, to anywhere in the box.
+        onward: Of the ways from each corner to a leaf's box by a corner of its list, that by which the shortest goes,
+            in the last bits; and in the others, as a float, at most the length of any by another corner of the list,
+            to anywhere in the box.
         middle: The middle of the domain.
         half: Half its width, along each axis.
         proud_walls: Ends of the walls moved into free space instead.
@@ -48,12 +54,12 @@ class PairTables:
 
     partition: Tables
     walls: Float[Array, "groups 16 7"]
+    near: NearWalls | None
     x: Float[Array, "leaves longest"]
     y: Float[Array, "leaves longest"]
     listed: UInt16[Array, "leaves longest"]
     distances: Float[Array, "size size"]
-    last: UInt16[Array, "leaves size"]
-    other: Float[Array, "leaves size"]
+    onward: UInt32[Array, "leaves size"]
     corners: Float[Array, "size 2"]
     middle: Float[Array, "2"]
     half: Float[Array, "2"]
@@ -65,7 +71,7 @@ class PairTables:
     def in_free_space(self) -> "PairTables":
         """The same, but what counts as a way is certainly free."""
         x, y = (along[self.listed] for along in self.proud_corners.T)
-        return replace(self, walls=self.proud_walls, x=x, y=y)
+        return replace(self, walls=self.proud_walls, near=None, x=x, y=y)
 
 
 def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
@@ -74,26 +80,28 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     partition = build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes)
-    size, rows = padded_size(count + 1), padded_size(len(cells))
-    distances = np.full((size, size), np.inf)
+    size, rows = padded_size(count + 1), size_in_eighths(len(cells))
+    distances = np.full((size, size), np.inf, np.float32)
     distances[:count, :count] = stored.distances
     listed = _listed(stored, rows, count)
     points = np.append(stored.points - middle, np.full((1, 2), np.inf), axis=0)
-    lo, hi = cells.grown_boxes(domain)
-    last, other = _ways_to_leaves(points, distances, listed[: len(cells)], lo, hi)
-    receding = _RECEDING * stored.domain.width.max()
+    boxes = cells.grown_boxes(domain)
+    width = float(stored.domain.width.max())
+    receding = _RECEDING * width
+    walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
+    near = near_entries(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle
     farther = float(np.linalg.norm(proud - points[:count], axis=1).max(initial=0.0))
     x, y = (along[listed] for along in points.T)
     return PairTables(
         partition=partition,
-        walls=_groups_of_walls(stored.outline.moved_walls(receding) - np.tile(middle, 2)),
+        walls=_groups_of_walls(walls),
+        near=NearWalls.of(walls, *near, stored.leaf, listed.shape),
         x=_in_32_bits(x),
         y=_in_32_bits(y),
-        listed=jnp.asarray(listed.astype(np.uint16)),
-        distances=_in_32_bits(distances),
-        last=jnp.asarray(padded(last, rows)),
-        other=jnp.asarray(padded(other, rows)),
+        listed=jnp.asarray(listed),
+        distances=jnp.asarray(distances),
+        onward=_ways_to_leaves(distances, listed, _beside(points[listed], *boxes)),
         corners=_in_32_bits(padded(points, size, np.inf)),
         middle=_in_32_bits(middle),
         half=_in_32_bits(stored.domain.width / 2),
@@ -108,47 +116,60 @@ def _in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
 
 
 def _groups_of_walls(walls: Float[np.ndarray, "walls 4"]) -> Float[Array, "groups 16 7"]:
-    """Walls in groups, as many as a power of two; the last ones have no length."""
-    size = _UNROLLED * padded_size(-(-len(walls) // _UNROLLED))
+    """Walls in groups; the last ones have no length."""
+    size = _UNROLLED * size_in_eighths(-(-len(walls) // _UNROLLED))
     ax, ay, bx, by = walls.astype(np.float32).T
     ex, ey = bx - ax, by - ay
     of_wall = np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
     return jnp.asarray(padded(of_wall, size).reshape(-1, _UNROLLED, 7))
 
 
-def _listed(stored: Stored, rows: int, count: int) -> Int[np.ndarray, "rows longest"]:
+def _listed(stored: Stored, rows: int, count: int) -> UInt16[np.ndarray, "rows longest"]:
     """The lists as rows of one length, a multiple of eight."""
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count)
     listed[runs(lengths)] = stored.listed
-    return listed
+    return listed.astype(np.uint16)
 
 
+def _beside(
+    points: Float[np.ndarray, "rows longest 2"], lo: Float[np.ndarray, "leaves 2"], hi: Float[np.ndarray, "leaves 2"]
+) -> Float[np.ndarray, "rows longest"]:
+    """How far the corners of lists are from their leaves' boxes, at least; ``inf`` for padding."""
+    result = np.full(points.shape[:2], np.inf, np.float32)
+    of_leaf = points[: len(lo)]
+    apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)
+    result[: len(lo)] = np.nextafter(np.hypot(apart[..., 0], apart[..., 1]).astype(np.float32), np.float32(0))
+    return result
+
+
+@jax.jit
 def _ways_to_leaves(
-    points: Float[np.ndarray, "corners_plus_one 2"],
-    distances: Float[np.ndarray, "size size"],
-    listed: Int[np.ndarray, "leaves longest"],
-    lo: Float[np.ndarray, "leaves 2"],
-    hi: Float[np.ndarray, "leaves 2"],
-) -> tuple[UInt16[np.ndarray, "leaves size"], Float[np.ndarray, "leaves size"]]:
+    distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
+) -> UInt32[Array, "rows size"]:
     """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
-    last = np.full((len(listed), len(distances)), len(points) - 1, np.uint16)
-    other = np.full(last.shape, np.inf, np.float32)
-    for leaf, corners in enumerate(listed):
-        corners = corners[corners < len(points) - 1]
-        if not len(corners):
-            continue
-        beside = np.maximum(np.maximum(lo[leaf] - points[corners], points[corners] - hi[leaf]), 0)
-        way = np.hypot(*beside.T)[:, None] + distances[corners]
-        best = way.argmin(axis=0)
-        last[leaf] = corners[best]
-        if len(corners) > 1:
-            way[best, np.arange(way.shape[1])] = np.inf
-            other[leaf] = _rounded_down(way.min(axis=0))
-    return last, other
+    rows, longest = listed.shape
+    size = len(distances)
+    last_bits = np.uint32(2 ** (size - 1).bit_length() - 1)
 
+    def of_leaves(leaves):
+        corners, near = leaves
 
-def _rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The 32-bit floats at or below."""
-    rounded = values.astype(np.float32)
-    return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded)
+        def with_corner(column, found):
+            shortest, other, last = found
+            way = near[:, column, None] + distances[corners[:, column]]
+            is_shorter = way < shortest
+            other = jnp.minimum(other, jnp.maximum(way, shortest))
+            return jnp.minimum(way, shortest), other, jnp.where(is_shorter, corners[:, column, None], last)
+
+        shape = len(corners), size
+        none = jnp.full(shape, jnp.inf, jnp.float32)
+        begin = none, none, jnp.full(shape, size - 1, jnp.uint32)
+        count = (near < jnp.inf).sum(axis=1).max()
+        _, other, last = jax.lax.fori_loop(0, count, with_corner, begin)
+        other = jnp.minimum(other * np.float32(1 - 4 * np.finfo(np.float32).eps), np.finfo(np.float32).max)
+        return jax.lax.bitcast_convert_type(other, jnp.uint32) & ~last_bits | last
+
+    step = np.gcd(rows, _LEAVES_AT_ONCE)
+    parts = (each.reshape(-1, step, longest) for each in (listed.astype(jnp.uint32), beside))
+    return jax.lax.map(of_leaves, tuple(parts)).reshape(rows, size)

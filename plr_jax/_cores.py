@@ -1,0 +1,74 @@
+"""The cores of this machine, and batches that are answered on all of them, part by part."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from math import prod
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Shaped
+
+from plr_jax._arrays import padded, padded_size
+
+_PARTS = 8  # at the least, where there are enough rows
+
+
+def num_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
+    """Whether arrays are numbers, and not to be traced, in the memory of one CPU, and answers would be there too."""
+    if any(isinstance(each, Tracer) for each in arrays):
+        return False
+    devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
+    return len(devices) <= 1 and all(device.platform == "cpu" for device in devices or jax.devices())
+
+
+def answered_in_parts(
+    answer: Callable[..., tuple[Array, ...]], sizes: tuple[int, int], *rows: Shaped[np.ndarray, "..."]
+) -> tuple[np.ndarray, ...]:
+    """What a compiled function answers of each row of some arrays, in parts of one size, on all cores.
+
+    Args:
+        answer: A function of rows of each array, as many of each, to arrays of as many numbers.
+        sizes: The fewest and the most rows of a part; sizes are powers of two, so few are compiled for. The last part
+            is filled up with zeros.
+        *rows: The arrays, whose axes but the last are those of a batch, up to broadcasting.
+
+    Returns:
+        The answers, of the shape of the batch.
+    """
+    batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
+    count = prod(batch)
+    size = min(max(padded_size(count) // _PARTS, sizes[0]), sizes[1])
+    whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
+    results: list[np.ndarray] = []
+
+    def of_part(first: int) -> None:
+        last = min(first + size, count)
+        part = [
+            each.reshape(-1, each.shape[-1])[first:last]
+            if each.flags.c_contiguous
+            else each[np.unravel_index(np.arange(first, last), batch)]
+            for each in whole
+        ]
+        answers = answer(*(padded(each, size) for each in part))
+        if not results:
+            results.extend(np.empty(count, each.dtype) for each in answers)
+        for result, each in zip(results, answers, strict=True):
+            result[first:last] = np.asarray(each)[: last - first]
+
+    of_part(0)  # it compiles, and tells what the answers are
+    if count <= size:
+        return tuple(result.reshape(batch) for result in results)
+    pool = ThreadPoolExecutor(num_cores())
+    try:
+        for _ in pool.map(of_part, range(size, count, size)):
+            pass
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return tuple(result.reshape(batch) for result in results)

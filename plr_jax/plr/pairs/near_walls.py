@@ -1,0 +1,166 @@
+"""The walls that may hide a corner from somewhere in a leaf that lists it: those between the two.
+
+They are few, as most corners are seen from all of the leaf. What is not between a larger box and a corner is not
+between a part of it and the corner. So walls are ruled out for runs of leaves first, and then for ever shorter ones.
+"""
+
+from dataclasses import dataclass, field
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from plr_jax._arrays import padded, padded_size, parts, run_members, runs, size_in_eighths
+
+_RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in the tree's traversal
+_STEP = 4
+_COST = 4  # of all walls, as many are tested in the time of one that is read for each point
+_AT_ONCE = 2**16  # pairs of an entry and a wall
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class NearWalls:
+    """Walls near each entry of the leaves' lists, one entry's behind the other's.
+
+    Attributes:
+        ends: Ends of the walls, a row a coordinate.
+        first: Where those of each entry begin.
+        most: How many one entry has at most; to read as many for all does no harm, as all are walls.
+    """
+
+    ends: Float[Array, "4 walls"]
+    first: UInt32[Array, "leaves longest"]
+    most: int = field(metadata={"static": True})
+
+    @staticmethod
+    def of(
+        walls: Float[np.ndarray, "walls 4"],
+        entry: Int[np.ndarray, "near"],
+        wall: Int[np.ndarray, "near"],
+        leaf: Int[np.ndarray, "entries"],
+        shape: tuple[int, int],
+    ) -> "NearWalls | None":
+        """Those of pairs of an entry and a wall, for lists of a shape; None if to test all walls takes no longer."""
+        counts = np.bincount(entry, minlength=len(leaf))
+        most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
+        if most * _COST > len(walls):
+            return None
+        first = np.zeros(shape, np.uint32)
+        first[runs(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
+        ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
+        return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
+
+    def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
+        """Ends of walls among which are those near some entries."""
+        first = self.first[leaf, place]
+        along = jnp.arange(self.most, dtype=jnp.uint32)
+        return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
+
+
+def near_entries(
+    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
+    leaf: Int[np.ndarray, "entries"],
+    corner: Float[np.ndarray, "entries 2"],
+    walls: Float[np.ndarray, "walls 4"],
+    margin: float,
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]:
+    """Pairs of an entry of a list and a wall near the hull of the leaf's box and the corner listed.
+
+    Args:
+        boxes: Lower and upper corners of the leaves' boxes, in the order of the tree's traversal.
+        leaf: The leaf of each entry of the lists, ascending.
+        corner: Where its corner is.
+        walls: Ends of the walls.
+        margin: The distance. Few other walls are told too.
+
+    Returns:
+        The entry of each pair, ascending, and its wall.
+    """
+    if not len(leaf) or not len(walls):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    _, number = np.unique(corner, axis=0, return_inverse=True)
+    return _near_entries(boxes, leaf, number, corner, walls, margin)
+
+
+def _near_entries(
+    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
+    leaf: Int[np.ndarray, "entries"],
+    number: Int[np.ndarray, "entries"],
+    corner: Float[np.ndarray, "entries 2"],
+    walls: Float[np.ndarray, "walls 4"],
+    margin: float,
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]:
+    """Pairs of an entry and a wall near its hull, ascending in the entries; corners have numbers."""
+    lo, hi = boxes
+    if len(lo) == 1:
+        first, candidates = np.array([0, len(walls)]), np.arange(len(walls))
+        above = np.zeros(len(leaf), np.int64)
+    else:
+        begin = np.arange(0, len(lo), _RUN)
+        of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
+        key = leaf // _RUN * (number.max() + 1) + number
+        _, which, above = np.unique(key, return_index=True, return_inverse=True)
+        entry, candidates = _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)
+        first = np.searchsorted(entry, np.arange(len(which) + 1))
+    some = np.flatnonzero(first[above + 1] > first[above])
+    all_walls, found = _rows(walls), []
+    for part in parts(first[above[some] + 1] - first[above[some]], _AT_ONCE // 2):
+        entries = some[part]
+        place, row = run_members(first, above[entries])
+        hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], corner[entries]], axis=1))
+        for at in range(0, len(place), _AT_ONCE):
+            wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]
+            is_near = _are_near(hulls, _indices(of_entry), all_walls, _indices(wall), margin)
+            found.append((entries[of_entry], wall, is_near))  # computed while the next ones are listed
+    entry, wall = (np.concatenate([column[i] for column in found]) for i in range(2))
+    is_near = np.concatenate([np.asarray(each)[: len(wall)] for _, wall, each in found])
+    return entry[is_near], wall[is_near]
+
+
+def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:
+    """32-bit rows, of few numbers."""
+    return padded(values.astype(np.float32), max(_AT_ONCE, padded_size(len(values))))
+
+
+def _indices(values: Int[np.ndarray, "n"]) -> Int[np.ndarray, "padded"]:
+    return padded(values.astype(np.int32), _AT_ONCE)
+
+
+@jax.jit
+def _are_near(
+    hulls: Float[Array, "entries 6"],
+    entry: Int[Array, "pairs"],
+    walls: Float[Array, "walls 4"],
+    wall: Int[Array, "pairs"],
+    margin: Float[Array, ""],
+) -> Bool[Array, "pairs"]:
+    """Whether no line keeps a wall farther than the margin from the hull of an entry's box and corner.
+
+    Two convex sets in the plane are apart only if they are across an edge of one of them.
+    """
+    x0, y0, x1, y1, cx, cy = hulls[entry].T
+    ax, ay, bx, by = walls[wall].T
+    apart = (jnp.maximum(ax, bx) < jnp.minimum(x0, cx) - margin) | (
+        jnp.minimum(ax, bx) > jnp.maximum(x1, cx) + margin
+    )
+    apart |= (jnp.maximum(ay, by) < jnp.minimum(y0, cy) - margin) | (
+        jnp.minimum(ay, by) > jnp.maximum(y1, cy) + margin
+    )
+    # From here on, all is counted from the corner, which is part of the hull.
+    corner = 0 * cx, 0 * cy
+    ends = [(x - cx, y - cy) for x in (x0, x1) for y in (y0, y1)]
+    a, b = (ax - cx, ay - cy), (bx - cx, by - cy)
+    along = b[0] - a[0], b[1] - a[1]
+    for direction, hull, other in [(along, [*ends, corner], [a]), *((end, [*ends, corner], [a, b]) for end in ends)]:
+        of_hull, of_other = ([_cross(direction, point) for point in points] for points in (hull, other))
+        reach = margin * jnp.hypot(*direction)
+        apart |= reduce(jnp.minimum, of_hull) - reach > reduce(jnp.maximum, of_other)
+        apart |= reduce(jnp.maximum, of_hull) + reach < reduce(jnp.minimum, of_other)
+    return ~apart
+
+
+def _cross(u: tuple[Array, Array], v: tuple[Array, Array]) -> Array:
+    return u[0] * v[1] - u[1] * v[0]
