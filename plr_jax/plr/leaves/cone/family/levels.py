@@ -12,9 +12,7 @@ from plr_jax.plr.growth.optimal import AT_ONCE, MAX_ASPECT_BITS
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes
 
 _UNKNOWN, _POOR = -1, -2
-_MARGIN = 1.2
-"""Times as much as along the other axis halves may cost to be looked at any further."""
-_GAIN = 2.0
+_GAIN = 4.0
 """Prices that a box must cost to be halved: below, it seldom gains one."""
 
 
@@ -120,10 +118,10 @@ def prune(levels: list[BoxLevel], price: Float[np.ndarray, "prices"], least_shar
 
 
 def _drop_poor_axes(level: BoxLevel, parent: Int[np.ndarray, "parents"], cost: Float[np.ndarray, "next"]) -> None:
-    """Leave out, of boxes that were halved along both axes, halves that cost far more than those along the other."""
+    """Leave out, of boxes that were halved along both axes, halves that cost more than those along the other."""
     child = level.child[:, :, parent]
     halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
-    axis, which = np.nonzero((halves > _MARGIN * halves[::-1]) & (halves < np.inf))
+    axis, which = np.nonzero((halves > halves[::-1]) & (halves < np.inf))
     level.child[axis, :, parent[which]] = _POOR
 
 
