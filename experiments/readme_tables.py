@@ -262,6 +262,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "continuity": lambda: gradients.continuity(results_of("continuity")),
     "descent": lambda: gradients.descent(results_of("descent")),
     "trajectory": lambda: gradients.trajectory(results_of("trajectory")),
+    "placement": lambda: gradients.placement(results_of("placement")),
     "refinement": lambda: gradients.refinement(results_of("refinement")),
     "proofs": lambda: proof_tables.proofs(results_of("proofs"), results_of("benchmark")["oracle"]),
     "proof_speed": lambda: proof_tables.proof_speed(results_of("proofs")),

@@ -18,8 +18,10 @@ from .optimize import Descent as Descent
 from .optimize import DescentStatus as DescentStatus
 from .optimize import OptimizationInterrupted as OptimizationInterrupted
 from .optimize import OptimizedPaths as OptimizedPaths
+from .optimize import Placement as Placement
 from .optimize import descend as descend
 from .optimize import optimize_paths as optimize_paths
+from .optimize import place as place
 from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
 from .oracles import GridField as GridField

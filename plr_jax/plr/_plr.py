@@ -20,7 +20,7 @@ from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
-    Placement,
+    PointPlacement,
     as_array,
     bound_points,
     corner_if_far,
@@ -318,12 +318,12 @@ class PLR:
         return corner_if_far((self.tables if folding is None else folding).frame)
 
     @property
-    def _placement(self) -> Placement | None:
+    def _placement(self) -> PointPlacement | None:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
         folding = None if corner is None else self.container.folding
-        return None if domain is None and corner is None else Placement(domain, corner, folding)
+        return None if domain is None and corner is None else PointPlacement(domain, corner, folding)
 
     @property
     def _placed_tables(self) -> Tables:

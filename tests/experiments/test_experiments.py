@@ -23,6 +23,7 @@ SMOKED = [
         "continuity",
         "descent",
         "grid_pairs",
+        "placement",
         "trajectory",
         "refinement",
         "sba_star",
@@ -93,6 +94,15 @@ def test_pairs_of_a_grid_are_never_above_the_truth_and_closer_than_landmarks(smo
         assert row["violations"] == 0 and row["pairs"] > 100
         assert own["exact"] == 1 and own["mean_gap"] < 1e-5
         assert row is own or (row["mean_gap"] > 1e-3 and row["exact"] < 1)
+
+
+def test_placements_are_free_and_no_dearer_than_their_rivals(smoke):
+    rows = record_in(smoke("placement"), "placement")["results"]["rows"]
+    assert [row["k"] for row in rows] == [1, 1, 2, 2]
+    for row in rows:
+        assert row["free"] and abs(row["said"] / row["cost"] - 1) < 1e-5
+        rivals = [row[name] for name in ("of_points", "of_grid", "straight", "best_start") if row[name] is not None]
+        assert row["cost"] <= min(rivals)
 
 
 def test_table2_solves_with_every_heuristic_and_all_paths_are_valid(smoke):
@@ -188,7 +198,7 @@ def test_two_teams_share_a_workspace_but_no_starts_and_goals(scene, size):
         assert not (ours == theirs).all(axis=1).any()
 
 
-@pytest.mark.parametrize("name", ["continuity", "descent", "trajectory", "refinement"])
+@pytest.mark.parametrize("name", ["continuity", "descent", "trajectory", "placement", "refinement"])
 def test_readme_tables_of_gradients(name, smoke, monkeypatch):
     results = record_in(smoke(name), name)["results"]
     rows = results["rows"] if "rows" in results else results["maps"][0]["rows"]

@@ -75,7 +75,7 @@ def corner_if_far(frame: ArrayLike) -> Float[np.ndarray, "dim"] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class PointPlacement:
     """Placing points on the host: around periodic axes, and from a corner far from the origin, or folded.
 
     Attributes:

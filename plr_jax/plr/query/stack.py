@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from plr_jax._arrays import padded_size
 from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables
-from plr_jax.plr.query.points import Placement
+from plr_jax.plr.query.points import PointPlacement
 from plr_jax.plr.query.tables import Tables
 
 # The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
@@ -26,7 +26,7 @@ class TableStack:
 
     tables: tuple[Tables, ...]
     bands: tuple[Float[Array, "2 _"] | None, ...]
-    placements: tuple[Placement | None, ...]
+    placements: tuple[PointPlacement | None, ...]
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
         """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""

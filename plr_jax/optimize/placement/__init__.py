@@ -1,0 +1,1 @@
+"""Facility location by the gradients of distances between points: medians and centers in free space."""
