@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).parent.parent / "plr_jax"
 LAYERS = [
     ["_types"],
     ["_arrays", "_atomic", "_pytree"],
+    ["_cores"],
     ["_deadline"],
     ["_documents"],
     ["geometry"],
