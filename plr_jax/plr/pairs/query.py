@@ -5,7 +5,9 @@ first corner of the way is found best-first: those of the list, each with at mos
 have, are looked into in that order, and then the way by one is the shortest by the second point's list. A corner that
 a wall hides from its point is struck off the list it is on. So the bounds that are left never exceed the distance.
 
-Most pairs need one round or two: each round is of those pairs alone that are open, in groups of one size.
+Legs are tested against the walls near the leaf's box and the corner, which are few; straight lines against all walls.
+Most pairs need one round or two. While many are open, each round gathers the open ones into groups of one size; when
+few are left, these are gathered for good.
 """
 
 from dataclasses import dataclass, replace

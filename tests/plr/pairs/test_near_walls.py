@@ -1,0 +1,67 @@
+"""Walls between boxes and corners: all that are, and hardly any others."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+
+from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
+
+
+def random_case(seed, leaves, corners, walls):
+    rng = np.random.default_rng(seed)
+    lo = rng.uniform(0, 0.9, (leaves, 2))
+    hi = lo + rng.uniform(0.01, 0.1, (leaves, 2))
+    points = rng.uniform(0, 1, (corners, 2))
+    leaf, listed = np.nonzero(rng.uniform(size=(leaves, corners)) < 0.5)
+    a = rng.uniform(0, 1, (walls, 2))
+    return (lo, hi), leaf, points[listed], np.hstack([a, a + rng.uniform(-0.2, 0.2, (walls, 2))])
+
+
+def hulls(boxes, leaf, corner):
+    lo, hi = (each[leaf] for each in boxes)
+    x, y = (
+        np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1),
+        np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1),
+    )
+    ends = np.stack([np.column_stack([x, corner[:, 0]]), np.column_stack([y, corner[:, 1]])], axis=-1)
+    return shapely.convex_hull(shapely.multipoints(ends))
+
+
+@pytest.mark.parametrize(("leaves", "corners", "walls"), [(1, 3, 5), (3, 1, 40), (21, 7, 60), (70, 5, 33)])
+def test_every_wall_that_comes_near_is_told_and_few_others(leaves, corners, walls):
+    boxes, leaf, corner, walls = random_case(leaves, leaves, corners, walls)
+    margin = 1e-3
+    entry, wall = near_entries(boxes, leaf, corner, walls, margin)
+    found = np.zeros((len(leaf), len(walls)), bool)
+    found[entry, wall] = True
+    assert found.sum() == len(entry) and (np.diff(entry) >= 0).all()
+    apart = shapely.distance(hulls(boxes, leaf, corner)[:, None], shapely.linestrings(walls.reshape(-1, 2, 2)))
+    assert found[apart < 0.99 * margin].all()
+    assert not found[apart > 3 * margin].all()
+    assert found[apart > 3 * margin].mean() < 0.01
+
+
+def test_nothing_is_near_nothing():
+    boxes, leaf, corner, walls = random_case(0, 4, 3, 5)
+    for some, others in ((leaf[:0], walls), (leaf, walls[:0])):
+        entry, wall = near_entries(boxes, some, corner[: len(some)], others, 1e-3)
+        assert len(entry) == len(wall) == 0
+
+
+def test_the_walls_of_an_entry_are_read_at_its_place():
+    boxes, leaf, corner, walls = random_case(1, 9, 6, 400)
+    walls[:, 2:] = walls[:, :2] + 0.05 * (walls[:, 2:] - walls[:, :2])
+    pairs = near_entries(boxes, leaf, corner, walls, 1e-6)
+    near = NearWalls.of(walls, *pairs, leaf, (9, 8))
+    assert near is not None
+    place = np.arange(len(leaf)) - np.searchsorted(leaf, leaf)
+    ends = np.moveaxis(np.asarray(near(*(jnp.asarray(each.astype(np.uint32)) for each in (leaf, place)))), 0, 2)
+    for entry, read in enumerate(ends):
+        own = walls[pairs[1][pairs[0] == entry]].astype(np.float32)
+        np.testing.assert_array_equal(read[: len(own)], own)
+
+
+def test_where_most_walls_are_near_all_are_tested():
+    boxes, leaf, corner, walls = random_case(2, 5, 4, 8)
+    assert NearWalls.of(walls, *near_entries(boxes, leaf, corner, walls, 1e-6), leaf, (5, 8)) is None
