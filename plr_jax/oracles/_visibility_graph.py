@@ -23,6 +23,7 @@ from plr_jax.geometry.turn_regions import TurnRegions, turn_regions
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles._visibility_file import read_visibility, write_visibility
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
 from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
@@ -67,10 +68,12 @@ class VisibilityGraph:
     _corners: CornerVisibility
     _goal_table: VisibilityTable
     _turns: TurnPoints
+    _pairs: PairDistances
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
-        _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace, deadline))
+        goal, corners = _free_goal(workspace, goal), corner_visibility(workspace, deadline)
+        _assign(self, goal, PairDistances(workspace, corners))
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
@@ -85,7 +88,7 @@ class VisibilityGraph:
             ValueError: As for the class.
         """
         oracle = object.__new__(VisibilityGraph)
-        _assign(oracle, self.workspace, _free_goal(self.workspace, goal), self._corners)
+        _assign(oracle, _free_goal(self.workspace, goal), self._pairs)
         return oracle
 
     def save(self, path: str | os.PathLike) -> None:
@@ -116,7 +119,7 @@ class VisibilityGraph:
         oracle = object.__new__(cls)
         workspace, goal, corners = read_visibility(Path(path))
         try:
-            _assign(oracle, workspace, _free_goal(workspace, goal), corners)
+            _assign(oracle, _free_goal(workspace, goal), PairDistances(workspace, corners))
         except ValueError as error:  # such as a goal in an obstacle
             raise ValueError(f"{path} cannot be read as a visibility graph: {error}") from error
         return oracle
@@ -210,6 +213,25 @@ class VisibilityGraph:
         """
         return self._first_turns(as_points("x", x, 2))[0]
 
+    def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
+        """Length of the shortest path between points, pair by pair, whatever the goal.
+
+        Ways between corners are searched when the first pair needs them, and kept for all oracles that
+        :meth:`with_goal` makes of one another if there are at most 4,096 corners. If more, ask for many pairs a call.
+
+        Args:
+            x: Points, ``(n, 2)``.
+            y: Points, ``(n, 2)``.
+
+        Returns:
+            Distances, ``(n,)``, in workspace units: those of the oracle whose goal is ``y``, up to rounding, and the
+            same, bit for bit, with ``x`` and ``y`` exchanged. ``inf`` as for a call, and where that is so of ``y``.
+
+        Raises:
+            ValueError: If a shape is another, or the numbers of points differ.
+        """
+        return self._pairs(as_points("x", x, 2), as_points("y", y, 2))
+
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
         """The shortest path from a point to the goal.
 
@@ -273,7 +295,8 @@ class VisibilityGraph:
         return distance, turn
 
 
-def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: CornerVisibility) -> None:
+def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> None:
+    workspace, corners = pairs.workspace, pairs.visibility
     view = _goal_view(workspace.boundary, workspace.tolerance, goal)
     goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
     edges = np.concatenate([_goal_edges(corners, seen, goal), 1 + corners.edges])
@@ -282,7 +305,7 @@ def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, cor
     distances, parents = dijkstra(graph, 0)
     turns = find_turn_points(vertices, distances, parents)
     vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
-    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns)
+    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns, _pairs=pairs)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
