@@ -3,9 +3,10 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import networkx
 import numpy as np
@@ -45,11 +46,8 @@ class VisibilityGraph:
         time_limit: Seconds that construction may take. A single call of Shapely is not cut short.
 
     Attributes:
-        workspace: As given.
-        goal: As given.
-        graph: The visibility graph: the goal as vertex 0, then the corners. It has no edge of which neither
-            end can be a turn of a shortest path along it.
-        distances: Distance of each vertex to the goal, ``inf`` where it cannot be reached.
+        workspace, goal: As given.
+        distances: Distance of each vertex of ``graph`` to the goal, ``inf`` where it cannot be reached.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
@@ -62,18 +60,17 @@ class VisibilityGraph:
 
     workspace: Workspace
     goal: Float[np.ndarray, "2"]
-    graph: Graph
     distances: Float[np.ndarray, "vertices"]
     _parents: Int[np.ndarray, "vertices"]
     _corners: CornerVisibility
     _goal_table: VisibilityTable
     _turns: TurnPoints
+    _goal_edges: Int[np.ndarray, "edges 2"]
     _pairs: PairDistances
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
-        goal, corners = _free_goal(workspace, goal), corner_visibility(workspace, deadline)
-        _assign(self, goal, PairDistances(workspace, corners))
+        _assign(self, _free_goal(workspace, goal), PairDistances(workspace, corner_visibility(workspace, deadline)))
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
@@ -124,6 +121,9 @@ class VisibilityGraph:
             raise ValueError(f"{path} cannot be read as a visibility graph: {error}") from error
         return oracle
 
+    def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
+        return {field.name: vars(self)[field.name] for field in fields(self)}
+
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
@@ -146,6 +146,12 @@ class VisibilityGraph:
         return self._corners.num_bytes + own
 
     @cached_property
+    def graph(self) -> Graph:
+        """The goal as vertex 0, then the corners, joined where a shortest path along the edge can turn at an end."""
+        edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
+        return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
+
+    @cached_property
     def _regions(self) -> TurnRegions:
         turns = self._turns
         return turn_regions(turns, self.workspace.triangulation, self._corners.views[turns.vertex - 1])
@@ -153,7 +159,8 @@ class VisibilityGraph:
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
-        return Sources(self.graph.vertices, self.distances, rooted(self._parents))
+        points = self._corners.corners.with_goal(self.goal).points
+        return Sources(points, self.distances, rooted(self._parents))
 
     def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
@@ -224,8 +231,8 @@ class VisibilityGraph:
             y: Points, ``(n, 2)``.
 
         Returns:
-            Distances, ``(n,)``, in workspace units: those of the oracle whose goal is ``y``, up to rounding, and the
-            same, bit for bit, with ``x`` and ``y`` exchanged. ``inf`` as for a call, and where that is so of ``y``.
+            Distances, ``(n,)``, in workspace units, as of oracles whose goals are ``y``, up to rounding; bit for bit
+            the same either way round. ``inf`` as for a call, and where that is so of ``y``.
 
         Raises:
             ValueError: If a shape is another, or the numbers of points differ.
@@ -287,11 +294,9 @@ class VisibilityGraph:
         direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
         seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        table = self._corners.table
-        first, distance[free[~direct]] = self._regions.first_visible(
-            hidden, lambda point, vertex: table.sees(vertex - 1, hidden[point])
-        )
-        turn[free[~direct]] = np.maximum(first, 0)
+        sees = self._corners.table.sees
+        ways = self._regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
+        turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 
@@ -299,13 +304,11 @@ def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> 
     workspace, corners = pairs.workspace, pairs.visibility
     view = _goal_view(workspace.boundary, workspace.tolerance, goal)
     goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
-    edges = np.concatenate([_goal_edges(corners, seen, goal), 1 + corners.edges])
-    vertices = corners.corners.with_goal(goal)
-    graph = Graph(vertices.points, edges)
-    distances, parents = dijkstra(graph, 0)
-    turns = find_turn_points(vertices, distances, parents)
-    vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
-    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns, _pairs=pairs)
+    vars(oracle).update(workspace=workspace, goal=goal, _corners=corners, _pairs=pairs)
+    vars(oracle).update(_goal_table=goal_table, _goal_edges=_goal_edges(corners, seen, goal))
+    distances, parents = dijkstra(oracle.graph, 0)
+    turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
+    vars(oracle).update(distances=distances, _parents=parents, _turns=turns)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
@@ -342,7 +345,6 @@ def _goal_edges(
     corners: CornerVisibility, seen: Int[np.ndarray, "vertices"], goal: Float[np.ndarray, "2"]
 ) -> Int[np.ndarray, "edges 2"]:
     """Edges from the goal, vertex 0, to the corners: those that see one another are joined."""
-    corner = np.unique(corners.of_vertex[seen])
-    corner = corner[corner >= 0]
+    corner = np.setdiff1d(corners.of_vertex[seen], [-1])
     corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
     return np.stack([np.zeros_like(corner), 1 + corner], axis=1)
