@@ -26,6 +26,7 @@ from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves
 from plr_jax.plr.partition.cells import grown_domain
+from plr_jax.plr.sampling.asked import as_executor
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
 
@@ -89,8 +90,7 @@ def construct_many(
     """
     oracles, domain, model = _as_functions(oracles), Box.of(domain), leaf_model(leaf)
     require_integer("seed", seed, 0)
-    if executor is not None and not isinstance(executor, Executor):
-        raise ValueError(f"executor must be a concurrent.futures.Executor or None, got {shortened(executor)}.")
+    executor = as_executor(executor)
     options: dict[str, Any] = {
         "leaf": leaf,
         "max_depth": max_depth,
