@@ -1,4 +1,4 @@
-"""Points on several devices: answered where they are, by the same numbers."""
+"""Points on several devices: answered where they are, by the same numbers; of pairs to rounding."""
 
 import os
 import subprocess
@@ -18,7 +18,8 @@ CODE = """
     oracle = plr_jax.VisibilityGraph(workspace, (0.06, 0.07))
     x = workspace.sample_free(400, 0).astype(np.float32)
     plane = plr_jax.construct(oracle, workspace.bounds, max_bytes=300)
-    cones = [plr_jax.construct(oracle.with_goal(goal), workspace.bounds, leaf="cone", max_bytes=200) for goal in x[:3]]
+    oracles = [oracle.with_goal(goal) for goal in x[:3]]
+    cones = [plr_jax.construct(each, workspace.bounds, leaf="cone", max_bytes=200) for each in oracles]
     queries = {
         "planes": (plane, (x,)),
         "cones": (cones[0], (x,)),
@@ -29,7 +30,8 @@ CODE = """
         here = query(*map(jax.numpy.asarray, points))
         there = query(*jax.device_put(points, sharding))
         assert there.sharding.is_equivalent_to(sharding, 1), name
-        np.testing.assert_array_equal(np.asarray(here), np.asarray(there), err_msg=name)
+        rounding = 1e-6 if name == "pairs" else 0  # which compile otherwise for batches of other sizes
+        np.testing.assert_allclose(np.asarray(there), np.asarray(here), rtol=rounding, err_msg=name)
         print(name)
 """
 
