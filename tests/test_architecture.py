@@ -35,7 +35,8 @@ PLR_LAYERS = [
     ["_plr"],
     ["_assembly", "_location", "_stack"],
     ["_certify", "pairs"],
-    ["_construct", "_io", "_trace", "refinement"],
+    ["_checkpoint", "_io", "_trace", "refinement"],
+    ["_construct"],
     ["_construct_many"],
 ]
 # And inside that of the planners.

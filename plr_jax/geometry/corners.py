@@ -50,7 +50,13 @@ class ReflexCorners:
 
         Any other line cuts off a part of the obstacle there, so no shortest path turns there to go along it.
         """
-        x, y = np.moveaxis(self.points[other] - self.points[corner], -1, 0)
+        return self.is_tangent_to(corner, self.points[other])
+
+    def is_tangent_to(
+        self, corner: Int[np.ndarray, "*#batch"], x: Float[np.ndarray, "*#batch 2"]
+    ) -> Bool[np.ndarray, "..."]:
+        """The same for the line from each corner to a point."""
+        x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
         return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 

@@ -1,7 +1,9 @@
 """Polygons from outside, checked, and what Shapely leaves to do with them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse
@@ -134,3 +136,22 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
+
+
+class _Prepared(threading.local):
+    """By owner and name, what a thread has prepared."""
+
+    def __init__(self) -> None:
+        self.geometries: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
+
+
+_PREPARED = _Prepared()
+
+
+def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
+    """An owner's geometry, prepared for many queries of this thread alone: GEOS may crash where two query one."""
+    of_owner = _PREPARED.geometries.setdefault(owner, {})
+    if name not in of_owner:
+        of_owner[name] = make()
+        shapely.prepare(of_owner[name])
+    return of_owner[name]

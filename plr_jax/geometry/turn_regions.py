@@ -46,7 +46,7 @@ class TurnRegions:
         Points at vertices of the triangulation, where any number of triangles meet, try all turn points.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
-        point, first, triangle = self._triangles_at(x)
+        point, first, triangle = triangles_at(self.triangulation, x)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
         counts = np.diff(entries)
         for part in parts(counts, _PAIRS):
@@ -76,33 +76,42 @@ class TurnRegions:
         )
         return np.append(turn, -1)[found], length
 
-    def _triangles_at(
-        self, x: Float[np.ndarray, "n 2"]
-    ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-        """Points, the first of each one's triangles and the number of these, and the one or two that hold each.
-
-        Points at vertices are left out.
-        """
-        locator, near = self.triangulation.locator, _NEAR * self.triangulation.tolerance
-        triangle = locator.find(x)
-        point = np.flatnonzero(triangle >= 0)
-        on_side = locator.heights(triangle[point], x[point]) < near
-        num_sides, side = on_side.sum(axis=1), on_side.argmax(axis=1)
-        beyond = self.triangulation.twin[3 * triangle[point] + side] // 3
-        crossed = (num_sides == 1) & (beyond >= 0)
-        # Where the triangle beyond is thinner than that, there may be more.
-        crossed[crossed] = (locator.heights(beyond[crossed], x[point[crossed]]) < near).sum(axis=1) == 1
-        held = (num_sides == 0) | ((num_sides == 1) & (beyond < 0)) | crossed
-        counts = np.where(crossed, 2, 1)[held]
-        both = np.stack([triangle[point], beyond], axis=1)[held]
-        return point[held], np.append(0, np.cumsum(counts)), both[np.arange(2) < counts[:, None]]
-
 
 def turn_regions(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> TurnRegions:
     """Those of the turn points, which are viewpoints one after the other."""
-    turn, triangle = triangles_within(triangulation, views, *turns.bounds)
-    key = np.sort(triangle * np.int64(len(turns.points)) + turn)
+    visits = triangles_within(triangulation, views, *turns.bounds)
+    return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
+
+
+def views_by_triangle(
+    triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]
+) -> tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]:
+    """Where the viewpoints of each triangle begin, and these, of pairs of both of which some are repeated."""
+    view, triangle = visits
+    count = int(view.max(initial=0)) + 1
+    key = np.sort(triangle * np.int64(count) + view)
     key = key[np.append(True, key[1:] != key[:-1])[: len(key)]]
-    triangle, turn = np.divmod(key, max(1, len(turns.points)))
-    first = np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1))
-    return TurnRegions(turns, triangulation, first, turn)
+    triangle, view = np.divmod(key, count)
+    return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
+
+
+def triangles_at(
+    triangulation: Triangulation, x: Float[np.ndarray, "n 2"]
+) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
+    """Points, the first of each one's triangles and the number of these, and the one or two that hold each.
+
+    Points at vertices are left out.
+    """
+    locator, near = triangulation.locator, _NEAR * triangulation.tolerance
+    triangle = locator.find(x)
+    point = np.flatnonzero(triangle >= 0)
+    on_side = locator.heights(triangle[point], x[point]) < near
+    num_sides, side = on_side.sum(axis=1), on_side.argmax(axis=1)
+    beyond = triangulation.twin[3 * triangle[point] + side] // 3
+    crossed = (num_sides == 1) & (beyond >= 0)
+    # Where the triangle beyond is thinner than that, there may be more.
+    crossed[crossed] = (locator.heights(beyond[crossed], x[point[crossed]]) < near).sum(axis=1) == 1
+    held = (num_sides == 0) | ((num_sides == 1) & (beyond < 0)) | crossed
+    counts = np.where(crossed, 2, 1)[held]
+    both = np.stack([triangle[point], beyond], axis=1)[held]
+    return point[held], np.append(0, np.cumsum(counts)), both[np.arange(2) < counts[:, None]]

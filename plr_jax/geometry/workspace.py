@@ -22,6 +22,7 @@ from plr_jax.geometry.polygons import (
     as_polygons,
     merge_vertices,
     polygons_of,
+    prepared,
     triangulate,
 )
 from plr_jax.geometry.vectors import cross_product
@@ -110,9 +111,15 @@ class Workspace:
     def restored(cls, bounds: Box, obstacles: tuple, squeeze: bool, free_space: Any) -> "Workspace":
         """A workspace of another one's attributes, such as a file holds, not rounded once more."""
         workspace = object.__new__(cls)
-        shapely.prepare(free_space)
-        vars(workspace).update(bounds=bounds, obstacles=obstacles, squeeze=squeeze, free_space=free_space)
+        workspace.__setstate__(
+            {"bounds": bounds, "obstacles": obstacles, "squeeze": squeeze, "free_space": free_space}
+        )
         return workspace
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        shapely.prepare(self.free_space)  # and look into it, before two threads do so first at a time
+        shapely.intersects_xy(self.free_space, *self.bounds.lo)
 
     @property
     def tolerance(self) -> float:
@@ -133,22 +140,18 @@ class Workspace:
         """Triangles that fill free space between the edges of ``boundary``."""
         return triangulation_of(self.boundary, self.tolerance)
 
-    @cached_property
+    @property
     def _tolerant(self) -> Any:
-        return self._grown(self.tolerance)
+        return prepared(self, "grown", lambda: self._grown(self.tolerance))
 
     def _grown(self, tolerance: float) -> Any:
-        """Free space grown by a tolerance, prepared for many queries."""
-        grown = self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
-        shapely.prepare(grown)
-        return grown
+        """Free space grown by a tolerance."""
+        return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
 
-    @cached_property
+    @property
     def walls(self) -> Any:
         """The boundary of free space as Shapely lines, prepared for many queries."""
-        walls = self.free_space.boundary
-        shapely.prepare(walls)
-        return walls
+        return prepared(self, "walls", lambda: self.free_space.boundary)
 
     @cached_property
     def edge_tree(self) -> shapely.STRtree:
@@ -224,6 +227,7 @@ class Workspace:
             raise ValueError(f"Segments need as many starts as ends, got {len(a)} and {len(b)}.")
         tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
         free = self._tolerant if tolerance == self.tolerance else self._grown(tolerance)
+        shapely.prepare(free)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))

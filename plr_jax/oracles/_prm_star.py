@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -68,14 +69,14 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
     """The user's test, false outside the domain, its answers checked. It is asked for wrapped points."""
+    return partial(_is_free, domain, is_free)  # which can be pickled if the test can, as what follows
 
-    def checked(x: Points) -> Bool[np.ndarray, "n"]:
-        inside = domain.contains(x)
-        if inside.any():
-            inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
-        return inside
 
-    return checked
+def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
+    inside = domain.contains(x)
+    if inside.any():
+        inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
+    return inside
 
 
 def checked_is_visible(
@@ -85,27 +86,26 @@ def checked_is_visible(
 
     Of motions the short way around periodic axes: to the image of the end that is nearest to the start.
     """
-    domain = metric.domain
     if is_visible is None and resolution is not None:
-        as_finite("resolution", resolution, positive=True)
-        return lambda a, b: _is_visible_sampled(metric, is_free, resolution, a, domain.image_near(b, a))
+        return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
     if is_visible is None or resolution is not None:
         raise ValueError(
             "Give either is_visible, an exact test of motions, or resolution, the step of a sampled one."
         )
+    return partial(_is_visible, metric.domain, is_visible)
 
-    def checked(a: Points, b: Points) -> Bool[np.ndarray, "n"]:
-        if len(a) == 0:
-            return np.zeros(0, dtype=bool)
-        return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
-    return checked
+def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, "n"]:
+    if len(a) == 0:
+        return np.zeros(0, dtype=bool)
+    return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
 
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, "n"]:
     """Whether each straight motion between free points is free wherever it is tested."""
+    b = metric.domain.image_near(b, a)
     num_steps = np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
     num_tests = np.maximum(num_steps - 1, 0)
     visible = np.ones(len(a), dtype=bool)

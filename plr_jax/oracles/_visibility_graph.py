@@ -3,9 +3,10 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import networkx
 import numpy as np
@@ -23,6 +24,7 @@ from plr_jax.geometry.turn_regions import TurnRegions, turn_regions
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles._visibility_file import read_visibility, write_visibility
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
 from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
@@ -44,11 +46,8 @@ class VisibilityGraph:
         time_limit: Seconds that construction may take. A single call of Shapely is not cut short.
 
     Attributes:
-        workspace: As given.
-        goal: As given.
-        graph: The visibility graph: the goal as vertex 0, then the corners. It has no edge of which neither
-            end can be a turn of a shortest path along it.
-        distances: Distance of each vertex to the goal, ``inf`` where it cannot be reached.
+        workspace, goal: As given.
+        distances: Distance of each vertex of ``graph`` to the goal, ``inf`` where it cannot be reached.
 
     Raises:
         ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
@@ -61,16 +60,17 @@ class VisibilityGraph:
 
     workspace: Workspace
     goal: Float[np.ndarray, "2"]
-    graph: Graph
     distances: Float[np.ndarray, "vertices"]
     _parents: Int[np.ndarray, "vertices"]
     _corners: CornerVisibility
     _goal_table: VisibilityTable
     _turns: TurnPoints
+    _goal_edges: Int[np.ndarray, "edges 2"]
+    _pairs: PairDistances
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
-        _assign(self, workspace, _free_goal(workspace, goal), corner_visibility(workspace, deadline))
+        _assign(self, _free_goal(workspace, goal), PairDistances(workspace, corner_visibility(workspace, deadline)))
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
         """The same workspace's oracle for another goal; corners and what they see are shared.
@@ -85,7 +85,7 @@ class VisibilityGraph:
             ValueError: As for the class.
         """
         oracle = object.__new__(VisibilityGraph)
-        _assign(oracle, self.workspace, _free_goal(self.workspace, goal), self._corners)
+        _assign(oracle, _free_goal(self.workspace, goal), self._pairs)
         return oracle
 
     def save(self, path: str | os.PathLike) -> None:
@@ -116,10 +116,13 @@ class VisibilityGraph:
         oracle = object.__new__(cls)
         workspace, goal, corners = read_visibility(Path(path))
         try:
-            _assign(oracle, workspace, _free_goal(workspace, goal), corners)
+            _assign(oracle, _free_goal(workspace, goal), PairDistances(workspace, corners))
         except ValueError as error:  # such as a goal in an obstacle
             raise ValueError(f"{path} cannot be read as a visibility graph: {error}") from error
         return oracle
+
+    def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
+        return {field.name: vars(self)[field.name] for field in fields(self)}
 
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
@@ -143,6 +146,12 @@ class VisibilityGraph:
         return self._corners.num_bytes + own
 
     @cached_property
+    def graph(self) -> Graph:
+        """The goal as vertex 0, then the corners, joined where a shortest path along the edge can turn at an end."""
+        edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
+        return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
+
+    @cached_property
     def _regions(self) -> TurnRegions:
         turns = self._turns
         return turn_regions(turns, self.workspace.triangulation, self._corners.views[turns.vertex - 1])
@@ -150,7 +159,8 @@ class VisibilityGraph:
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, vertices of the graph: a path's next turn is one of them."""
-        return Sources(self.graph.vertices, self.distances, rooted(self._parents))
+        points = self._corners.corners.with_goal(self.goal).points
+        return Sources(points, self.distances, rooted(self._parents))
 
     def cell_sources(self, domain: Box) -> VisibleSources:
         """Which sources points of a box may use, and which all of them can, piece by piece of free space.
@@ -210,6 +220,25 @@ class VisibilityGraph:
         """
         return self._first_turns(as_points("x", x, 2))[0]
 
+    def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
+        """Length of the shortest path between points, pair by pair, whatever the goal.
+
+        Ways between corners are searched when the first pair needs them, and kept for all oracles that
+        :meth:`with_goal` makes of one another if there are at most 4,096 corners. If more, ask for many pairs a call.
+
+        Args:
+            x: Points, ``(n, 2)``.
+            y: Points, ``(n, 2)``.
+
+        Returns:
+            Distances, ``(n,)``, in workspace units, as of oracles whose goals are ``y``, up to rounding; bit for bit
+            the same either way round. ``inf`` as for a call, and where that is so of ``y``.
+
+        Raises:
+            ValueError: If a shape is another, or the numbers of points differ.
+        """
+        return self._pairs(as_points("x", x, 2), as_points("y", y, 2))
+
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
         """The shortest path from a point to the goal.
 
@@ -265,24 +294,21 @@ class VisibilityGraph:
         direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
         seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
-        table = self._corners.table
-        first, distance[free[~direct]] = self._regions.first_visible(
-            hidden, lambda point, vertex: table.sees(vertex - 1, hidden[point])
-        )
-        turn[free[~direct]] = np.maximum(first, 0)
+        sees = self._corners.table.sees
+        ways = self._regions.first_visible(hidden, lambda point, vertex: sees(vertex - 1, hidden[point]))
+        turn[free[~direct]], distance[free[~direct]] = np.maximum(ways[0], 0), ways[1]
         return distance, turn
 
 
-def _assign(oracle: VisibilityGraph, workspace: Workspace, goal: np.ndarray, corners: CornerVisibility) -> None:
+def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> None:
+    workspace, corners = pairs.workspace, pairs.visibility
     view = _goal_view(workspace.boundary, workspace.tolerance, goal)
     goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
-    edges = np.concatenate([_goal_edges(corners, seen, goal), 1 + corners.edges])
-    vertices = corners.corners.with_goal(goal)
-    graph = Graph(vertices.points, edges)
-    distances, parents = dijkstra(graph, 0)
-    turns = find_turn_points(vertices, distances, parents)
-    vars(oracle).update(workspace=workspace, goal=goal, graph=graph, distances=distances, _parents=parents)
-    vars(oracle).update(_corners=corners, _goal_table=goal_table, _turns=turns)
+    vars(oracle).update(workspace=workspace, goal=goal, _corners=corners, _pairs=pairs)
+    vars(oracle).update(_goal_table=goal_table, _goal_edges=_goal_edges(corners, seen, goal))
+    distances, parents = dijkstra(oracle.graph, 0)
+    turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
+    vars(oracle).update(distances=distances, _parents=parents, _turns=turns)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
@@ -319,7 +345,6 @@ def _goal_edges(
     corners: CornerVisibility, seen: Int[np.ndarray, "vertices"], goal: Float[np.ndarray, "2"]
 ) -> Int[np.ndarray, "edges 2"]:
     """Edges from the goal, vertex 0, to the corners: those that see one another are joined."""
-    corner = np.unique(corners.of_vertex[seen])
-    corner = corner[corner >= 0]
+    corner = np.setdiff1d(corners.of_vertex[seen], [-1])
     corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
     return np.stack([np.zeros_like(corner), 1 + corner], axis=1)

@@ -1,6 +1,8 @@
 """Building a PLR: Algorithm 1 of the paper, for any leaf model."""
 
+import os
 import warnings
+from concurrent.futures import Executor
 from dataclasses import replace
 
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
@@ -8,6 +10,7 @@ from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._certify import certificate_of, require_certifiable
+from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
@@ -20,6 +23,7 @@ from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 from plr_jax.plr.query.frame import table_corners
+from plr_jax.plr.sampling.asked import as_executor, asked
 from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
 from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
@@ -48,6 +52,8 @@ def construct(
     margin: int | float = 0,
     weight_fn: WeightFn | None = None,
     seed: int = 0,
+    executor: Executor | None = None,
+    checkpoint: str | os.PathLike | None = None,
 ) -> PLR:
     """Build a PLR of a distance function: Algorithm 1 of the paper.
 
@@ -121,6 +127,13 @@ def construct(
             cell"). Averages the noise of an oracle such as a roadmap.
         weight_fn: Weight of the error at each of a batch of points, finite and >= 0; where accuracy matters.
         seed: Seed of the samples' scrambling. The same seed gives the same PLR.
+        executor: What asks ``distance_fn``, for 1,024 points at a time: threads, processes, a cluster's. For one that
+            takes long and, of processes, is picklable. Any number of workers gives the same PLR, and the same as
+            none if what it says of a point does not depend on the others. None: this process.
+        checkpoint: A file in which answers of ``distance_fn`` are kept, 8 bytes each. Called again for the same
+            ``distance_fn`` and domain, construction asks only for the others, even if the process was killed, and
+            gives the same PLR. It is known by what it says of 256 points. None: none. ``VisibilityGraph``, or another
+            one that answers for whole cells, needs neither an executor nor a checkpoint: that takes seconds.
 
     Returns:
         The PLR. If interrupted (Ctrl-C) once there is a leaf, the one built so far, with a
@@ -130,8 +143,9 @@ def construct(
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
             a tree larger than memory, a budget is too small for one leaf, tied leaves hang on one another in too many
             ways (of hundreds in 6 dimensions), ``distance_fn`` returns a wrong shape or NaN, no sample reaches the
-            goal, a proof is asked for and ``distance_fn`` does not answer for cells, or cones or a proof are asked
-            for in a domain with a periodic axis.
+            goal, a proof is asked for and ``distance_fn`` does not answer for cells, cones or a proof are asked for
+            in a domain with a periodic axis, or the checkpoint is of another ``distance_fn`` or domain.
+        OSError: If the checkpoint cannot be read or written.
 
     References:
         Section III-B of the paper. For ``"smooth"``: Bogner, Fox, Schmit, "The generation of inter-element-compatible
@@ -177,10 +191,13 @@ def construct(
         if not callable(function):
             raise ValueError(f"{name} must be a function, got {shortened(function)}.")
     pattern, dense = (sample_pattern(domain.dim, n * int(num_samples), margin, int(seed)) for n in (1, _DENSER))
+    memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
+    if executor is not None or checkpoint is not None:
+        kept = None if checkpoint is None else Checkpoint(checkpoint, digest_of([distance_fn], domain, "answers"))
+        distance_fn = asked(distance_fn, as_executor(executor), kept)
     if folding is not None:
         domain, weight_fn = folding.box, FoldedWeights(weight_fn, folding)
         distance_fn = FoldedFn(distance_fn, folding)
-    memory = CellMemory(distance_fn, domain) if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 else None
     sampler = Sampler(
         distance_fn, domain, weight_fn, pattern, dense, limits.max_axis_depth, compute_coefficients, memory
     )

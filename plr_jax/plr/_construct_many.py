@@ -4,6 +4,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,6 +17,7 @@ from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import deferred_plr
 from plr_jax.plr._certify import certificate_of
+from plr_jax.plr._checkpoint import KEY_SIZE, Checkpoint, digest_of
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr._plr import PLR
@@ -24,6 +26,7 @@ from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves
 from plr_jax.plr.partition.cells import grown_domain
+from plr_jax.plr.sampling.asked import as_executor
 
 _MEMBERS_AT_ONCE = 64  # more share more, and take more memory: about 10 MB each
 
@@ -49,6 +52,7 @@ def construct_many(
     leaf_bounds: bool = False,
     seed: int = 0,
     executor: Executor | None = None,
+    checkpoint: str | os.PathLike | None = None,
 ) -> list[Any]:
     """Build a PLR of each of many distance functions, as one for every goal of a fleet.
 
@@ -69,20 +73,24 @@ def construct_many(
         certified: Whether to prove a bound of the largest error of each.
         leaf_bounds: Whether the proofs have bounds of every leaf.
         seed: Seed of the samples' scrambling. The same seed gives the same files, whatever the executor.
-        executor: What runs the parts: threads, processes, a cluster's. Of processes, the distance functions must be
-            picklable. None: threads, one a core.
+        executor: What runs the parts, of 64 members of a family or one PLR each: threads, processes, a cluster's,
+            such as Dask's ``Client.get_executor()``. Of processes, the distance functions must be picklable. What a
+            pool did not finish because a worker died is built here, by threads. None: threads, one a core.
+        checkpoint: A file in which PLRs are kept as their parts are done. Called again with the same arguments, it
+            goes on with what is left, even if the process was killed, to the same PLRs, and in the end to the same
+            file, byte for byte. Distance functions are known by what they say of 256 points. None: none.
 
     Returns:
         The PLRs, in the order of the distance functions. Their tables are made when they are first queried. If
         interrupted (Ctrl-C), those that are done, with None for the others and a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If there are no distance functions, or as for :func:`construct`.
+        ValueError: If there are no distance functions, the checkpoint is of other work, or as for :func:`construct`.
+        OSError: If the checkpoint cannot be read or written.
     """
     oracles, domain, model = _as_functions(oracles), Box.of(domain), leaf_model(leaf)
     require_integer("seed", seed, 0)
-    if executor is not None and not isinstance(executor, Executor):
-        raise ValueError(f"executor must be a concurrent.futures.Executor or None, got {shortened(executor)}.")
+    executor = as_executor(executor)
     options: dict[str, Any] = {
         "leaf": leaf,
         "max_depth": max_depth,
@@ -107,8 +115,10 @@ def construct_many(
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, FamilyLeafModel) and is_plane and is_limited
+    done = _Done.of(oracles, domain, f"{model} {limits} {int(seed)}", checkpoint)
     families: dict[int, list[int]] = {}
-    for number, oracle in enumerate(oracles):
+    for number in (number for number, plr in enumerate(done.plrs) if plr is None):
+        oracle = oracles[number]
         of_family = as_family and isinstance(oracle, FamilyFn)
         families.setdefault(id(oracle.family) if of_family else -1 - number, []).append(number)
     chunks = []
@@ -120,7 +130,8 @@ def construct_many(
             chunks += [_Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
         else:
             chunks.append(_Chunk(numbers, partial(_file_alone, first, domain, options)))
-    return _run(chunks, len(oracles), executor)
+    _run(chunks, done, executor)
+    return done.plrs
 
 
 def _as_functions(oracles: Sequence[DistanceFn]) -> list[DistanceFn]:
@@ -160,44 +171,77 @@ def _file_alone(oracle: DistanceFn, domain: Box, options: dict[str, Any]) -> lis
     return [construct(oracle, domain, **options).to_bytes()]
 
 
-def _run(chunks: list[_Chunk], count: int, executor: Executor | None) -> list[Any]:
-    """The PLRs of all chunks."""
-    plrs: list[PLR | None] = [None] * count
-    futures: dict[Future[list[bytes]], _Chunk] = {}
-    owned = ThreadPoolExecutor(_num_cores()) if executor is None else None
-    with tqdm(desc="construct_many", unit=" PLRs", total=count, delay=2, leave=False, disable=None) as progress:
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """The PLRs that are done, None for the others, and where they are kept."""
+
+    plrs: list[PLR | None]
+    checkpoint: Checkpoint | None
+
+    @classmethod
+    def of(cls, oracles: list[DistanceFn], domain: Box, options: str, path: str | os.PathLike | None) -> "_Done":
+        """Those of a checkpoint, if there is one."""
+        if path is None:
+            return cls([None] * len(oracles), None)
+        checkpoint = Checkpoint(path, digest_of(oracles, domain, options))
+        files = [checkpoint.records.get(_key(number)) for number in range(len(oracles))]
+        return cls([None if data is None else deferred_plr(data) for data in files], checkpoint)
+
+    @property
+    def count(self) -> int:
+        """How many are done."""
+        return sum(plr is not None for plr in self.plrs)
+
+    def keep(self, chunk: _Chunk, files: list[bytes]) -> None:
+        """Put the PLRs of a chunk in their places."""
+        if self.checkpoint is not None and self.plrs[chunk.numbers[0]] is None:
+            self.checkpoint.add({_key(number): data for number, data in zip(chunk.numbers, files, strict=True)})
+        for number, data in zip(chunk.numbers, files, strict=True):
+            self.plrs[number] = deferred_plr(data)
+
+
+def _key(number: int) -> bytes:
+    return number.to_bytes(KEY_SIZE, "big")
+
+
+def _run(chunks: list[_Chunk], done: _Done, executor: Executor | None) -> None:
+    """Build what is left; what a pool did not finish because a worker of it died, by threads of this process."""
+    total, threads = len(done.plrs), ThreadPoolExecutor(_num_cores())
+    with tqdm(
+        desc="construct_many", unit=" PLRs", total=total, initial=done.count, delay=2, leave=False, disable=None
+    ) as progress:
         try:
-            pool = executor or owned
-            assert pool is not None
-            futures.update((pool.submit(chunk.files), chunk) for chunk in chunks)
-            for future in as_completed(futures):
-                _keep(plrs, futures[future], _result(future, futures[future]))
-                progress.update(len(futures[future].numbers))
+            left = chunks if executor is None else _run_by(executor, chunks, done, progress)
+            _run_by(threads, left, done, progress)
         except KeyboardInterrupt:
-            for future, chunk in futures.items():
-                if future.done() and not future.cancelled() and future.exception() is None:
-                    _keep(plrs, chunk, future.result())
-            done = sum(plr is not None for plr in plrs)
-            message = f"Interrupted at {done} of {count} PLRs: None stands for the others."
+            message = f"Interrupted at {done.count} of {total} PLRs: None stands for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
         finally:
-            if owned is not None:
-                owned.shutdown(wait=False, cancel_futures=True)
-    return plrs
+            threads.shutdown(wait=False, cancel_futures=True)
+    if done.checkpoint is not None and done.count == total:
+        done.checkpoint.finish()
 
 
-def _keep(plrs: list[PLR | None], chunk: _Chunk, files: list[bytes]) -> None:
-    """Put the PLRs of a chunk in their places."""
-    for number, data in zip(chunk.numbers, files, strict=True):
-        plrs[number] = deferred_plr(data)
-
-
-def _result(future: "Future[list[bytes]]", chunk: _Chunk) -> list[bytes]:
-    """The files of a chunk, built here if its worker died."""
+def _run_by(pool: Executor, chunks: list[_Chunk], done: _Done, progress: tqdm) -> list[_Chunk]:
+    """Build chunks by a pool; these are left of them when it breaks."""
+    futures: dict[Future[list[bytes]], _Chunk] = {}
     try:
-        return future.result()
-    except BrokenExecutor:
-        return chunk.files()
+        with suppress(BrokenExecutor):
+            for chunk in chunks:
+                futures[pool.submit(chunk.files)] = chunk
+        for future in as_completed(futures):
+            with suppress(BrokenExecutor):
+                done.keep(futures[future], future.result())
+                progress.update(len(futures[future].numbers))
+    except KeyboardInterrupt:
+        for future, chunk in futures.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                done.keep(chunk, future.result())
+        raise
+    finally:
+        for future in futures:
+            future.cancel()
+    return [chunk for chunk in chunks if done.plrs[chunk.numbers[0]] is None]
 
 
 def _num_cores() -> int:

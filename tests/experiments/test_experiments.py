@@ -30,6 +30,7 @@ SMOKED = [
         "trace",
         "teams",
         "families",
+        "scale",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}
@@ -77,6 +78,14 @@ def test_smoke_and_redraw(name, smoke):
         path.unlink()
     run_script(name, "--draw", "--output", folder)
     assert all(path.stat().st_size > 0 for path in drawn)
+
+
+def test_all_workers_and_resumed_processes_give_the_same_bytes(smoke):
+    results = record_in(smoke("scale"), "scale")["results"]
+    assert all(row["same"] for row in results["workers"] + results["kills"])
+    assert len({row["digest"] for row in results["workers"]}) == 1
+    kinds = [row["kind"] for row in results["workers"]]
+    assert kinds == ["threads", "processes", "Dask", "processes, one killed", "Dask, one killed"]
 
 
 def test_traces_arrive_along_shortest_ways(smoke):

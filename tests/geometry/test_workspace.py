@@ -1,5 +1,6 @@
 import itertools
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -281,3 +282,13 @@ def test_visibility_to_a_tolerance():
         assert workspace.is_visible(a, b, tolerance).tolist() == [visible]
     with pytest.raises(ValueError, match="tolerance must be a finite number of at least 0, got -1"):
         workspace.is_visible(a, b, -1)
+
+
+def test_threads_may_ask_at_a_time():
+    workspace = Workspace(((0, 0), (10, 10)), [box(x, y, x + 0.5, y + 0.5) for x in range(9) for y in range(9)])
+    a, b = workspace.sample_free(3000, 0), workspace.sample_free(3000, 1)
+    with ThreadPoolExecutor(4) as threads:
+        answers = list(threads.map(lambda _: (workspace.is_visible(a, b), workspace.clearance(a)), range(24)))
+    for visible, clearance in answers:
+        np.testing.assert_array_equal(visible, workspace.is_visible(a, b))
+        np.testing.assert_array_equal(clearance, workspace.clearance(a))

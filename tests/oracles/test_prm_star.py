@@ -1,5 +1,7 @@
 """The parts of PRM*: tests of motions, the draws, and the radius."""
 
+import pickle
+
 import numpy as np
 import pytest
 from oracle_helpers import CUT, GAP, NOTHING, UNIT, free_points, roadmap
@@ -79,3 +81,11 @@ def test_sampled_motions_approach_the_exact_test():
     assert edges <= {frozenset(e) for e in sampled.graph.edges.tolist()}  # a free motion is never refused
     assert len(missed) <= 0.01 * len(edges)  # what clips a corner by less than the step
     assert np.all(sampled(x) <= exact(x) + 1e-12)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_roadmap_can_be_pickled_if_its_tests_can(exact):
+    tests = {"is_visible": NOTHING.is_visible} if exact else {"resolution": 0.1}
+    oracle = Roadmap(UNIT, NOTHING.is_free, (0.1, 0.1), 50, **tests)
+    x = free_points(NOTHING, 40)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(oracle))(x), oracle(x))

@@ -1,6 +1,7 @@
 """Shortest distances and paths in workspaces drawn by hand, the graph that gives them, and what it refuses."""
 
 import math
+import pickle
 
 import networkx as nx
 import numpy as np
@@ -143,6 +144,18 @@ def test_another_goal_shares_the_corners():
     np.testing.assert_array_equal(other(x), VisibilityGraph(WALL, (2, 4))(x))
     assert other._corners is oracle._corners
     assert 0 < other.num_bytes < 10_000
+
+
+def test_what_follows_from_the_rest_is_not_pickled():
+    oracle = VisibilityGraph(WALL, (8, 4))
+    x = WALL.sample_free(50, 0)
+    expected = oracle(x), oracle.directions(x), oracle.sources.points
+    again = pickle.loads(pickle.dumps(oracle))
+    assert vars(again).keys() < vars(oracle).keys()
+    for found, known in zip((again(x), again.directions(x), again.sources.points), expected, strict=True):
+        np.testing.assert_array_equal(found, known)
+    np.testing.assert_array_equal(again.graph.edges, oracle.graph.edges)
+    np.testing.assert_array_equal(again.graph.vertices, oracle.graph.vertices)
 
 
 def test_repr_is_one_line_without_arrays():

@@ -1,0 +1,138 @@
+"""Many cores and machines: whoever builds the PLRs of a fleet's goals, and however often they are killed.
+
+A row of the table is one ``construct_many`` of the same oracles by workers of a kind, and whether all files are those
+of one thread. A worker of the last rows is killed half-way. Then processes build with a checkpoint, are killed at
+random moments, and others go on: is the checkpoint, which holds all files, that of a process that was left alone?
+Seconds are with the start of the workers, on two shared cores: they say nothing of what more cores gain.
+"""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache
+from hashlib import sha256
+from multiprocessing import get_context
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments._results import run
+from experiments._scale_work import FatalOnce, build, family, files_of
+from experiments._tables import markdown
+
+SCENE, NUM_GOALS, MAX_BYTES, NUM_WORKERS, NUM_KILLS = "maze", 500, 1_024, (1, 2, 8), 20
+_EARLIEST = 0.05  # of the time that a process takes
+
+Pool = Callable[[int], AbstractContextManager[Executor]]
+
+
+def compute(seed: int, smoke: bool) -> dict[str, Any]:
+    goals, max_bytes = (130, 120) if smoke else (NUM_GOALS, MAX_BYTES)
+    with tempfile.TemporaryDirectory() as folder:
+        work = (SCENE, goals, max_bytes, seed)
+        workers = _workers(work, (2,) if smoke else NUM_WORKERS, Path(folder))
+        kills = _kills(work, 2 if smoke else NUM_KILLS, Path(folder), seed)
+    return {"goals": goals, "bytes": max_bytes, "workers": workers, "kills": kills}
+
+
+def _workers(work: tuple[str, int, int, int], counts: tuple[int, ...], folder: Path) -> list[dict[str, Any]]:
+    """Every kind of workers, so many of them; then two of which one is killed."""
+    scene, goals, max_bytes, seed = work
+    oracles = family(scene, goals, seed)
+    half = goals // 2
+    rows, expected = [], None
+    for kind, pool in (("threads", ThreadPoolExecutor), ("processes", _processes), ("Dask", _cluster)):
+        for count in counts:
+            begun = time.perf_counter()
+            with pool(count) as executor:
+                files = files_of(oracles, scene, max_bytes, executor=executor)
+            rows.append(_row(kind, count, begun, files, expected := expected or files))
+    for kind, pool in (("processes", _processes), ("Dask", _cluster)):
+        fatal = FatalOnce((0.4, 0.6), folder / kind, os.getpid())
+        begun = time.perf_counter()
+        with pool(2) as executor:
+            some = [*oracles[:half], fatal, *oracles[half:]]
+            files = files_of(some, scene, max_bytes, executor=executor)
+        assert fatal.marker.exists() and expected is not None
+        rows.append(_row(f"{kind}, one killed", 2, begun, files[:half] + files[half + 1 :], expected))
+    return rows
+
+
+def _row(kind: str, count: int, begun: float, files: list[bytes], expected: list[bytes]) -> dict[str, Any]:
+    seconds, digest = time.perf_counter() - begun, sha256(b"".join(files)).hexdigest()
+    return {"kind": kind, "workers": count, "seconds": seconds, "digest": digest, "same": files == expected}
+
+
+@cache
+def _forks() -> ForkServerContext:
+    """Processes that begin with all modules."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["experiments._scale_work"])
+    return context
+
+
+def _processes(count: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(count, mp_context=_forks())
+
+
+@contextmanager
+def _cluster(count: int) -> Iterator[Executor]:
+    from distributed import Client, LocalCluster
+
+    cluster = LocalCluster(count, threads_per_worker=1, dashboard_address=None)  # type: ignore[reportArgumentType]
+    with cluster, Client(cluster) as client:
+        yield client.get_executor()
+
+
+def _kills(work: tuple[str, int, int, int], count: int, folder: Path, seed: int) -> list[dict[str, Any]]:
+    """Processes that are killed at moments drawn from the time that one takes, each resumed by another."""
+    begun = time.perf_counter()
+    expected, _ = _process(work, folder / "alone", np.inf)
+    whole, rows, moments = time.perf_counter() - begun, [], np.random.default_rng(seed)
+    for number in range(count):
+        path, moment = folder / f"killed {number}", moments.uniform(_EARLIEST, 1) * whole
+        at_kill, was_killed = _process(work, path, moment)
+        resumed, _ = _process(work, path, np.inf)
+        share = len(at_kill) / len(expected)
+        rows.append({"moment": moment, "killed": was_killed, "share": share, "same": resumed == expected})
+    return rows
+
+
+def _process(work: tuple[str, int, int, int], path: Path, seconds: float) -> tuple[bytes, bool]:
+    """The checkpoint after a process that is killed after so many seconds, and whether that was before its end."""
+    process = _forks().Process(target=build, args=(*work, path))
+    process.start()
+    process.join(None if seconds == np.inf else seconds)
+    process.kill()
+    process.join()
+    return (path.read_bytes() if path.exists() else b""), process.exitcode != 0
+
+
+def table(results: dict[str, Any]) -> str:
+    """Both tables of the README, in Markdown."""
+    cells = [["workers", "files", "the same", "number", "s"]]
+    for row in results["workers"]:
+        same = "yes" if row["same"] else "no"
+        cells.append([row["kind"], row["digest"][:8], same, f"{row['workers']}", f"{row['seconds']:.1f}"])
+    kills, killed = results["kills"], [row for row in results["kills"] if row["killed"]]
+    done = ", ".join(f"{row['share']:.0%}" for row in sorted(killed, key=lambda row: row["share"]))
+    return markdown(cells, numbers=2) + (
+        f"\n{results['goals']:,} goals, cones, {results['bytes']:,} bytes each. Of {len(kills)} processes at random "
+        f"moments {len(killed)} were killed before their end, with {done} of the files written; "
+        f"{sum(row['same'] for row in kills)} of {len(kills)} were resumed to the same file.\n"
+    )
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    path = output / "scale.txt"
+    path.write_text(table(results), encoding="utf-8")
+    return [path]
+
+
+if __name__ == "__main__":
+    run("scale", "Whoever builds a fleet's PLRs, however often killed: the same bytes.", compute, draw)
