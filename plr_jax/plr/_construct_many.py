@@ -13,6 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import require_integer, shortened
+from plr_jax._cores import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import deferred_plr
@@ -206,7 +207,7 @@ def _key(number: int) -> bytes:
 
 def _run(chunks: list[_Chunk], done: _Done, executor: Executor | None) -> None:
     """Build what is left; what a pool did not finish because a worker of it died, by threads of this process."""
-    total, threads = len(done.plrs), ThreadPoolExecutor(_num_cores())
+    total, threads = len(done.plrs), ThreadPoolExecutor(num_cores())
     with tqdm(
         desc="construct_many", unit=" PLRs", total=total, initial=done.count, delay=2, leave=False, disable=None
     ) as progress:
@@ -242,8 +243,3 @@ def _run_by(pool: Executor, chunks: list[_Chunk], done: _Done, progress: tqdm) -
         for future in futures:
             future.cancel()
     return [chunk for chunk in chunks if done.plrs[chunk.numbers[0]] is None]
-
-
-def _num_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -121,8 +121,8 @@ def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "
     if parts == 1:
         return jax.tree.map(lambda a: a[:size], _ways(tables, x, y))
     pairs = x.reshape(parts, at_once, 2), y.reshape(parts, at_once, 2)
-    ways = jax.lax.map(lambda pair: _ways(tables, *pair), pairs)
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:size], ways)
+    columns = jax.lax.map(lambda pair: jax.tree.leaves(_ways(tables, *pair)), pairs)
+    return Ways(*(each.reshape(-1, *each.shape[2:])[:size] for each in columns))
 
 
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:

@@ -137,6 +137,7 @@ def test_jit_vmap_and_shapes_agree(maze):
 def test_large_batches_are_answered_as_small_ones(maze):
     x, y = MAZE.sample_free(70_000, 1), MAZE.sample_free(70_000, 2)
     every = np.asarray(maze(x, y))
+    np.testing.assert_allclose(jax.jit(maze.__call__)(x, y), every, rtol=3e-7, atol=3e-7)
     for part in (slice(0, 100), slice(65_500, 65_600), slice(69_990, 70_000)):
         np.testing.assert_allclose(every[part], maze(x[part], y[part]), atol=3e-7)
 
