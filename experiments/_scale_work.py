@@ -44,12 +44,12 @@ def family(scene: str, num_goals: int, seed: int) -> list[VisibilityGraph]:
     return [first, *(first.with_goal(goal) for goal in goals[1:])]
 
 
-def files_of(oracles: list[DistanceFn], scene: str, max_bytes: int, **how: Any) -> list[bytes]:
+def files_of(oracles: list[DistanceFn], scene: str, leaf: str, max_bytes: int, **how: Any) -> list[bytes]:
     """Files of the PLRs of oracles."""
     domain = getattr(scenes, scene)().workspace.bounds
-    return [plr.to_bytes() for plr in construct_many(oracles, domain, leaf="cone", max_bytes=max_bytes, **how)]
+    return [plr.to_bytes() for plr in construct_many(oracles, domain, leaf=leaf, max_bytes=max_bytes, **how)]
 
 
-def build(scene: str, num_goals: int, max_bytes: int, seed: int, checkpoint: Path) -> None:
+def build(scene: str, leaf: str, num_goals: int, max_bytes: int, seed: int, checkpoint: Path) -> None:
     """All files, with a checkpoint."""
-    files_of(family(scene, num_goals, seed), scene, max_bytes, checkpoint=checkpoint)
+    files_of(family(scene, num_goals, seed), scene, leaf, max_bytes, checkpoint=checkpoint)

@@ -14,10 +14,10 @@ from typing import Any
 
 from experiments import _gradient_tables as gradients
 from experiments import _proof_tables as proof_tables
+from experiments import _scale_table as scale_table
 from experiments import _short_tables as short
 from experiments import _solve_tables as solve_tables
 from experiments import _summary_tables as summary_tables
-from experiments import scale
 from experiments._results import RESULTS, read
 from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
 from experiments.team_sections._plans import FORMS, cell
@@ -274,7 +274,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "solve_bodies": lambda: solve_tables.bodies(results_of("solve")),
     "solve_cars": lambda: solve_tables.section("cars", results_of("solve")),
     "solve_nodes": lambda: solve_tables.section("nodes", results_of("solve")),
-    "scale": lambda: scale.table(results_of("scale")),
+    "scale": lambda: scale_table.table(results_of("scale")),
     "summaries": lambda: summary_tables.summaries(results_of("compare_summaries")),
 }
 

@@ -9,9 +9,9 @@ Seconds are with the start of the workers, on two shared cores: they say nothing
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
 from multiprocessing import get_context
@@ -22,27 +22,28 @@ from typing import Any
 import numpy as np
 
 from experiments._results import run
+from experiments._scale_table import table
 from experiments._scale_work import FatalOnce, build, family, files_of
-from experiments._tables import markdown
 
-SCENE, NUM_GOALS, MAX_BYTES, NUM_WORKERS, NUM_KILLS = "maze", 500, 1_024, (1, 2, 8), 20
+SCENE, NUM_WORKERS, NUM_KILLS = "maze", (1, 2, 8), 20
+CONES, PLANES = ("cone", 150, 200), ("plane", 60, 512)
+"""Leaves, goals, and bytes of each file: parts of several goals are for workers, of one for kills."""
 _EARLIEST = 0.05  # of the time that a process takes
 
-Pool = Callable[[int], AbstractContextManager[Executor]]
+Work = tuple[str, str, int, int, int]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    goals, max_bytes = (130, 120) if smoke else (NUM_GOALS, MAX_BYTES)
+    cones, planes = (("cone", 70, 100), ("plane", 3, 100)) if smoke else (CONES, PLANES)
     with tempfile.TemporaryDirectory() as folder:
-        work = (SCENE, goals, max_bytes, seed)
-        workers = _workers(work, (2,) if smoke else NUM_WORKERS, Path(folder))
-        kills = _kills(work, 2 if smoke else NUM_KILLS, Path(folder), seed)
-    return {"goals": goals, "bytes": max_bytes, "workers": workers, "kills": kills}
+        workers = _workers((SCENE, *cones, seed), (2,) if smoke else NUM_WORKERS, Path(folder))
+        kills = _kills((SCENE, *planes, seed), 2 if smoke else NUM_KILLS, Path(folder), seed)
+    return {"cones": cones[1:], "planes": planes[1:], "workers": workers, "kills": kills}
 
 
-def _workers(work: tuple[str, int, int, int], counts: tuple[int, ...], folder: Path) -> list[dict[str, Any]]:
+def _workers(work: Work, counts: tuple[int, ...], folder: Path) -> list[dict[str, Any]]:
     """Every kind of workers, so many of them; then two of which one is killed."""
-    scene, goals, max_bytes, seed = work
+    scene, leaf, goals, max_bytes, seed = work
     oracles = family(scene, goals, seed)
     half = goals // 2
     rows, expected = [], None
@@ -50,14 +51,14 @@ def _workers(work: tuple[str, int, int, int], counts: tuple[int, ...], folder: P
         for count in counts:
             begun = time.perf_counter()
             with pool(count) as executor:
-                files = files_of(oracles, scene, max_bytes, executor=executor)
+                files = files_of(oracles, scene, leaf, max_bytes, executor=executor)
             rows.append(_row(kind, count, begun, files, expected := expected or files))
     for kind, pool in (("processes", _processes), ("Dask", _cluster)):
         fatal = FatalOnce((0.4, 0.6), folder / kind, os.getpid())
         begun = time.perf_counter()
         with pool(2) as executor:
             some = [*oracles[:half], fatal, *oracles[half:]]
-            files = files_of(some, scene, max_bytes, executor=executor)
+            files = files_of(some, scene, leaf, max_bytes, executor=executor)
         assert fatal.marker.exists() and expected is not None
         rows.append(_row(f"{kind}, one killed", 2, begun, files[:half] + files[half + 1 :], expected))
     return rows
@@ -89,7 +90,7 @@ def _cluster(count: int) -> Iterator[Executor]:
         yield client.get_executor()
 
 
-def _kills(work: tuple[str, int, int, int], count: int, folder: Path, seed: int) -> list[dict[str, Any]]:
+def _kills(work: Work, count: int, folder: Path, seed: int) -> list[dict[str, Any]]:
     """Processes that are killed at moments drawn from the time that one takes, each resumed by another."""
     begun = time.perf_counter()
     expected, _ = _process(work, folder / "alone", np.inf)
@@ -103,7 +104,7 @@ def _kills(work: tuple[str, int, int, int], count: int, folder: Path, seed: int)
     return rows
 
 
-def _process(work: tuple[str, int, int, int], path: Path, seconds: float) -> tuple[bytes, bool]:
+def _process(work: Work, path: Path, seconds: float) -> tuple[bytes, bool]:
     """The checkpoint after a process that is killed after so many seconds, and whether that was before its end."""
     process = _forks().Process(target=build, args=(*work, path))
     process.start()
@@ -111,21 +112,6 @@ def _process(work: tuple[str, int, int, int], path: Path, seconds: float) -> tup
     process.kill()
     process.join()
     return (path.read_bytes() if path.exists() else b""), process.exitcode != 0
-
-
-def table(results: dict[str, Any]) -> str:
-    """Both tables of the README, in Markdown."""
-    cells = [["workers", "files", "the same", "number", "s"]]
-    for row in results["workers"]:
-        same = "yes" if row["same"] else "no"
-        cells.append([row["kind"], row["digest"][:8], same, f"{row['workers']}", f"{row['seconds']:.1f}"])
-    kills, killed = results["kills"], [row for row in results["kills"] if row["killed"]]
-    done = ", ".join(f"{row['share']:.0%}" for row in sorted(killed, key=lambda row: row["share"]))
-    return markdown(cells, numbers=2) + (
-        f"\n{results['goals']:,} goals, cones, {results['bytes']:,} bytes each. Of {len(kills)} processes at random "
-        f"moments {len(killed)} were killed before their end, with {done} of the files written; "
-        f"{sum(row['same'] for row in kills)} of {len(kills)} were resumed to the same file.\n"
-    )
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:

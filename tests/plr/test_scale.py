@@ -81,7 +81,7 @@ def test_a_killed_worker_changes_nothing(oracles, expected, kind, request, tmp_p
 
 
 def test_killed_at_random_moments_and_resumed_the_file_is_the_same(tmp_path):
-    work, files = ("maze", 130, 120, 0), [tmp_path / name for name in ("undisturbed", "killed")]
+    work, files = ("maze", "cone", 130, 120, 0), [tmp_path / name for name in ("undisturbed", "killed")]
     build(*work, files[0])
     sizes, moments = [], random.Random(0)
     for _ in range(3):
