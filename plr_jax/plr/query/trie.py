@@ -73,10 +73,10 @@ def can_be_in_trie(cells: Cells, levels: Sequence[Int[np.ndarray, "dim"]]) -> bo
     """Whether a partition is shallow enough, and its pages few."""
     if cells.depth.max() > _MOST_DEPTH:
         return False
-    most = sum(
-        num_pairs(cells[(cells.depth > begin).any(axis=1)], begin) * 2.0 ** (end - begin).sum()
-        for begin, end in pairwise(levels)
-    )
+    most = 0.0
+    for begin, end in pairwise(levels):
+        pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
+        most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (end - begin).sum()
     return bool(most <= _MOST_ENTRIES)
 
 
