@@ -1,21 +1,23 @@
 """PLRs as functions: one of a point, many of an index and a point."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import prod
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import mixed, padded, padded_size, shortened
+from plr_jax._arrays import mixed, padded, padded_size, shortened, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.points import as_array
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.query.tables import Tables, laid_out
+from plr_jax.plr.query.trie import Trie, build_trie, can_be_in_trie, trie_levels
 
 _MOST_NUMBERS = 1 << 32  # of an array of all PLRs: indices are 32-bit
 
@@ -59,37 +61,71 @@ class _Column:
         return Picked(self.flat, self.shape, start, self.flat.dtype)
 
 
-def _side_by_side(tables: Tables) -> Tables:
-    """The same, smaller, with what is read of a leaf side by side: of many PLRs, each array read is waited for.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """PLRs whose tables have one structure, array by array; in ``common`` is what they have in a trie instead."""
 
-    Numbers that several slots of pages have stand there once.
-    """
-    numbers = np.asarray(tables.numbers)
-    if numbers.ndim == 1:
-        return tables
-    rows = np.ascontiguousarray(numbers.T)
-    if tables.pages is None:
-        return replace(tables, numbers=jnp.asarray(rows.ravel()))
-    key = np.zeros(len(rows), np.uint64)
-    for column in rows.view(np.uint32).T:
-        key = mixed(key + column + np.uint64(1))
-    _, first, row = np.unique(key, return_index=True, return_inverse=True)
-    used = int(np.flatnonzero(row != row[-1]).max(initial=0)) + 2  # behind them all are alike, most likely padding
-    slots = jnp.asarray(row[:used].astype(np.uint16))
-    return replace(tables, numbers=jnp.asarray(rows[first].ravel()), leaf_of_slot=slots, is_indirect=True)
+    columns: tuple[_Column, ...]
+    common: "_InTrie | None"
+    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
+
+    @staticmethod
+    def of(tables: Sequence[Tables], common: "_InTrie | None") -> "_Alike":
+        """Those of some tables."""
+        structure = jax.tree_util.tree_structure(tables[0])
+        arrays = [[np.asarray(array) for array in jax.tree_util.tree_leaves(each)] for each in tables]
+        return _Alike(tuple(_Column.of(column) for column in zip(*arrays, strict=True)), common, structure)
+
+    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
+        """The tables of each point's PLR."""
+        tables = jax.tree_util.tree_unflatten(self.structure, [column.pick(which) for column in self.columns])
+        if self.common is None:
+            return tables
+        trie = self.common.trie.of(which, self.common.first_bits)
+        return replace(tables, trie=trie, numbers=self.common.numbers)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class _Alike:
-    """PLRs whose tables have one structure, array by array."""
+class _InTrie:
+    """The leaves of several PLRs.
 
-    columns: tuple[_Column, ...]
-    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
+    Attributes:
+        trie: The rows of their numbers.
+        numbers: One row a number, or a leaf's side by side, as in :class:`Tables`; leaves with the same share them.
+        first_bits: How many bits of a place the first level of the trie takes.
+    """
 
-    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """The tables of each point's PLR."""
-        return jax.tree_util.tree_unflatten(self.structure, [column.pick(which) for column in self.columns])
+    trie: Trie
+    numbers: Float[Array, "count rows"] | Float[Array, "numbers"]
+    first_bits: int = field(metadata={"static": True})
+
+    @staticmethod
+    def of(
+        partitions: Sequence[Cells],
+        numbers: Sequence[Float[np.ndarray, "_ count"]],
+        levels: Sequence[Int[np.ndarray, "dim"]],
+    ) -> "_InTrie":
+        """Those of PLRs of some cells and numbers."""
+        rows, distinct, num_rows = [], [], 0
+        for of_leaves in numbers:
+            first, row = _distinct_rows(of_leaves)
+            rows.append(num_rows + row)
+            distinct.append(of_leaves[first])
+            num_rows += len(first)
+        table = np.concatenate(distinct)
+        table = padded(table, size_in_eighths(len(table)))
+        return _InTrie(build_trie(partitions, rows, levels), jnp.asarray(laid_out(table)), int(levels[1].sum()))
+
+
+def _distinct_rows(table: Float[np.ndarray, "rows count"]) -> tuple[Int[np.ndarray, "some"], Int[np.ndarray, "rows"]]:
+    """The first of all rows that are bit for bit alike, and which of these each row is like."""
+    key = np.zeros(len(table), np.uint64)
+    for column in np.ascontiguousarray(table.T).view(np.uint32):
+        key = mixed(key + column + np.uint64(1))
+    _, first, row = np.unique(key, return_index=True, return_inverse=True)
+    return first, row
 
 
 @jax.tree_util.register_dataclass
@@ -98,11 +134,11 @@ class PLRStack:
     """Many PLRs as one function: ``f(index, x)`` is the distance of each point by the PLR of its index.
 
     Made by :func:`stack`. A pytree of arrays: a jitted function can close over it or take it as an argument, under
-    ``jax.vmap`` and ``jax.grad`` too. PLRs of one leaf model whose files are of one byte class have tables of one
-    shape, and stacks of as many of them share compiled code.
+    ``jax.vmap`` and ``jax.grad`` too. Stacks of as many PLRs of one leaf model, and about as large, share compiled
+    code.
 
     Attributes:
-        groups: The tables of PLRs whose tables are alike in shape.
+        groups: The tables of PLRs that are alike.
         group: The group of each PLR.
         place: Its place there.
         dim: Number of axes.
@@ -146,7 +182,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
     Args:
         plrs: The PLRs, at least one, all of one number of dimensions; of any leaf models and sizes. It is fastest
-            where all have one model and files of one byte class: else all kinds of tables are read for every point.
+            where all have one leaf model: else the tables of each are read for every point.
 
     Returns:
         The function. For a team, one PLR a robot, see :meth:`PLR.stack`.
@@ -166,19 +202,59 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         raise ValueError(
             f"A stack needs PLRs of one number of dimensions, at least one, got those of {sorted(dims)}."
         )
-    kinds, group, place = {}, [], []
-    for plr in plrs:
-        arrays, structure = jax.tree_util.tree_flatten(_side_by_side(plr.tables))
-        kind = structure, tuple((len(array.shape), array.shape[1:], str(array.dtype)) for array in arrays)
-        members = kinds.setdefault(kind, [])
-        group.append(list(kinds).index(kind))
-        place.append(len(members))
-        members.append([np.asarray(array) for array in arrays])
-    groups = tuple(
-        _Alike(tuple(_Column.of(column) for column in zip(*members, strict=True)), structure)
-        for (structure, _), members in kinds.items()
-    )
-    return PLRStack(groups, jnp.asarray(np.array(group, np.uint32)), jnp.asarray(np.array(place, np.uint32)), *dims)
+    places: list[tuple[int, int]] = [(0, 0)] * len(plrs)
+    groups = []
+    for members, alike in _groups(plrs):
+        for place, number in enumerate(members):
+            places[number] = len(groups), place
+        groups.append(alike)
+    group, place = np.array(places, np.uint32).T
+    return PLRStack(tuple(groups), jnp.asarray(group), jnp.asarray(place), *dims)
+
+
+def _groups(plrs: Sequence[PLR]) -> Iterator[tuple[list[int], _Alike]]:
+    """PLRs, by number, in groups of such as are alike: in a trie where they can be, else with tables of their own."""
+    frames = {i: _without_leaves(plr.tables) for i, plr in enumerate(plrs) if plr.tables.numbers.ndim == 2}
+    apart = set(range(len(plrs))) - set(frames)
+    for members in _kinds(frames):
+        levels = trie_levels(np.max([plrs[i].cells.depth.max(axis=0) for i in members], axis=0))
+        inside = [i for i in members if can_be_in_trie(plrs[i].cells, levels)]
+        apart |= set(members) - set(inside)
+        if inside:
+            numbers = [_numbers_of_leaves(plrs[i]) for i in inside]
+            in_trie = _InTrie.of([plrs[i].cells for i in inside], numbers, levels)
+            yield inside, _Alike.of([frames[i] for i in inside], in_trie)
+    own = {i: _side_by_side(plrs[i].tables) for i in sorted(apart)}
+    for members in _kinds(own):
+        yield members, _Alike.of([own[i] for i in members], None)
+
+
+def _kinds(tables: dict[int, Tables]) -> Iterable[list[int]]:
+    """Tables, by number, in groups of one structure."""
+    kinds: dict[Hashable, list[int]] = {}
+    for i, of_plr in tables.items():
+        arrays, structure = jax.tree_util.tree_flatten(of_plr)
+        kind = structure, tuple((array.ndim, array.shape[1:], str(array.dtype)) for array in arrays)
+        kinds.setdefault(kind, []).append(i)
+    return kinds.values()
+
+
+def _without_leaves(tables: Tables) -> Tables:
+    """The same without all that tells leaves apart, but for how many numbers each has."""
+    bits, slots, numbers = jnp.zeros_like(tables.bits), tables.leaf_of_slot[:0], tables.numbers[:, :0]
+    return replace(tables, bits=bits, blocks=None, pages=None, leaf_of_slot=slots, numbers=numbers)
+
+
+def _side_by_side(tables: Tables) -> Tables:
+    """The same with what is read of a leaf side by side: of many PLRs, each array read is waited for."""
+    if tables.numbers.ndim == 1:
+        return tables
+    return replace(tables, numbers=jnp.asarray(np.asarray(tables.numbers).T.ravel()))
+
+
+def _numbers_of_leaves(plr: PLR) -> Float[np.ndarray, "leaves count"]:
+    """What the leaf model reads of each leaf; the first slots of pages are the leaves, one each."""
+    return np.asarray(plr.tables.numbers)[:, : plr.num_leaves].T
 
 
 @jax.jit
@@ -187,7 +263,8 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array) -> Float[Array, "*batch
     index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
     known = jnp.where(is_one, index, 0).astype(jnp.uint32)
-    place, group = stacked.place[known], stacked.group[known]
+    has_kinds = len(stacked.groups) > 1
+    place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
     value = None
     for number, alike in enumerate(stacked.groups):
         here = group == number

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import plr_jax
+from plr_jax.plr.query import trie
 
 ROOM = plr_jax.scenes.maze().workspace
 DOMAIN = plr_jax.Box((0, 0), (1, 1))
@@ -41,6 +42,15 @@ def test_each_point_is_answered_by_its_own_plr(plrs, pairs):
     expected = one_by_one(plrs, index, x)
     assert np.isinf(expected).any()
     assert_alike(plr_jax.stack(plrs)(index, x), expected)
+
+
+def test_those_of_too_many_pages_for_a_trie_keep_tables_of_their_own(plrs, pairs, monkeypatch):
+    index, x = pairs
+    assert [each.common is None for each in plr_jax.stack(plrs).groups] == [False]
+    monkeypatch.setattr(trie, "_MOST_ENTRIES", 1)
+    apart = plr_jax.stack(plrs)
+    assert all(each.common is None for each in apart.groups)
+    assert_alike(apart(index, x), one_by_one(plrs, index, x))
 
 
 def test_jit_vmap_and_grad(plrs, pairs):

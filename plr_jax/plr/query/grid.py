@@ -17,7 +17,7 @@ WORD_BITS = 32
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
     """Bits of every block's own table: the deepest split below the block among the leaves it meets."""
     below = np.maximum(cells.depth - block_bits, 0)
-    leaf, block = _leaves_in_blocks(cells, block_bits)
+    leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
     np.maximum.at(shape, row_major(block, block_bits), below[leaf])
     return shape
@@ -34,14 +34,14 @@ def slots_in_blocks(
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
     """All pairs of a leaf and a block that meet: their indices, the leaf's first slot in the block, and how many."""
-    leaf, block = _leaves_in_blocks(cells, block_bits)
+    leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
     first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (shape[index] - below)
     return leaf, index, first, np.int64(1) << (shape[index] - below)
 
 
-def _leaves_in_blocks(
+def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
     """All pairs of a leaf and a block that meet: the leaf's index and the block's, along each axis."""
@@ -63,6 +63,14 @@ def enumerate_boxes(
         rest, digit = np.divmod(rest, count[box, axis])
         points[:, axis] = first[box, axis] + digit
     return box, points
+
+
+def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
+    """Up to so many bits, each along the axis with the most bits left."""
+    chosen = np.zeros_like(bits)
+    while chosen.sum() < min(most, bits.sum()):
+        chosen[np.argmax(bits - chosen)] += 1
+    return chosen
 
 
 def row_major(

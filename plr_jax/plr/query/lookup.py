@@ -14,6 +14,7 @@ from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.query.trie import Trie
 
 _ENDS_IN_DOUBLE = (
     2.0**-44
@@ -89,11 +90,12 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
 
     The points are wrapped.
     """
+    if tables.trie is not None:
+        return _row_in_trie(tables, tables.trie, x)
     places = [_place(tables, x, axis) for axis in range(tables.dim)]
     index = _joined_bits(places, *tables.bits)
     if tables.pages is not None:
-        slot = _slot_in_page(tables.pages, places, index)
-        return _gather(tables.leaf_of_slot, slot).astype(jnp.uint32) if tables.is_indirect else slot
+        return _slot_in_page(tables.pages, places, index)
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, places, index)
     return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
@@ -192,6 +194,27 @@ def _slot_in_page(
     mask, right, start = pages.bits
     word = _gather(pages.words, block)
     return _shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
+
+
+def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
+    """Row of the numbers of points, level by level.
+
+    Each level is to be a loop of its own, in which reads of many points are under way at once. All in one, a point's
+    reads wait for one another, and few other points are; that takes three times as long. What is behind a condition,
+    XLA does not put into one loop with the rest. The condition always holds, which XLA cannot know.
+    """
+
+    def descend(entry: UInt32[Array, "*batch"], bits: UInt32[Array, "2 dim"]) -> UInt32[Array, "*batch"]:
+        places = [_place(tables, x, axis) for axis in range(tables.dim)]
+        is_page = jnp.uint32(0) - (entry & np.uint32(1))  # all bits or none
+        return _gather(trie.entries, (entry >> np.uint32(1)) + (_joined_bits(places, bits[0], bits[1]) & is_page))
+
+    entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
+    for level in range(1, len(trie.bits)):
+        entry = jax.lax.cond(
+            trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
+        )
+    return entry >> np.uint32(1)
 
 
 def _index_in_block(

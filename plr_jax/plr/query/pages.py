@@ -27,6 +27,7 @@ from plr_jax.plr.query.grid import (
     enumerate_boxes,
     num_pairs,
     slots_in_blocks,
+    spread_bits,
 )
 from plr_jax.plr.query.picked import Picked
 
@@ -61,7 +62,7 @@ def build_pages(cells: Cells, most_slots: int) -> PagedLeaves | None:
     """Pages on the coarsest blocks with which so many slots suffice; None if there are none."""
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
-        block_bits = _spread(bits, most_bits)
+        block_bits = spread_bits(bits, most_bits)
         if num_pairs(cells, block_bits) > _MOST_PAIRS:
             break  # finer blocks meet more leaves
         if not _can_be_read(bits, bits - block_bits, most_slots):
@@ -79,14 +80,6 @@ def _can_be_read(bits: Int[np.ndarray, "dim"], page_bits: Int[np.ndarray, "dim"]
     """Whether words have room for a mask of a page and a start, and no bits of a place belong farther left."""
     fits_word = page_bits.sum() + most_slots.bit_length() <= WORD_BITS
     return bool(fits_word and (_right_of_place(bits, page_bits) >= 0).all())
-
-
-def _spread(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Up to so many bits for blocks, each along the axis with the most bits left."""
-    block_bits = np.zeros_like(bits)
-    while block_bits.sum() < min(most, bits.sum()):
-        block_bits[np.argmax(bits - block_bits)] += 1
-    return block_bits
 
 
 def _place_pages(

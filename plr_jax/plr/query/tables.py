@@ -38,6 +38,7 @@ from plr_jax.plr.query.frame import frame_of, table_corners
 from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
 from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
 from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.trie import Trie
 
 MIN_CLASS = 8
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
@@ -73,8 +74,8 @@ class Tables:
         periodic: The periodic axes, around which points are wrapped.
         radial: Axes of which the length of a point's coordinates is added to the leaf's value.
         folding: How points are folded before all this; None if they are not.
-        is_indirect: Whether ``leaf_of_slot`` says which of the numbers a slot of pages has, as in stacks of many
-            PLRs, instead of which leaf it is.
+        trie: What leads from a point's place to a row of the numbers, in stacks of many PLRs; then none of the others
+            is read.
     """
 
     frame: Float[Array, "7 dim"] | Picked
@@ -87,7 +88,7 @@ class Tables:
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     radial: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedWindow | None = None
-    is_indirect: bool = field(metadata={"static": True}, default=False)
+    trie: Trie | None = None
 
     @property
     def dim(self) -> int:
@@ -148,7 +149,7 @@ def _tables_by_leaf(
         blocks=None if flat else pack_blocks(shape, offset, FRACTION_BITS - top),
         pages=None,
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), slots)),
-        numbers=jnp.asarray(table.ravel() if table.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(table.T)),
+        numbers=jnp.asarray(laid_out(table)),
         leaf=leaf,
         periodic=_periodic_axes(domain),
     )
@@ -169,6 +170,13 @@ def _paged_tables(
         leaf=leaf,
         periodic=_periodic_axes(domain),
     )
+
+
+def laid_out(
+    numbers: Float[np.ndarray, "rows count"],
+) -> Float[np.ndarray, "count rows"] | Float[np.ndarray, "numbers"]:
+    """Numbers of leaves as :class:`Tables` has them: one row a number, of large tables a leaf's side by side."""
+    return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)
 
 
 def _periodic_axes(domain: Box) -> tuple[int, ...]:

@@ -1,0 +1,87 @@
+"""One table of several partitions, against the cells' own integers."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plr_helpers import chain, random_partition
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr import Plane
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query import lookup
+from plr_jax.plr.query.tables import build_tables
+from plr_jax.plr.query.trie import build_trie, can_be_in_trie, trie_levels
+
+find_row = jax.jit(lookup.find_row)
+
+
+def leaf_by_position(cells, x):
+    slots = np.minimum(np.floor(x[:, None] * 2.0**cells.depth).astype(int), 2**cells.depth - 1)
+    return (slots == cells.position).all(axis=2).argmax(axis=1)
+
+
+def levels_of_all(partitions):
+    return trie_levels(np.max([cells.depth.max(axis=0) for cells in partitions], axis=0))
+
+
+def assert_finds_rows(partitions, rows, seed=0):
+    """In the leaves' centers and at multiples of 2**-16, many of which lie on cell borders; of every partition."""
+    dim, levels = partitions[0].dim, levels_of_all(partitions)
+    domain = Box(np.zeros(dim), np.ones(dim))
+    assert all(can_be_in_trie(cells, levels) for cells in partitions)
+    trie = build_trie(partitions, rows, levels)
+    tables = build_tables(domain, Cells.root(dim), np.zeros((1, 1 + dim)), Plane(), 100)
+    for number, (cells, row) in enumerate(zip(partitions, rows, strict=True)):
+        random = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(200, dim)) / 2.0**16
+        x = np.concatenate([random, (cells.position[:500] + 0.5) * 2.0 ** -cells.depth[:500]])
+        which = jnp.full(len(x), number, jnp.uint32)
+        found = find_row(replace(tables, trie=trie.of(which, int(levels[1].sum()))), jnp.asarray(x, jnp.float32))
+        np.testing.assert_array_equal(found, row[leaf_by_position(cells, x)])
+
+
+def one_row_a_leaf(partitions):
+    first = np.cumsum([0, *map(len, partitions)])
+    return [begin + np.arange(len(cells)) for begin, cells in zip(first, partitions, strict=False)]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 3, 4]), sizes=st.lists(st.integers(0, 100), min_size=1))
+def test_every_point_finds_its_leaf_in_its_own_partition(seed, dim, sizes):
+    partitions = [random_partition(seed + i, dim, size) for i, size in enumerate(sizes[:4])]
+    assert_finds_rows(partitions, one_row_a_leaf(partitions), seed)
+
+
+@pytest.mark.parametrize("axes", [[0] * 17, [0, 1] * 13, [0] * 13 + [1] * 13, [0, 1, 2] * 7, [1] * 13])
+def test_deep_leaves_are_found_beside_shallow_ones(axes):
+    deep = chain([*axes, *range(max(axes) + 1)][-len(axes) :])
+    partitions = [Cells.root(deep.dim), deep, random_partition(0, deep.dim, 30)]
+    assert_finds_rows(partitions, one_row_a_leaf(partitions))
+
+
+def test_leaves_of_the_same_numbers_share_a_row():
+    cells = random_partition(1, 2, 60)
+    assert_finds_rows([cells, cells], [np.arange(len(cells)) % 3, 3 + np.arange(len(cells)) % 2])
+
+
+def test_levels_take_all_bits_of_a_place_once():
+    levels = trie_levels(np.array([13, 12]))
+    assert (levels[0] == 0).all()
+    assert levels[1].sum() == 10
+    assert levels[-1].tolist() == [13, 12]
+    steps = np.diff(levels, axis=0)
+    assert (steps >= 0).all()
+    assert (steps[1:].sum(axis=1) <= 6).all()
+    assert [end.tolist() for end in trie_levels(np.array([2, 1]))] == [[0, 0], [2, 1]]
+
+
+def test_too_deep_partitions_and_such_of_too_many_pages_are_left_out():
+    too_deep = chain([0] * 18)
+    assert not can_be_in_trie(too_deep, levels_of_all([too_deep]))
+    thin = Cells(np.full((1 << 13, 2), (13, 0)), np.stack([np.arange(1 << 13), np.zeros(1 << 13, int)], axis=1))
+    assert not can_be_in_trie(thin, levels_of_all([thin, chain([1] * 13)]))
+    assert can_be_in_trie(thin, levels_of_all([thin]))
