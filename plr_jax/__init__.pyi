@@ -43,6 +43,7 @@ from .plr import PLR as PLR
 from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
 from .plr import GridPairs as GridPairs
+from .plr import MetricPairs as MetricPairs
 from .plr import PairPLR as PairPLR
 from .plr import PLRStack as PLRStack
 from .plr import Refinement as Refinement
@@ -55,6 +56,7 @@ from .plr import certify as certify
 from .plr import construct as construct
 from .plr import construct_grid_pairs as construct_grid_pairs
 from .plr import construct_many as construct_many
+from .plr import construct_metric_pairs as construct_metric_pairs
 from .plr import cyclic_axis as cyclic_axis
 from .plr import evaluate as evaluate
 from .plr import from_bytes as from_bytes

@@ -37,7 +37,7 @@ PLR_LAYERS = [
     ["_certify", "pairs"],
     ["_checkpoint", "_io", "_trace", "refinement"],
     ["_construct"],
-    ["_construct_many"],
+    ["_construct_many", "metric_pairs"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

@@ -13,6 +13,7 @@ from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
+from plr_jax.plr.metric_pairs.model import MetricPairs, construct_metric_pairs
 from plr_jax.plr.pairs.pair_plr import PairPLR
 from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
 from plr_jax.plr.refinement.face_samples import Faces, sample_faces
@@ -29,6 +30,7 @@ __all__ = [
     "Faces",
     "GridDistance",
     "GridPairs",
+    "MetricPairs",
     "PLRStack",
     "PairPLR",
     "Plane",
@@ -43,6 +45,7 @@ __all__ = [
     "construct",
     "construct_grid_pairs",
     "construct_many",
+    "construct_metric_pairs",
     "cyclic_axis",
     "eikonal",
     "evaluate",

@@ -1,0 +1,1 @@
+"""Distances of any two points by any metric: a partition of pairs, from samples."""

@@ -1,0 +1,98 @@
+"""Pairs by any metric: symmetric to the bit, 0 on the diagonal, close to what was sampled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from plr_jax import (
+    Box,
+    MetricPairs,
+    VisibilityGraph,
+    Workspace,
+    construct_metric_pairs,
+    load,
+    save,
+)
+
+SQUARE = ((0.0, 0.0), (1.0, 1.0))
+WALL = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)]])
+
+
+def manhattan(x, y):
+    return np.abs(x - y).sum(axis=1)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return construct_metric_pairs(manhattan, SQUARE, max_leaves=300)
+
+
+def random_points(n, seed, dim=2):
+    return np.random.default_rng(seed).uniform(0, 1, (2, n, dim)).astype(np.float32)
+
+
+def test_close_to_the_metric(pairs):
+    x, y = random_points(2000, 0)
+    assert np.abs(np.asarray(pairs(x, y)) - manhattan(x, y)).mean() < 0.03
+
+
+def test_symmetric_to_the_last_bit_zero_on_the_diagonal_and_never_below(pairs):
+    x, y = random_points(2000, 1)
+    np.testing.assert_array_equal(pairs(x, y), pairs(y, x))
+    np.testing.assert_array_equal(pairs(x, x), 0)
+    assert np.asarray(pairs(x, x + np.float32(1e-4)))[(x < 0.999).all(axis=1)].min() >= 0
+    same_first = y.copy()
+    same_first[:, 0] = x[:, 0]
+    np.testing.assert_array_equal(pairs(x, same_first), pairs(same_first, x))
+
+
+def test_jit_vmap_grad_and_shapes(pairs):
+    x, y = (jnp.asarray(p.reshape(4, 5, 2)) for p in random_points(20, 2))
+    expected = pairs(x, y)
+    assert expected.shape == (4, 5) and pairs(x, y[0, 0]).shape == (4, 5) and pairs(x[0, 0], y[0, 0]).shape == ()
+    np.testing.assert_allclose(jax.jit(lambda f, x, y: f(x, y))(pairs, x, y), expected, rtol=1e-6)
+    np.testing.assert_allclose(jax.vmap(jax.vmap(pairs))(x, y), expected, rtol=1e-6)
+    dx, dy = jax.vmap(jax.grad(pairs, argnums=(0, 1)))(x[0], y[0])
+    swapped = jax.vmap(jax.grad(pairs, argnums=(1, 0)))(y[0], x[0])
+    np.testing.assert_allclose(dx, swapped[0], atol=1e-6)
+    np.testing.assert_allclose(dy, swapped[1], atol=1e-6)
+
+
+def test_around_a_wall_by_an_exact_oracle():
+    oracle = VisibilityGraph(WALL, (1, 1))
+    around = construct_metric_pairs(oracle.between, WALL.bounds, max_leaves=1000, leaf="continuous")
+    x, y = WALL.sample_free(1000, 1), WALL.sample_free(1000, 2)
+    truth = oracle.between(x, y)
+    answer = np.asarray(around(x, y))
+    assert np.isfinite(answer).all()
+    straight = np.linalg.norm(x - y, axis=1)
+    assert np.abs(answer - truth).mean() < 0.5 * np.abs(straight - truth).mean()
+
+
+def test_a_line_that_closes():
+    def around(x, y):
+        apart = np.abs(x - y)[:, 0] % 1
+        return np.minimum(apart, 1 - apart)
+
+    pairs = construct_metric_pairs(around, Box((0.0,), (1.0,), (True,)), max_leaves=300)
+    x, y = random_points(1000, 3, dim=1)
+    assert np.abs(np.asarray(pairs(x, y)) - around(x, y)).mean() < 0.01
+
+
+def test_what_a_file_holds_answers_alike(pairs, tmp_path):
+    save(pairs.plr, tmp_path / "pairs.plr")
+    again = MetricPairs(load(tmp_path / "pairs.plr"))
+    x, y = random_points(100, 4)
+    np.testing.assert_array_equal(again(x, y), pairs(x, y))
+    assert again.num_bytes == (tmp_path / "pairs.plr").stat().st_size and again.dim == 2
+
+
+def test_what_is_refused(pairs):
+    for wrong, message in (
+        (lambda: construct_metric_pairs(manhattan, (np.zeros(4), np.ones(4))), "at most 3 dimensions"),
+        (lambda: pairs(np.zeros((3, 3)), np.zeros((3, 3))), r"x must be points of shape \(..., 2\)"),
+        (lambda: pairs(np.zeros((3, 2)), np.zeros(4)), r"y must be points of shape \(..., 2\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            wrong()
