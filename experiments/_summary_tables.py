@@ -7,6 +7,7 @@ from experiments.summaries._rows import MAX_BYTES, TOLERANCE
 
 _NAMES = {
     "ours": "construct_pairs",
+    "product_plr": "PLR over pairs",
     "straight_line": "straight line",
     "full_table": "full table",
     "landmark_tables": "landmarks, tables",

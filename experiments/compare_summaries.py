@@ -16,12 +16,14 @@ from experiments.summaries import (
     _network,
     _ours,
     _polygons,
+    _product,
     _straight_line,
 )
 from experiments.summaries._rows import MAX_BYTES, OnMap
 
 COMPILED = {
     "ours": _ours.candidates,
+    "product_plr": _product.candidates,
     "straight_line": _straight_line.candidates,
     "full_table": _full_table.candidates,
     "landmark_tables": _landmarks.tables,
