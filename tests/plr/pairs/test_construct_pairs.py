@@ -73,6 +73,31 @@ def test_any_workspace_is_exact_and_bounded(make, seed, squeeze):
         assert np.isfinite(upper[np.isfinite(truth)]).mean() > 0.9
 
 
+def test_points_beside_walls_see_nothing_behind_contacts():
+    gap = 1e-6
+    diagonal = Workspace(((0, 0), (10, 10)), [[(0, 0), (5, 0), (5, 5), (0, 5)], [(5, 5), (10, 5), (10, 10), (5, 10)]])
+    pairs = construct_pairs(diagonal)
+    x, y = np.meshgrid(np.linspace(1, 4, 7), gap * np.array([0.5, 1, 2, 5, 10]))
+    above = np.stack([x.ravel(), 5 + y.ravel()], axis=1)  # in the part that ends at the contact
+    below = 10 - above
+    _, upper = pairs.bounds(above[:, None], below[None])
+    assert np.isinf(upper).all()
+
+
+def test_long_lists_are_searched_to_their_ends():
+    rng = np.random.default_rng(14)
+    angles = rng.uniform(0, 2 * np.pi, (12, 12, 1)) + np.array([0, 2.1, 4.2])
+    corners = 0.5 + rng.uniform(0.1, 0.48, (12, 12, 1, 1)) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    corners += np.stack(np.meshgrid(range(12), range(12)), axis=-1)[:, :, None]
+    chosen = corners[rng.uniform(size=(12, 12)) < 0.45]
+    wall = [(6, 0), (6.01, 0), (6.01, 12), (6, 12)]
+    workspace = Workspace(((0, 0), (12, 12)), [*chosen, wall])
+    pairs = construct_pairs(workspace, max_bytes=4200)
+    assert np.bincount(pairs.stored.leaf).max() > 64
+    x, y = some_pairs(workspace, 8, 100, seed=0)
+    np.testing.assert_allclose(pairs(x, y), exact(workspace, x, y), atol=1e-5)
+
+
 def test_symmetric_to_the_last_bit_and_zero_on_the_diagonal(maze):
     x, y = MAZE.sample_free(4000, 1), MAZE.sample_free(4000, 2)
     np.testing.assert_array_equal(maze(x, y), maze(y, x))
