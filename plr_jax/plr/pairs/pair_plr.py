@@ -105,7 +105,8 @@ class PairPLR:
         x, y = self._placed(x, y)
         if not is_on_one_host(x, y, self.tables.walls):
             return answer(self.tables, x, y)
-        points = (np.asarray(p, np.float32) for p in (x, y))
+        with np.errstate(over="ignore"):  # far outside
+            points = [np.asarray(p, np.float32) for p in (x, y)]
         answers = answered_in_parts(partial(answer, self.tables), (_FEWEST, _MOST), *points)
         return tuple(map(jnp.asarray, answers))
 

@@ -329,7 +329,7 @@ def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     px, py = x.T
 
     def winds(turns, walls):
-        for ax, ay, _, by, ex, ey, turn in walls:
+        for _, ay, _, by, ex, ey, turn in walls:
             beside = ex * py - ey * px - turn
             turns += ((ay <= py) & (py < by) & (beside > 0)).astype(int)
             turns -= ((by <= py) & (py < ay) & (beside < 0)).astype(int)
