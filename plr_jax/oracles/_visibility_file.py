@@ -8,6 +8,7 @@ a file can at worst be refused.
 import io
 import zipfile
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from plr_jax.geometry.visibility import VisibilityTable
 from plr_jax.geometry.workspace import Workspace
 
 _VERSION = 1
+_ENCRYPTED = 1  # a flag of a member
 _ARRAYS = {
     "version": ("i", ()),
     "bounds": ("f", (2, 2)),
@@ -84,7 +86,8 @@ def _as_bytes(geometry: Any) -> Shaped[np.ndarray, "bytes"]:
 
 def _arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The arrays of a file, of the kinds and shapes that they must have, and no larger than the file."""
-    with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+    data = io.BytesIO(path.read_bytes())  # so that only what cannot be read, and no wrong place in it, is an OSError
+    with zipfile.ZipFile(data) as archive:
         missing = {f"{name}.npy" for name in _ARRAYS} - set(archive.namelist())
         if missing:
             raise ValueError(f"it has no {min(missing)}")
@@ -97,9 +100,14 @@ def _array(
     member = archive.getinfo(f"{name}.npy")
     if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
         raise ValueError(f"{name} is compressed")
+    if member.flag_bits & _ENCRYPTED:
+        raise ValueError(f"{name} is encrypted")
     data = io.BytesIO(archive.read(member))
     np.lib.format.read_magic(data)
-    found, _, dtype = np.lib.format.read_array_header_1_0(data)
+    try:
+        found, _, dtype = np.lib.format.read_array_header_1_0(data)
+    except (TokenError, SyntaxError, RecursionError, TypeError) as error:  # it is read as Python
+        raise ValueError(f"{name} has a header that cannot be read") from error
     fits = len(found) == len(shape) and all(n in (None, m) for n, m in zip(shape, found, strict=True))
     if dtype.kind != kind or not fits:
         raise ValueError(f"{name} has numbers of kind {dtype.kind} and shape {found}")

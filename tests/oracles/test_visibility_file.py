@@ -109,6 +109,29 @@ def test_damaged_files_are_refused_by_name(path):
             assert number % 2 == 0  # where nothing that is read was hit
 
 
+@pytest.mark.parametrize(("place", "byte"), [(60, 0x35), (10, 0x03), (50, 0x40), (8, 0x46)])
+def test_headers_that_are_no_python_are_refused(path, place, byte):
+    with zipfile.ZipFile(path) as archive:
+        members = {name: bytearray(archive.read(name)) for name in archive.namelist()}
+    members["version.npy"][place] ^= byte
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, bytes(data))
+    with pytest.raises(ValueError, match="cannot be read as a visibility graph"):
+        VisibilityGraph.load(path)
+
+
+def test_every_byte_of_the_directory_may_be_wrong(path):
+    data = path.read_bytes()
+    for place in range(data.rindex(b"PK\5\6") - 70, len(data)):
+        for byte in (1, 0x80, 0xFF):
+            path.write_bytes(data[:place] + bytes([data[place] ^ byte]) + data[place + 1 :])
+            try:
+                VisibilityGraph.load(path)
+            except ValueError as error:
+                assert str(path) in str(error)
+
+
 def test_a_file_cannot_ask_for_more_than_it_holds(path):
     """Neither by a shape that it does not fill nor by compression."""
     with zipfile.ZipFile(path) as archive:

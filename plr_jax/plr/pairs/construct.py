@@ -15,7 +15,7 @@ from plr_jax.plr.pairs.growth import Lists, grow_lists
 from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
-from plr_jax.plr.pairs.stored import MOST_CORNERS, Stored, shortest_distances
+from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, shortest_distances
 from plr_jax.plr.pairs.visible_corners import may_turn, visible_corners
 from plr_jax.plr.partition.tree import levels_of
 
@@ -40,25 +40,19 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
         The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, has too many corners, or free space and corners alone take more bytes.
+        ValueError: If the workspace is none, has too many corners or is wider than 1e18, or free space and
+            corners alone take more bytes.
 
     References:
         "all-pairs" in Section II of the paper.
     """
     if not isinstance(workspace, Workspace):
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
-    limits = check_limits(
-        2,
-        0.5,
-        True,
-        lambda dim, leaves: leaves,
-        None,
-        None,
-        DEFAULT_MAX_BYTES if max_bytes is None else max_bytes,
-        None,
-        Proof.NONE,
-    )
+    max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
+    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE)
     domain, boundary = workspace.bounds, workspace.boundary
+    if domain.width.max() > WIDEST:
+        raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")
     visibility = corner_visibility(workspace)
     if len(visibility.corners.points) > MOST_CORNERS:
         raise ValueError(

@@ -72,11 +72,13 @@ class Outline:
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Those at which free space touches itself stay where they are if no path may squeeze through and they would
-        move apart.
+        Points at which free space touches itself stay where they are if no path may squeeze through and they would
+        move apart. A wall that the lattice has made a point moves with those beside it.
         """
         following, points = self._following, self.positions
-        normal = left_normal(points[following] - points)
+        onward = points[following] - points
+        has_length = (self.points[following] != self.points).any(axis=1, keepdims=True)
+        normal = np.where(has_length, left_normal(np.where(has_length, onward, 1.0)), 0.0)
         before = np.empty_like(normal)
         before[following] = normal
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]

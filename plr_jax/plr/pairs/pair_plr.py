@@ -17,7 +17,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.file.container import HEADER_SIZE, file_size
 from plr_jax.plr.pairs.one_goal import plr_to
-from plr_jax.plr.pairs.query import shortest_ways
+from plr_jax.plr.pairs.query import is_inside, shortest_ways
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.pairs.tables import PairTables, build_pair_tables
 from plr_jax.plr.query.points import as_array
@@ -75,7 +75,7 @@ class PairPLR:
 
         Returns:
             Lower bounds, at least 0, and upper bounds: lengths of paths that are certainly free, ``inf`` where none
-            was found, as from points on a wall, or nearer to one than 2e-6 of the domain's width.
+            was found, as from points on a wall, or nearer to one than 4e-6 of the domain's width.
 
         Raises:
             ValueError: As for a call.
@@ -105,7 +105,8 @@ class PairPLR:
         x, y = self._placed(x, y)
         if not is_on_one_host(x, y, self.tables.walls):
             return answer(self.tables, x, y)
-        points = (np.asarray(p, np.float32) for p in (x, y))
+        with np.errstate(over="ignore"):  # far outside
+            points = [np.asarray(p, np.float32) for p in (x, y)]
         answers = answered_in_parts(partial(answer, self.tables), (_FEWEST, _MOST), *points)
         return tuple(map(jnp.asarray, answers))
 
@@ -200,7 +201,10 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     )
     least = shortest_ways(tables, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
-    length = shortest_ways(tables.in_free_space, x, y).length
+    # A point nearer to a wall may pass behind those that are moved into free space.
+    free = tables.in_free_space
+    is_clear = is_inside(free, x) & is_inside(free, y)
+    length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)
     lower, upper = (jnp.where(jnp.isfinite(answer), bound, answer).reshape(shape) for bound in (lower, upper))
     return lower, upper

@@ -23,7 +23,6 @@ from plr_jax.plr.query.lookup import lookup
 _AT_ONCE = 2**14
 _GROUP = 2**11  # pairs that are looked at together while many are open
 _FEWER, _FEWEST = 8, 2**8
-_MOST_ROUNDS = 64
 _LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
@@ -128,7 +127,7 @@ def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     search = _begun(tables, x, y)
     at_least = jax.lax.optimization_barrier(_at_least(tables, search))
-    search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)), jnp.zeros((), int))
+    search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)))
     least = jnp.minimum(search.length, search.least)
     return Ways(search.length, least, search.from_x, search.from_y)
 
@@ -141,25 +140,26 @@ def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -
     return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
 
 
-def _searched(
-    tables: PairTables, at_least: Float[Array, "n longest"], search: Search, rounds: Integer[Array, ""]
-) -> Search:
-    """The search after all rounds: the last ones are of the few pairs that are left open, side by side."""
+def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """The search after all rounds: the last ones are of the few pairs that are left open, side by side.
+
+    It ends, as each round strikes a corner off one of an open pair's two lists.
+    """
     size = len(at_least)
     few = size // _FEWER if size > _FEWEST else 0
     one = _round_of_all if size <= _GROUP else _round_of_open
 
-    def more(state: tuple[Search, Integer[Array, ""]]) -> Bool[Array, ""]:
-        return (state[1] < _MOST_ROUNDS) & (state[0].is_open.sum() > few)
+    def more(search: Search) -> Bool[Array, ""]:
+        return search.is_open.sum() > few
 
-    search, rounds = jax.lax.while_loop(more, lambda s: (one(tables, at_least, s[0]), s[1] + 1), (search, rounds))
+    search = jax.lax.while_loop(more, lambda search: one(tables, at_least, search), search)
     if not few:
         return search
     is_open = search.is_open
     number = jnp.cumsum(is_open)
     lanes = jnp.searchsorted(number, 1 + jnp.arange(few))
     left = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
-    left = _searched(tables, _at(at_least, lanes, "clip"), left, rounds)
+    left = _searched(tables, _at(at_least, lanes, "clip"), left)
     return _where(is_open & (number <= few), jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
 
 
@@ -229,13 +229,13 @@ def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], search
     via_x, via_y = _corner(tables, leaf_x, first), _corner(tables, leaf_y, last)
     hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
     hidden_y = _is_leg_hidden(tables, leaf_y, last, y, via_y)
-    is_way = ~(hidden_x | hidden_y)
+    is_done = hidden_x | ~hidden_y | (length == jnp.inf)
     return _Look(
-        length=jnp.where(is_way, _length(x - via_x) + length, jnp.inf),
+        length=jnp.where(hidden_x | hidden_y, jnp.inf, _length(x - via_x) + length),
         via_x=via_x,
         via_y=via_y,
-        least=jnp.where(hidden_x | is_way, second, jnp.minimum(at_first, second)),
-        done_x=done_x | _bit(first, hidden_x | is_way, done_x),
+        least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
+        done_x=done_x | _bit(first, is_done, done_x),
         done_y=done_y | _bit(last, hidden_y, done_y),
     )
 
@@ -322,3 +322,17 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
         return hidden, None
 
     return jax.lax.scan(meets, jnp.zeros(len(x), bool), tables.walls)[0]
+
+
+def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether points are in what the walls enclose: walls that have changed sides wind around them the other way."""
+    px, py = x.T
+
+    def winds(turns, walls):
+        for _, ay, _, by, ex, ey, turn in walls:
+            beside = ex * py - ey * px - turn
+            turns += ((ay <= py) & (py < by) & (beside > 0)).astype(int)
+            turns -= ((by <= py) & (py < ay) & (beside < 0)).astype(int)
+        return turns, None
+
+    return jax.lax.scan(winds, jnp.zeros(len(x), int), tables.walls)[0] == 1

@@ -28,6 +28,8 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, Tree, tree_of_levels
 
 MOST_CORNERS = 2**13
+WIDEST = 1e18
+"""Width of the widest domain: squares of distances stay within 32-bit floats."""
 _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**8, 2**20
 
 
@@ -99,6 +101,8 @@ class Stored:
         domain = container.domain
         if domain.dim != 2 or domain.is_periodic:
             raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
+        if not domain.width.max() <= WIDEST:
+            raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
         body = BitReader(container.body)
         rounding = float(body.read_floats(1)[0])
         if not 0 <= rounding < np.inf:

@@ -167,7 +167,7 @@ def _ways_to_leaves(
         begin = none, none, jnp.full(shape, size - 1, jnp.uint32)
         count = (near < jnp.inf).sum(axis=1).max()
         _, other, last = jax.lax.fori_loop(0, count, with_corner, begin)
-        other = jnp.minimum(other * np.float32(1 - 4 * np.finfo(np.float32).eps), np.finfo(np.float32).max)
+        other *= np.float32(1 - 4 * np.finfo(np.float32).eps)  # whose last bits, if it is `inf`, are zeros
         return jax.lax.bitcast_convert_type(other, jnp.uint32) & ~last_bits | last
 
     step = np.gcd(rows, _LEAVES_AT_ONCE)

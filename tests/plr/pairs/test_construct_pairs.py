@@ -73,6 +73,56 @@ def test_any_workspace_is_exact_and_bounded(make, seed, squeeze):
         assert np.isfinite(upper[np.isfinite(truth)]).mean() > 0.9
 
 
+def test_points_beside_walls_see_nothing_behind_contacts():
+    gap = 1e-6
+    diagonal = Workspace(((0, 0), (10, 10)), [[(0, 0), (5, 0), (5, 5), (0, 5)], [(5, 5), (10, 5), (10, 10), (5, 10)]])
+    pairs = construct_pairs(diagonal)
+    x, y = np.meshgrid(np.linspace(1, 4, 7), gap * np.array([0.5, 1, 2, 5, 10]))
+    above = np.stack([x.ravel(), 5 + y.ravel()], axis=1)  # in the part that ends at the contact
+    below = 10 - above
+    _, upper = pairs.bounds(above[:, None], below[None])
+    assert np.isinf(upper).all()
+
+
+def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
+    monkeypatch.setattr("plr_jax.plr.pairs.construct.DEFAULT_MAX_BYTES", 50)
+    with pytest.raises(ValueError, match="max_bytes=50"):
+        construct_pairs(MAZE)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(
+    "ring",
+    [
+        [(2, 2), (2 + 1e-7, 2), (2 + 1e-7, 2 + 1e-7), (2, 2 + 1e-7)],
+        [(2, 2), (3, 2), (3 + 1e-7, 2 + 1e-7), (3 + 1e-7, 3), (2, 3)],
+    ],
+)
+def test_walls_shorter_than_the_lattice_is_wide_hide_no_other_walls(ring):
+    shifted = np.array(ring) + 1 / 3
+    workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)], shifted])
+    pairs = construct_pairs(workspace)
+    x, y = some_pairs(workspace, 5, 60, seed=0)
+    truth = exact(workspace, x, y)
+    np.testing.assert_allclose(pairs(x, y), truth, atol=1e-5)
+    lower, upper = pairs.bounds(x, y)
+    assert (lower <= truth).all() and (truth <= upper).all() and np.isfinite(upper).mean() > 0.9
+
+
+def test_long_lists_are_searched_to_their_ends():
+    rng = np.random.default_rng(14)
+    angles = rng.uniform(0, 2 * np.pi, (12, 12, 1)) + np.array([0, 2.1, 4.2])
+    corners = 0.5 + rng.uniform(0.1, 0.48, (12, 12, 1, 1)) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    corners += np.stack(np.meshgrid(range(12), range(12)), axis=-1)[:, :, None]
+    chosen = corners[rng.uniform(size=(12, 12)) < 0.45]
+    wall = [(6, 0), (6.01, 0), (6.01, 12), (6, 12)]
+    workspace = Workspace(((0, 0), (12, 12)), [*chosen, wall])
+    pairs = construct_pairs(workspace, max_bytes=4200)
+    assert np.bincount(pairs.stored.leaf).max() > 64
+    x, y = some_pairs(workspace, 8, 100, seed=0)
+    np.testing.assert_allclose(pairs(x, y), exact(workspace, x, y), atol=1e-5)
+
+
 def test_symmetric_to_the_last_bit_and_zero_on_the_diagonal(maze):
     x, y = MAZE.sample_free(4000, 1), MAZE.sample_free(4000, 2)
     np.testing.assert_array_equal(maze(x, y), maze(y, x))
@@ -93,6 +143,8 @@ def test_outside_is_infinite_and_nan_stays(maze):
     for x, y in (((1.1, 0.5), inside), (inside, (0.5, -0.1)), ((np.inf, 0.5), inside)):
         assert np.isinf(maze(np.array(x), np.array(y)))
     assert np.isnan(maze(np.array([np.nan, 0.5]), inside)) and np.isnan(maze(inside, np.array([np.nan, 2.0])))
+    with np.errstate(over="raise"):
+        assert np.isinf(maze(np.array([1e300, 0.5]), inside))
     gradient = jax.grad(maze)(jnp.array([1.1, 0.5]), jnp.array(inside))
     np.testing.assert_array_equal(gradient, [0, 0])
 
@@ -194,6 +246,8 @@ def test_what_is_refused(maze):
         construct_pairs(MAZE, max_bytes=50)
     with pytest.raises(ValueError, match="max_bytes"):
         construct_pairs(MAZE, max_bytes=0)
+    with pytest.raises(ValueError, match="wide"):
+        construct_pairs(Workspace(((0, 0), (1e20, 1e20))))
     with pytest.raises(ValueError, match=r"shape \(\.\.\., 2\)"):
         maze(np.zeros((4, 3)), np.zeros(2))
     with pytest.raises(ValueError, match="real"):
