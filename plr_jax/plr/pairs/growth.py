@@ -108,7 +108,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     """The tree after some of its leaves are halved, along their longer sides."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
-    axis = (domain.width * np.ldexp(1.0, -cells.depth)).argmax(axis=1)
+    axis = cells.longest_axis(domain)
     both = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
     visible = tree.visible.halves(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))

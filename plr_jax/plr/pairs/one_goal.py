@@ -42,8 +42,8 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
         is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
         is_poor &= halvings < _HALVINGS
         done.append((cells[~is_poor], source[~is_poor]))
-        axis = (domain.width * np.ldexp(1.0, -cells.depth[is_poor])).argmax(axis=1)
-        cells, owner = cells[is_poor].split(axis), np.repeat(owner[is_poor], 2)
+        poor = cells[is_poor]
+        cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)
     first, *others = (cells for cells, _ in done)
     cells, source = first.append(*others), np.concatenate([source for _, source in done])
     if (source < 0).all():
