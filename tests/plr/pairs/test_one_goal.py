@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plr_jax import VisibilityGraph, construct_pairs, scenes
+from plr_jax import VisibilityGraph, Workspace, construct_pairs, scenes
 from plr_jax.plr.pairs.one_goal import _joined, _sources, plr_to
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import tree_of
@@ -54,6 +54,15 @@ def test_the_plr_is_exact_where_a_leaf_has_one_first_corner(stored):
     plr, x = plr_to(stored, single_precision, GOALS[1]), FLOOR.sample_free(2_000, seed=3)
     error = np.abs(np.asarray(plr(x)) - EXACT.with_goal(GOALS[1])(x))
     assert np.median(error) < 1e-5 and error.mean() < 0.05
+
+
+def test_walls_that_touch_in_a_point():
+    workspace = Workspace(((0, 0), (8, 8)), [[(1, 1), (3, 1), (3, 3), (1, 3)], [(3, 3), (5, 3), (5, 5), (3, 5)]])
+    goal = np.array([3.5, 1.0])
+    exact = VisibilityGraph(workspace, goal)
+    stored = construct_pairs(workspace, max_bytes=2_000).stored
+    plr, x = plr_to(stored, lambda x, y: exact(x).astype(np.float32), goal), workspace.sample_free(500, seed=0)
+    assert np.abs(np.asarray(plr(x)) - exact(x)).mean() < 1e-2
 
 
 def test_halves_with_one_source_become_one_leaf():
