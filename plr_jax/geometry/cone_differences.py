@@ -71,7 +71,7 @@ def cone_above_plane(
     px, py = ax + place * ex, ay + place * ey
     on_edges = np.sqrt(px * px + py * py) - (sx * px + sy * py)
     lowest = np.minimum(at_corners.min(axis=0), on_edges.min(axis=0))
-    lowest = np.where(contain(pieces, apex, 0.0), np.minimum(lowest, 0.0), lowest)
+    lowest = np.where(contain(pieces, apex[:, None], 0.0)[:, 0], np.minimum(lowest, 0.0), lowest)
     return lowest + from_apex, at_corners.max(axis=0) + from_apex
 
 

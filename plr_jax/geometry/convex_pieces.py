@@ -7,8 +7,9 @@ fewer corners than rows have room for repeats its last one.
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import run_members
 from plr_jax.geometry.vectors import cross_product
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
@@ -74,11 +75,56 @@ def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) 
     return np.stack([x, y])
 
 
-def contain(pieces: Pieces, points: Float[np.ndarray, "pieces 2"], tolerance: float) -> Bool[np.ndarray, "pieces"]:
-    """Whether each piece holds its point, to the tolerance."""
-    dx, dy = points[:, :1] - pieces[0], points[:, 1:] - pieces[1]
-    ex, ey = following(pieces[0]) - pieces[0], following(pieces[1]) - pieces[1]
-    return (ex * dy - ey * dx >= -tolerance * np.sqrt(ex * ex + ey * ey)).all(axis=1)
+def contain(
+    pieces: Pieces, points: Float[np.ndarray, "pieces k 2"], tolerance: float
+) -> Bool[np.ndarray, "pieces k"]:
+    """Whether each piece holds its points, ``k`` each, to the tolerance."""
+    inside = np.ones(points.shape[:2], bool)
+    x, y = pieces
+    for corner in range(x.shape[1]):  # NumPy is slow where the last axis is short
+        start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
+        ex, ey = x[:, corner, None] - start_x, y[:, corner, None] - start_y
+        height = ex * (points[:, :, 1] - start_y) - ey * (points[:, :, 0] - start_x)
+        inside &= height >= -tolerance * np.sqrt(ex * ex + ey * ey)
+    return inside
+
+
+def cut_parts(
+    pieces: Pieces,
+    first_piece: Int[np.ndarray, "cells_plus_one"],
+    parent: Int[np.ndarray, "parts"],
+    axis: Int[np.ndarray, "parts"],
+    is_upper: Bool[np.ndarray, "parts"],
+    lo: Float[np.ndarray, "parts 2"],
+    hi: Float[np.ndarray, "parts 2"],
+) -> tuple[
+    Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
+]:
+    """What of cells' pieces lies in parts of the cells: in boxes, each cut from a cell along one axis.
+
+    Args:
+        pieces: Pieces of cells, cell by cell.
+        first_piece: First piece of each cell, and their number.
+        parent: The cell that each part is cut from.
+        axis: The axis along which it is.
+        is_upper: Whether it is the upper part of the cell along this axis, or the lower one.
+        lo: Lower corners of the parts.
+        hi: Upper corners.
+
+    Returns:
+        The pieces, part by part, those that a cut leaves no area of perhaps among them; the part of each; the piece
+        that it was; and whether it was cut.
+    """
+    rows, part = run_members(first_piece, parent)
+    along, upper = axis[part], is_upper[part]
+    bound = np.where(upper, lo[part, along], hi[part, along])
+    height = (pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+    reaches = np.flatnonzero(height.max(axis=1) > 0)
+    rows, part, height = rows[reaches], part[reaches], height[reaches]
+    is_cut = height.min(axis=1) < 0
+    result = pieces[:, rows]
+    result[:, is_cut] = clip(result[:, is_cut], height[is_cut])
+    return result, part, rows, is_cut
 
 
 def clip_to_box(

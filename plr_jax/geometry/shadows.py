@@ -46,7 +46,7 @@ class Shadows:
         point, tolerance = self.table.points[view], self.table.tolerance
         seen = self.table.sees(view, center)
         first, last, wraps = self._directions(view, pieces)
-        some = np.flatnonzero(~contain(pieces, point, tolerance))
+        some = np.flatnonzero(~contain(pieces, point[:, None], tolerance)[:, 0])
         alike = np.ones(len(view), bool)
         base = 4.0 * view
         ends = np.where(wraps, 4.0, last)

@@ -22,7 +22,7 @@ from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_n
 from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.turn_regions import TurnRegions, turn_regions
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles._visibility_file import read_visibility, write_visibility
@@ -171,7 +171,7 @@ class VisibilityGraph:
         Returns:
             The pieces of free space in the box from which the goal can be reached, and their sources.
         """
-        shadows = shadows_of(self._goal_table.followed_by(self._corners.table))
+        shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
         cones, walls = GoalCones.of(self.sources, self._turns), Walls(self.workspace.boundary)
         sight = Sight(cones, shadows, self._turns, walls)
         return visible_sources(sight, self.workspace, domain)

@@ -12,6 +12,7 @@ from plr_jax.geometry.convex_pieces import (
     clip_to_box,
     contain,
     convex_pieces,
+    cut_parts,
 )
 
 SEEDS = st.integers(0, 100_000)
@@ -104,8 +105,8 @@ def test_areas_far_from_the_origin_keep_their_digits():
 def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
-    x = np.where(rng.random((15, 1)) < 0.5, points_of(rng, pieces, 1)[:, 0], rng.uniform(0, 10, (15, 2)))
-    shapes, points = np.array(polygons(pieces)), shapely.points(x)
+    x = np.concatenate([points_of(rng, pieces, 2), rng.uniform(0, 10, (15, 2, 2))], axis=1)
+    shapes, points = np.array(polygons(pieces))[:, None], shapely.points(x)
     inside = np.where(shapely.covers(shapes, points), 1, -1)
     depth = inside * shapely.distance(shapely.boundary(shapes), points)
     clear = np.abs(depth) > 1e-9
@@ -115,9 +116,9 @@ def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
 
 def test_a_piece_contains_its_corners_and_what_is_beside_it_within_the_tolerance():
     square = as_pieces([box(0, 0, 2, 2)] * 4)
-    assert contain(square, box(0, 0, 2, 2), 0.0).all()
+    assert contain(square, box(0, 0, 2, 2)[:, None], 0.0).all()
     beside = np.array([[2.1, 1], [1, -0.1], [2.3, 1], [1, 2.3]])
-    np.testing.assert_array_equal(contain(square, beside, 0.2), [True, True, False, False])
+    np.testing.assert_array_equal(contain(square, beside[:, None], 0.2)[:, 0], [True, True, False, False])
 
 
 @given(SEEDS)
@@ -155,3 +156,28 @@ def test_triangles_fill_a_region_counterclockwise():
     assert (areas(triangles) > 0).all()
     np.testing.assert_allclose(areas(triangles).sum(), region.area)
     assert shapely.union_all(polygons(triangles)).symmetric_difference(region).area <= 1e-12
+
+
+@given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_parts_of_cells_have_what_shapely_leaves_of_the_cells_pieces(seed):
+    rng = np.random.default_rng(seed)
+    pieces = random_pieces(rng, 12)
+    first = np.array([0, 5, 5, 12])  # three cells, one without pieces
+    parent, axis, is_upper = rng.integers(3, size=6), rng.integers(2, size=6), rng.random(6) < 0.5
+    lo, hi = np.full((6, 2), -50.0), np.full((6, 2), 50.0)
+    each, bound = np.arange(6), rng.uniform(0, 10, 6)
+    lo[each[is_upper], axis[is_upper]] = bound[is_upper]
+    hi[each[~is_upper], axis[~is_upper]] = bound[~is_upper]
+    found, part, piece, is_cut = cut_parts(pieces, first, parent, axis, is_upper, lo, hi)
+    assert (np.diff(part) >= 0).all()
+    np.testing.assert_array_equal(np.searchsorted(first, piece, side="right") - 1, parent[part])
+    np.testing.assert_array_equal(found[:, ~is_cut], pieces[:, piece[~is_cut]])
+    left = np.zeros((6, 12))
+    left[part, piece] = areas(found)
+    shapes = np.array(polygons(pieces))
+    for k in range(6):
+        for i in range(first[parent[k]], first[parent[k] + 1]):
+            np.testing.assert_allclose(
+                left[k, i], shapes[i].intersection(shapely.box(*lo[k], *hi[k])).area, atol=1e-9
+            )

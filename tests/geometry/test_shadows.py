@@ -8,7 +8,7 @@ from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of, polygons
 from plr_jax.geometry.convex_pieces import areas, clip_to_box, convex_pieces
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.shadows import shadows_of
-from plr_jax.geometry.visibility import Viewpoints, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, joined_tables, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 NONE = np.empty(0, int)
@@ -18,7 +18,7 @@ def shadows_around(workspace, *open_points):
     """Those of points in the open, followed by those of all corners."""
     views = Viewpoints(np.array(open_points, float).reshape(-1, 2), NONE, NONE)
     table, _ = visibility_of(workspace.triangulation, views)
-    return shadows_of(table.followed_by(corner_visibility(workspace).table))
+    return shadows_of(joined_tables([table, corner_visibility(workspace).table]))
 
 
 def free_pieces(workspace, rng, n):

@@ -5,6 +5,7 @@ of directions with the nearest edge after each.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,14 +50,6 @@ class VisibilityTable:
     def num_bytes(self) -> int:
         """Bytes of the table, without the boundary."""
         return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
-
-    def followed_by(self, other: "VisibilityTable") -> "VisibilityTable":
-        """The viewpoints of both, of one workspace, those of the other after these."""
-        first = np.concatenate([self.first, self.first[-1] + other.first[1:]])
-        key = np.concatenate([self.key, 4.0 * len(self.points) + other.key])
-        points, cut = np.concatenate([self.points, other.points]), np.concatenate([self.cut, other.cut])
-        edge = np.concatenate([self.edge, other.edge])
-        return VisibilityTable(self.boundary, self.tolerance, points, cut, first, key, edge)
 
     def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
@@ -110,6 +103,19 @@ class VisibilityTable:
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
         return (height >= -self.tolerance) & (edge >= 0)
+
+
+def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
+    """The viewpoints of all tables, which are of one workspace and one at least, those of each after the others."""
+    views = np.cumsum([0] + [len(table.points) for table in tables])
+    rows = np.cumsum([0] + [len(table.key) for table in tables])
+    first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
+    key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
+    points, cut, edge = (
+        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge")
+    )
+    first = np.append(np.concatenate(first), rows[-1])
+    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge)
 
 
 def visibility_of(

@@ -11,7 +11,16 @@ from plr_jax._arrays import run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
-from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip, clip_to_box, convex_pieces
+from plr_jax.geometry.convex_pieces import (
+    Pieces,
+    areas,
+    boxes_as_pieces,
+    centers,
+    clip_to_box,
+    contain,
+    convex_pieces,
+    cut_parts,
+)
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles.cells.sight import Sight, Walls
 
@@ -79,14 +88,7 @@ class VisibleSources:
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         """Whether pieces hold points, to the tolerance of free space, ``k`` for each of some pieces."""
-        tolerance, inside = self.sight.tolerance, np.ones(points.shape[:2], bool)
-        x, y = self.pieces[:, piece]
-        for corner in range(x.shape[1]):
-            start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
-            ex, ey = x[:, corner, None] - start_x, y[:, corner, None] - start_y
-            height = ex * (points[:, :, 1] - start_y) - ey * (points[:, :, 0] - start_x)
-            inside &= height >= -tolerance * np.sqrt(ex * ex + ey * ey)
-        return inside
+        return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are seen by sources."""
@@ -139,22 +141,9 @@ class VisibleSources:
         hi: Float[np.ndarray, "parts 2"],
     ) -> tuple[Found, Bool[np.ndarray, "pieces"]]:
         """Parts of the cells with the pairs of these, before anything is asked of them, and which pieces were cut."""
-        rows, cell = run_members(self.first_piece, parent)
-        along, upper = axis[cell], is_upper[cell]
-        bound = np.where(upper, lo[cell, along], hi[cell, along])
-        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
-        reaches = np.flatnonzero(height.max(axis=1) > 0)
-        rows, cell, height = rows[reaches], cell[reaches], height[reaches]
-        pairs, piece = run_members(self.first_pair, rows)
-        cut = height.min(axis=1) < 0
-        pieces = self.pieces[:, rows]
-        pieces[:, cut] = clip(pieces[:, cut], height[cut])
-        columns = {name: getattr(self, name)[rows] for name in _OF_PIECES}
-        source, by_all = self.source[pairs], self.by_all[pairs]
-        inherited = type(self)(
-            self.sight, len(parent), cell, pieces, piece=piece, source=source, by_all=by_all, **columns
-        )
-        return inherited, cut
+        pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
+        inherited = replace(self._of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
+        return inherited, is_cut
 
     def append(self: Found, *others: Found) -> Found:
         """Of these cells followed by others."""
@@ -231,13 +220,16 @@ def settled_cells(
         is_first = np.append(True, found.cell[1:] != found.cell[:-1])
         stays = (stays & ~is_merged) | (is_merged & is_first)
         whole = found.cell[is_merged & is_first]
-        found.pieces[:, is_merged & is_first] = boxes_as_pieces(lo[whole], hi[whole])
-        found.origin[is_merged & is_first] = -1
+        pieces, origin = found.pieces.copy(), found.origin.copy()
+        pieces[:, is_merged & is_first] = boxes_as_pieces(lo[whole], hi[whole])
+        origin[is_merged & is_first] = -1
         owner = np.where(is_merged, np.flatnonzero(is_first)[np.cumsum(is_first) - 1], np.arange(len(area)))
         key = owner[found.piece] * np.int64(len(found.sources.points)) + found.source
         _, index = np.unique(key, return_index=True)
         found = replace(
             found,
+            pieces=pieces,
+            origin=origin,
             piece=owner[found.piece[index]],
             source=found.source[index],
             by_all=found.by_all[index] & ~is_merged[found.piece[index]],

@@ -12,7 +12,7 @@ from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, cente
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
 from plr_jax.geometry.shadows import Shadows, shadows_of
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import VisibilityTable
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._shared_cones import SharedCones
 from plr_jax.oracles.cells.cell_sources import VisibleSources, are_filled, settled_cells, undominated
@@ -92,7 +92,7 @@ class SharedCells:
         self, goals: Sequence[GoalDistances]
     ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
         """The distinct cells of all goals, their keys, and which one each cell of each goal is, -1 if it has none."""
-        table = _joined([self.corners.table, *(goal.table for goal in goals)])
+        table = joined_tables([self.corners.table, *(goal.table for goal in goals)])
         num_corners = len(self.corners.corners.points)
         cones = SharedCones(table.points, 2 * num_corners, _STEP * float(self.domain.width.max()))
         sight = Sight(cones, shadows_of(table), self.turns, self.walls)
@@ -252,19 +252,6 @@ def _turns_by_side(corners: ReflexCorners) -> TurnPoints:
     points = np.repeat(corners.points, 2, axis=0)
     kinds = np.arange(len(points))
     return TurnPoints(kinds, points, np.zeros(len(points)), np.stack([0 * normal, normal]), corners.slack)
-
-
-def _joined(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """The viewpoints of all tables of one workspace."""
-    views = np.cumsum([0] + [len(table.points) for table in tables])
-    rows = np.cumsum([0] + [len(table.key) for table in tables])
-    first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
-    key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
-    points, cut, edge = (
-        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge")
-    )
-    first = np.append(np.concatenate(first), rows[-1])
-    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge)
 
 
 def _seen_boxes(table: VisibilityTable) -> tuple[Float[np.ndarray, "views 2"], Float[np.ndarray, "views 2"]]:

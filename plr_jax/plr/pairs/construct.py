@@ -16,7 +16,7 @@ from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
 from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, shortest_distances
-from plr_jax.plr.pairs.visible_corners import may_turn, visible_corners
+from plr_jax.plr.pairs.visible_corners import visible_corners
 from plr_jax.plr.partition.tree import levels_of
 
 DEFAULT_MAX_BYTES = 2**16
@@ -84,7 +84,7 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
 def _corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], visibility: CornerVisibility, boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Points of the outline that are corners, ascending, and the place of each corner among these."""
+    """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is."""
     number = {tuple(point): i for i, point in enumerate(visibility.corners.points.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
     found, point = np.unique(corner_of_vertex[vertex], return_index=True)
@@ -97,14 +97,14 @@ def _corners_in_outline(
 def _taut_edges(visibility: CornerVisibility) -> Int[np.ndarray, "edges 2"]:
     """Pairs of corners that see one another and whose line is tangent at both: what shortest paths are made of."""
     corners, (i, j) = visibility.corners, visibility.edges.T
-    as_pieces = corners.points.T[:, :, None]
-    return visibility.edges[may_turn(corners, as_pieces[:, i], j) & may_turn(corners, as_pieces[:, j], i)]
+    return visibility.edges[corners.is_tangent(i, j) & corners.is_tangent(j, i)]
 
 
 def _rounding(stored: Stored, visibility: CornerVisibility, rank: Int[np.ndarray, "corners"], slack: float) -> float:
-    """By how much a way by the file's points may differ from the same by the true ones, which sight knows to a slack.
+    """The largest difference in length between a way by the corners as a file rounds them and by the true ones.
 
-    Both legs move as their corner does; what corners are apart is compared.
+    A way has two legs, each of which changes by no more than its corner moves, and the distance between these
+    corners, of which all are compared. The slack is how well visibility itself is known.
     """
     true = np.empty_like(stored.points)
     true[rank] = visibility.corners.points

@@ -1,7 +1,8 @@
-"""Where to halve cells further: where the lists of their corners are long, or name corners that a part does not see.
+"""Which cells to halve: those in much of whose free space a query tries corners in vain.
 
-A query looks into corners one after the other, and all that it strikes off are corners that only a part of the cell
-sees. So cells are halved by their free area times how many of these there are.
+A leaf lists every corner that some point of it may turn at first. A query tries the corners of a list one after the
+other, and drops those that its point does not see. All of these are corners that only a part of the cell sees. So
+cells are halved in the order of their free area times the number of such corners.
 """
 
 from collections.abc import Callable
@@ -73,7 +74,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """The leaves if but the nodes with larger keys are halved."""
+        """The leaves of the tree in which only nodes with larger keys are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -95,7 +96,7 @@ def grow_lists(
 
     tree = grow(tree, halved, limits)
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
-    low, high = 0, len(keys) - 1  # the last key halves nothing but what must be
+    low, high = 0, len(keys) - 1  # with the last key as threshold nothing is halved
     while low < high:
         middle = (low + high) // 2
         leaves = tree.leaves_above(keys[middle])
@@ -108,7 +109,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     """The tree after some of its leaves are halved, along their longer sides."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
-    axis = (domain.width * np.ldexp(1.0, -cells.depth)).argmax(axis=1)
+    axis = cells.longest_axis(domain)
     both = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
     visible = tree.visible.halves(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))

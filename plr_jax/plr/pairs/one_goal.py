@@ -24,8 +24,7 @@ _HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
 _LEAST_BATCH = 2**12
-_STRAIGHT = 1e-6  # shares of the distance that count as rounding
-
+_ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of pairs rounds
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
@@ -43,8 +42,8 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
         is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
         is_poor &= halvings < _HALVINGS
         done.append((cells[~is_poor], source[~is_poor]))
-        axis = (domain.width * np.ldexp(1.0, -cells.depth[is_poor])).argmax(axis=1)
-        cells, owner = cells[is_poor].split(axis), np.repeat(owner[is_poor], 2)
+        poor = cells[is_poor]
+        cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)
     first, *others = (cells for cells, _ in done)
     cells, source = first.append(*others), np.concatenate([source for _, source in done])
     if (source < 0).all():
@@ -57,19 +56,24 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
 
 
 def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
-    """The goal, and the corners with their distances and the way on from each."""
+    """The goal, and the corners that shortest paths to it turn at, with their distances and the way on from each.
+
+    A path that turns at a corner goes on straight to the goal, or along an edge to a corner that is nearer to it. A
+    corner from which no edge leads on like that may be where a path starts, but none turns there: its distance is
+    ``inf``, so that no leaf names it.
+    """
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, _in_batches(pairs, stored.points, goal))
-    straight = np.linalg.norm(points - goal, axis=1)
-    parents = np.where(distances <= straight * (1 + _STRAIGHT), 0, np.arange(len(points)))
+    slack = _ROUNDING * (distances + stored.domain.width.max())
+    parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)
     start, end = 1 + np.concatenate([stored.edges, stored.edges[:, ::-1]]).T
     onward = np.linalg.norm(points[start] - points[end], axis=1) + distances[end]
-    order = np.lexsort((onward, start))
-    order = order[np.append(True, start[order[1:]] != start[order[:-1]])] if len(order) else order
-    bends = order[(parents[start[order]] != 0) & np.isfinite(onward[order])]
-    parents[start[bends]] = end[bends]
-    distances[(parents == np.arange(len(points))) & (np.arange(len(points)) > 0)] = np.inf
-    return Sources(points, distances, parents)
+    leads_on = (onward <= distances[start] + slack[start]) & (distances[end] < distances[start])
+    edges = np.flatnonzero(leads_on & (parents[start] < 0) & np.isfinite(onward))
+    edges = edges[np.argsort(-onward[edges], kind="stable")]
+    parents[start[edges]] = end[edges]  # of several the last one stays: the shortest
+    distances[parents < 0] = np.inf
+    return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
 
 
 def _best_sources(

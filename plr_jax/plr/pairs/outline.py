@@ -6,7 +6,6 @@ ring stays on its side of it, or, if paths may squeeze through, goes on around t
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -59,10 +58,26 @@ class Outline:
         """Whether points are in free space."""
         import shapely  # which a query does not need
 
-        rings: Any = [shapely.linearrings(self.positions[a:b]) for a, b in pairwise(self.first)]
-        region: Any = shapely.build_area(shapely.geometrycollections(rings))
-        shapely.prepare(region)
-        return shapely.intersects_xy(region, *x.T)
+        shapely.prepare(self._region)
+        return shapely.intersects_xy(self._region, *x.T)
+
+    @cached_property
+    def _region(self) -> Any:
+        """Free space: of the faces between the walls those from which a ray crosses an odd number of walls.
+
+        Rings may touch one another and themselves, so they are no polygons.
+        """
+        import shapely
+
+        ends = self.moved_walls(0.0).reshape(-1, 2, 2)
+        walls: Any = shapely.union_all(shapely.linestrings(ends))
+        faces: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
+        px, py = shapely.get_coordinates(shapely.point_on_surface(faces)).T[:, :, None]
+        (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            is_left = (ay > py) != (by > py)
+            is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
+        return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
         """Ends of the walls after all of them have moved so far back, out of free space, or into it if negative."""

@@ -2,7 +2,7 @@
 
 It is a PLR file (see ``plr/file/container.py``) whose leaf model has the code 255. Its bit stream is:
 
-    by how much distances by way of the file's points may err, as these are rounded, a 32-bit float
+    the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
     the outline of free space (see ``outline.py``)
     which of its points are corners, a set
     which pairs of corners are joined, a set of the pairs in order of the later corner
@@ -45,7 +45,7 @@ class Stored:
         levels: The tree over the leaves.
         leaf: The leaf of each entry of a list, in the order of the tree's traversal.
         listed: Its corner; ascending in a leaf.
-        rounding: By how much distances by way of the file's points may err, as these are rounded.
+        rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
     """
 
     domain: Box

@@ -42,14 +42,15 @@ class PairTables:
         y: Second coordinate.
         listed: The corners; padding is one more than the last corner.
         distances: Distance between each two corners, row by row; ``inf`` for padding.
-        onward: Of the ways from each corner to a leaf's box by a corner of its list, that by which the shortest goes,
-            in the last bits; and in the others, as a float, at most the length of any by another corner of the list,
-            to anywhere in the box.
+        onward: Two numbers in one, about the ways from each corner, by a corner of a leaf's list, to anywhere in the
+            leaf's box: in the last bits the corner of the list by which the shortest goes; in the other bits, as a
+            float, a lower bound of the length of all ways by other corners of the list.
         middle: The middle of the domain.
         half: Half its width, along each axis.
         proud_walls: Ends of the walls moved into free space instead.
         proud_corners: The corners moved into it twice as far.
-        rounding: By how much distances by way of the file's points may err, and more by way of the proud corners.
+        rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
+            that of distances by way of the proud corners, which is larger.
     """
 
     partition: Tables

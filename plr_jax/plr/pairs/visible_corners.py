@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.convex_pieces import Pieces, areas, clip, clip_to_box, convex_pieces
+from plr_jax.geometry.convex_pieces import Pieces, areas, clip_to_box, convex_pieces, cut_parts
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners
 from plr_jax.geometry.shadows import Shadows, shadows_of
 from plr_jax.geometry.workspace import Workspace
@@ -86,15 +86,8 @@ class VisibleCorners:
         hi: Float[np.ndarray, "halves 2"],
     ) -> "VisibleCorners":
         """Of halves of the cells: the lower or the upper one along an axis, each with its box."""
-        rows, cell = run_members(self.first_piece, parent)
-        along, upper = axis[cell], is_upper[cell]
-        bound = np.where(upper, lo[cell, along], hi[cell, along])
-        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
-        reaches = np.flatnonzero(height.max(axis=1) > 0)
-        rows, cell, height = rows[reaches], cell[reaches], height[reaches]
-        changed = height.min(axis=1) < 0
-        part = replace(self._of_pieces(rows), num_cells=len(parent), cell=cell)
-        part.pieces[:, changed] = clip(part.pieces[:, changed], height[changed])
+        pieces, cell, rows, changed = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
+        part = replace(self._of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
         stays = np.flatnonzero(areas(part.pieces) > 0)
         return _settled(part._of_pieces(stays), changed[stays])
 

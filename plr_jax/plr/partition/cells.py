@@ -63,6 +63,10 @@ class Cells:
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
+    def longest_axis(self, domain: Box) -> Int[np.ndarray, "cells"]:
+        """The axis along which each cell is widest, the first of equals, in the units of the domain."""
+        return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
+
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
         """Points of the domain at the local coordinates ``u`` (``[-1, 1]`` spans a cell) of every cell."""
         x = np.empty((len(self), *u.shape))

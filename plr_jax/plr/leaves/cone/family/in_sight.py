@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import run_members
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.leaves.cone.boxes import errors_of_options
 from plr_jax.plr.leaves.cone.family.levels import BoxLevel
@@ -74,21 +75,19 @@ def changes_of_tree(
 
     As of a PLR that is built alone: no leaf's proven error rises above the largest of all.
     """
-    leaf, rows = [np.zeros(0, np.int64)], [np.zeros((5, 0))]
+    leaf, columns = [], []
     total = largest = negligible = 0.0
     for depth, (level, of_level) in enumerate(zip(levels, options, strict=True)):
         here = np.flatnonzero(tree.depth == depth)
         box = tree.box[here]
         total += float(level.boxes.integral[box].sum())
         largest, negligible = max(largest, float(level.boxes.error[box].max(initial=0.0))), level.boxes.negligible
-        count = of_level.first[box + 1] - of_level.first[box]
-        run = np.repeat(np.arange(len(here)), count)
-        row = of_level.first[box][run] + np.arange(len(run)) - np.repeat(np.cumsum(count) - count, count)
+        row, run = run_members(of_level.first, box)
         leaf.append(here[run])
         names = ("view", "is_own", "by_all", "error", "hidden", "largest", "integral", "area")
-        rows.append(np.stack([getattr(of_level, name)[row].astype(np.float64) for name in names]))
-    which, columns = np.concatenate(leaf), np.concatenate(rows[1:], axis=1)
-    view, is_own, by_all, error, hidden, most, integral, area = columns
+        columns.append(np.stack([getattr(of_level, name)[row].astype(np.float64) for name in names]))
+    which = np.concatenate(leaf)
+    view, is_own, by_all, error, hidden, most, integral, area = np.concatenate(columns, axis=1)
     if not len(which):
         return which, which
     cost = error + PRICE * total * hidden

@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt64
 
-from plr_jax._types import Sources
+from plr_jax._types import FamilyCellSources, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits
@@ -18,6 +17,7 @@ from plr_jax.plr.leaves.cone.family.levels import BoxLevel, Prunings, expand, pr
 from plr_jax.plr.leaves.cone.family.start import NONE, Start, Top
 from plr_jax.plr.leaves.cone.family.trees import Cut, MemberTree, member_trees
 from plr_jax.plr.leaves.cone.stored import cones_in_order
+from plr_jax.plr.partition.cells import Cells
 
 _PRICES_A_HALVING = 4  # of prices, each this root of one half times the one before
 _LAST_PRICE = 200  # 2**-50 of the domain's width: no query resolves what is left
@@ -33,13 +33,24 @@ _FULL, _ATTEMPTS = 0.99, 4
 
 @dataclass
 class Member:
-    """One goal, and the largest tree that was found to fit."""
+    """One goal, the largest tree that was found to fit, and what is aimed at next.
+
+    Attributes:
+        number: Its place among all members.
+        sources: The goal, and the corners with their distances.
+        target: How many leaves the next tree is to have, about.
+        tree: The largest tree so far that keeps within the limits; None before the first.
+        fullness: Of this tree, the share of the leaves or of the bytes that the limits allow, whichever is larger.
+        attempts: How many trees were walked.
+        is_done: Whether the search of a larger tree is over.
+        tried: The cuts whose trees were walked, each by its price and number of boxes at the next lower one.
+    """
 
     number: int
     sources: Sources
     target: float
     tree: MemberTree | None = None
-    num_bytes: float = 0.0
+    fullness: float = 0.0
     attempts: int = 0
     is_done: bool = False
     tried: set[tuple[int, int]] = field(default_factory=set)
@@ -54,8 +65,8 @@ class Family:
 
 
 def grow_family(
-    found: Any,
-    key: Any,
+    found: FamilyCellSources,
+    key: UInt64[np.ndarray, "distinct"],
     node_of: Int[np.ndarray, "goals lowest"],
     sources: Sequence[Sources],
     start: Start,
@@ -63,59 +74,63 @@ def grow_family(
     limits: Limits,
     negligible: float,
 ) -> Family:
-    """The best trees within the limits of all goals, from their sources in the boxes of the start."""
-    return _Growth(found, key, node_of, sources, start, domain, limits, negligible).run()
+    """The best trees within the limits of all goals.
+
+    Args:
+        found: The sources of the distinct boxes of the start.
+        key: A key of each of these.
+        node_of: Which of them each box of the start is for each goal, -1 where nothing reaches the goal.
+        sources: The goal and the corners, with their distances, for each goal.
+        start: The boxes that the family starts at.
+        domain: What is covered.
+        limits: What the file of each member is to keep within.
+        negligible: An error that is as good as none.
+    """
+    box_of = np.zeros(found.num_cells, np.int64)
+    box_of[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
+    is_shallow = start.splits == 0 or limits.max_depth < start.splits + _LEAST_BELOW
+    first = fitted_boxes if is_shallow else _exact_boxes
+    boxes = first(domain, negligible, start.lowest[box_of], found)
+    num_leaves = expected_leaves(limits)
+    members = [Member(i, each, num_leaves) for i, each in enumerate(sources)]
+    least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
+    family = Family(members, [BoxLevel.of(boxes, key)])
+    _Growth(family, node_of, start, domain, limits, least / num_leaves).run()
+    return family
 
 
+@dataclass(frozen=True, eq=False)
 class _Growth:
-    """The search of a price for every member, and the boxes that were looked at so far."""
+    """The search of a price for every member, which adds boxes to the family and trees to its members."""
 
-    def __init__(
-        self,
-        found: Any,
-        key: Any,
-        node_of: Int[np.ndarray, "goals lowest"],
-        sources: Sequence[Sources],
-        start: Start,
-        domain: Box,
-        limits: Limits,
-        negligible: float,
-    ) -> None:
-        self._start, self._domain, self._limits, self._node_of = start, domain, limits, node_of
-        box_of = np.zeros(found.num_cells, np.int64)
-        box_of[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
-        cells, is_shallow = start.lowest[box_of], start.splits == 0 or limits.max_depth < start.splits + _LEAST_BELOW
-        first = fitted_boxes if is_shallow else _exact_boxes
-        boxes = first(domain, negligible, cells, found)
-        self._levels = [BoxLevel.of(boxes, key)]
-        self._room = expected_leaves(limits)
-        least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
-        self._least_share = least / self._room
-        self._members = [Member(i, each, self._room) for i, each in enumerate(sources)]
+    family: Family
+    node_of: Int[np.ndarray, "goals lowest"]
+    start: Start
+    domain: Box
+    limits: Limits
+    least_share: float
 
-    def run(self) -> Family:
+    def run(self) -> None:
         """Look at more boxes until every member has a tree."""
-        now = _FIRST_PRICE
-        while any(not each.is_done for each in self._members):
-            active = np.array([each.number for each in self._members if not each.is_done])
-            reached = np.zeros(len(self._levels[0].key), bool)
-            nodes = self._node_of[active]
+        now, levels = _FIRST_PRICE, self.family.levels
+        while active := [each.number for each in self.family.members if not each.is_done]:
+            active = np.array(active)
+            reached = np.zeros(len(levels[0].key), bool)
+            nodes = self.node_of[active]
             reached[nodes[nodes >= 0]] = True
-            is_open = expand(
-                self._levels, reached, float(self._prices(np.array([now]))[0]), self._least_share, self._limits
-            )
+            price = float(self._prices(np.array([now]))[0])
+            is_open = expand(levels, reached, price, self.least_share, self.limits)
             if not is_open:  # the best trees at any lower price are known
                 now = _LAST_PRICE
             leaves = self._settle(active, now, now >= _LAST_PRICE)
             now += self._next_drop(leaves)
-        return Family(self._members, self._levels)
 
     def _prices(self, index: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        return float(self._domain.width.max()) * 2.0 ** (-index / _PRICES_A_HALVING)
+        return float(self.domain.width.max()) * 2.0 ** (-index / _PRICES_A_HALVING)
 
     def _next_drop(self, leaves: Float[np.ndarray, "active"]) -> int:
         """By how many prices to go on, so that about half of the members that are left are beyond their targets."""
-        left = np.array([each.target for each in self._members if not each.is_done])
+        left = np.array([each.target for each in self.family.members if not each.is_done])
         if not len(left):
             return 0
         ratio = float(np.median(left)) / max(float(np.median(leaves)), 1.0)
@@ -132,20 +147,20 @@ class _Growth:
             prunings, top = self._pruned(active, price)
             count = top.count[:, :, 0]
             leaves = leaves if len(leaves) else count[-1].astype(float)
-            members = [self._members[i] for i in active]
+            members = [self.family.members[i] for i in active]
             self._try(members, count, index, prunings, top, is_last and high == now)
             below = np.array([not each.is_done and each.target < count[0, i] for i, each in enumerate(members)], bool)
             active, high = active[below], low
         return leaves
 
     def _pruned(self, active: Int[np.ndarray, "active"], price: Float[np.ndarray, "prices"]) -> tuple[Prunings, Top]:
-        prunings = prune(self._levels, price, self._least_share)
-        node, level = self._node_of[active], self._levels[0]
+        prunings = prune(self.family.levels, price, self.least_share)
+        node, level = self.node_of[active], self.family.levels[0]
         some = node >= 0
         total = np.where(some, prunings.total[0][:, node], price[:, None, None])
         count = np.where(some, prunings.count[0][:, node], 1)
         source = np.where(level.boxes.error[node] == 0, level.views(node.ravel()).reshape(node.shape), NONE)
-        return prunings, self._start.best(total, count, np.where(some, source, -1), price)
+        return prunings, self.start.best(total, count, np.where(some, source, -1), price)
 
     def _try(
         self,
@@ -171,20 +186,20 @@ class _Growth:
                 return
             row, at, lower = map(list, zip(*chosen, strict=True))
             cut = Cut(np.array(row), np.array(at), np.array(lower))
-            nodes = self._node_of[[members[i].number for i in row]]
+            nodes = self.node_of[[members[i].number for i in row]]
             cut_nodes = np.zeros((top.source.shape[0], nodes.shape[1]), np.int64)
             cut_nodes[cut.goal] = nodes
-            trees = member_trees(self._start, top, self._levels, prunings, cut_nodes, cut)
+            trees = member_trees(self.start, top, self.family.levels, prunings, cut_nodes, cut)
             for i, tree, last, place in zip(row, trees, lower, at, strict=True):
                 self._judge(members[i], tree, last == _ALL, (int(index[place]), last))
 
     def _num_lower(self, member: Member, row: int, price: int, prunings: Prunings, top: Top) -> int:
         """In how many boxes of the start the next price may count, for about as many leaves as are the target."""
-        start, count = self._start, prunings.count[0]
+        start, count = self.start, prunings.count[0]
         if not start.splits:
             return 0
         nodes = self._lowest_in_order(top.choice[price, row])
-        node = self._node_of[member.number, nodes]
+        node = self.node_of[member.number, nodes]
         node = node[node >= 0]
         more = np.cumsum(count[price + 1, node] - count[price, node]) if price + 1 < len(count) else np.zeros(0)
         spare = member.target - top.count[price, row, 0]
@@ -192,7 +207,7 @@ class _Growth:
 
     def _lowest_in_order(self, choice: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "some"]:
         """The boxes of the start that the tree above leads to, from left to right."""
-        start, here = self._start, np.zeros(1, np.int64)
+        start, here = self.start, np.zeros(1, np.int64)
         for _ in range(start.splits):
             inner = here[choice[here] >= 0]
             here = start.child[choice[inner], :, inner].ravel()
@@ -201,37 +216,37 @@ class _Growth:
     def _judge(self, member: Member, tree: MemberTree, is_last: bool, which: tuple[int, int]) -> None:
         """Keep a tree if it fits, and aim at a larger or a smaller one unless it is about full."""
         num_leaves, most = len(tree.cells), self._most_bytes()
-        num_bytes = self.num_bytes(tree, member.sources) if np.isfinite(most) else 0.0
-        share = max(num_leaves / self._limits.max_leaves, num_bytes / most)
-        fits = share <= 1
-        if fits and (member.tree is None or share > member.num_bytes):
-            member.tree, member.num_bytes = tree, share
+        num_bytes = self._num_bytes(tree, member.sources) if np.isfinite(most) else 0.0
+        fullness = max(num_leaves / self.limits.max_leaves, num_bytes / most)
+        fits = fullness <= 1
+        if fits and (member.tree is None or fullness > member.fullness):
+            member.tree, member.fullness = tree, fullness
         member.attempts += 1
         again = which in member.tried
         member.tried.add(which)
-        if (fits and (is_last or share >= _FULL or again or member.attempts >= _ATTEMPTS)) or (
+        if (fits and (is_last or fullness >= _FULL or again or member.attempts >= _ATTEMPTS)) or (
             member.attempts >= _ATTEMPTS and member.tree is not None
         ):
             member.is_done = True
         elif not fits and (num_leaves == 1 or member.target <= 1):
             raise ValueError(
-                f"max_bytes={self._limits.max_bytes:g} is too small: a tree of {num_leaves} leaves takes "
+                f"max_bytes={self.limits.max_bytes:g} is too small: a tree of {num_leaves} leaves takes "
                 f"{num_bytes:g} bytes; allow as many."
             )
         else:
-            fixed = self._limits.file_size(2, 1, 0)
+            fixed = self.limits.file_size(2, 1, 0)
             aim = num_leaves * (most - fixed) / max(num_bytes - fixed, 1.0) if num_bytes else np.inf
             shrink = 0.998 ** max(member.attempts - 1, 0) if fits else 0.995**member.attempts
-            member.target = max(min(aim, float(self._limits.max_leaves)) * shrink, 1.0)
+            member.target = max(min(aim, float(self.limits.max_leaves)) * shrink, 1.0)
 
     def _most_bytes(self) -> float:
         """What files may take before sources are changed."""
-        return self._limits.max_bytes * _ROOM / (_ROOM + 1)
+        return self.limits.max_bytes * _ROOM / (_ROOM + 1)
 
-    def num_bytes(self, tree: MemberTree, sources: Sources) -> int:
+    def _num_bytes(self, tree: MemberTree, sources: Sources) -> int:
         """Size of the file of a tree."""
-        stored = stored_cones_of(tree, tree.source, sources, self._domain)
-        return self._limits.file_size(2, len(tree.cells), cones_bits(self._domain, stored))
+        stored = stored_cones_of(tree, tree.source, sources, self.domain)
+        return self.limits.file_size(2, len(tree.cells), cones_bits(self.domain, stored))
 
 
 def stored_cones_of(tree: MemberTree, view: Int[np.ndarray, "leaves"], sources: Sources, domain: Box) -> StoredCones:
@@ -248,7 +263,7 @@ def expected_leaves(limits: Limits) -> float:
     return float(max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof))))
 
 
-def _exact_boxes(domain: Box, negligible: float, cells: Any, found: Any) -> ConeBoxes:
+def _exact_boxes(domain: Box, negligible: float, cells: Cells, found: FamilyCellSources) -> ConeBoxes:
     """The boxes of the start, of which only those may be leaves that one source serves without an error."""
     source = only_sources(found)
     error = np.where(source >= 0, 0.0, np.inf)
