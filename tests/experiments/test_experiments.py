@@ -30,6 +30,7 @@ SMOKED = [
         "trace",
         "teams",
         "families",
+        "pair_bounds",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}
