@@ -11,11 +11,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from experiments._results import run
+from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, VisibilityGraph, construct, construct_many, scenes, stack
 from plr_jax._cores import num_cores
 
@@ -89,14 +89,8 @@ def _stack_times(plrs: list[PLR], num_points: int, seed: int) -> dict[str, Any]:
     x = jnp.asarray(rng.uniform(lo, hi, (num_points, 2)).astype(np.float32))
     index = jnp.asarray(rng.integers(0, len(plrs), num_points).astype(np.int32))
     one, f = plrs[0], stack(plrs)
-    seconds: dict[str, list[float]] = {"one": [], "stack": []}
-    for number in range(RUNS + 1):
-        for kind, call in (("one", lambda: one(x)), ("stack", lambda: f(index, x))):
-            begin = time.perf_counter()
-            jax.block_until_ready(call())
-            if number:  # the first compiles
-                seconds[kind].append(time.perf_counter() - begin)
-    medians = {kind: float(np.median(each)) for kind, each in seconds.items()}
+    seconds = interleaved({"one": lambda: one(x), "stack": lambda: f(index, x)}, RUNS)
+    medians = {kind: each.median for kind, each in seconds.items()}
     return {"plrs": len(plrs), "points": num_points, **medians, "ratio": medians["stack"] / medians["one"]}
 
 

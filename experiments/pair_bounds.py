@@ -6,15 +6,16 @@ oracle itself rounds. The times are of warm calls of a million pairs, for the di
 """
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from experiments._results import run
 from experiments._tables import aligned
 from experiments.benchmarks._maps import load_maps
+from experiments.benchmarks._timing import interleaved
 from experiments.summaries._rows import MAX_BYTES
 from experiments.summaries._truth import draw_pairs
 from plr_jax import PairPLR, VisibilityGraph, construct_pairs
@@ -40,8 +41,8 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         ]
         row |= _together(parts)
         x, y = np.split(workspace.sample_free(2 * timed, _SEED + seed).astype(np.float32), 2)
-        row["nanoseconds"] = 1e9 * _seconds(lambda x, y, pairs=pairs: pairs(x, y), x, y) / timed
-        row["nanoseconds_of_bounds"] = 1e9 * _seconds(pairs.bounds, x, y) / timed
+        calls = {"nanoseconds": partial(pairs, x, y), "nanoseconds_of_bounds": partial(pairs.bounds, x, y)}
+        row |= {name: 1e9 * each.median / timed for name, each in interleaved(calls, _RUNS).items()}
         rows.append(row)
         print("  ".join(_cells(row)), flush=True)
     return {"rows": rows}
@@ -75,17 +76,6 @@ def _together(parts: list[dict[str, Any]]) -> dict[str, Any]:
     means = {name: total[name] / count for name in ("error", "gap", "distance")}
     told = {"told": total["told"] / count, "gap_above": total["gap_above"] / max(total["told"], 1)}
     return {"pairs": count, "violations": total["violations"], **means, **largest, **told}
-
-
-def _seconds(call: Any, x: np.ndarray, y: np.ndarray) -> float:
-    """Median of warm calls."""
-    times = []
-    for number in range(_RUNS + 1):
-        begin = time.perf_counter()
-        jax.block_until_ready(call(x, y))
-        if number:
-            times.append(time.perf_counter() - begin)
-    return float(np.median(times))
 
 
 _HEAD = ["map", "bytes", "MB in memory", "s to build", "pairs", "bounds violated", "mean error", "largest"]

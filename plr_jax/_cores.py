@@ -21,7 +21,7 @@ def num_cores() -> int:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Whether arrays are numbers, and not to be traced, in the memory of one CPU, and answers would be there too."""
+    """Whether arrays are in the memory of one CPU, none of them is traced, and answers stay there."""
     if any(isinstance(each, Tracer) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
@@ -34,13 +34,13 @@ def answered_in_parts(
     """What a compiled function answers of each row of some arrays, in parts of one size, on all cores.
 
     Args:
-        answer: A function of rows of each array, as many of each, to arrays of as many numbers.
-        sizes: The fewest and the most rows of a part; sizes are powers of two, so few are compiled for. The last part
-            is filled up with zeros.
-        *rows: The arrays, whose axes but the last are those of a batch, up to broadcasting.
+        answer: From ``n`` rows of each array, ``(n, width)``, to arrays ``(n,)``; compiled for each ``n``.
+        sizes: The fewest and the most rows of a part, powers of two. A part has as many rows as a power of two
+            between them, so that few sizes are compiled; the last part is filled up with zeros.
+        *rows: The arrays, ``(*batch, width)``, whose batches broadcast; the widths may differ.
 
     Returns:
-        The answers, of the shape of the batch.
+        The answers, ``(*batch,)`` each.
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
     count = prod(batch)

@@ -41,9 +41,16 @@ class TurnRegions:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """The vertex that the shortest path from each point goes to first, -1 where it sees none, and its length.
+        """The vertex that the shortest path from each point goes to first, and the length of this path.
 
         Points at vertices of the triangulation, where any number of triangles meet, try all turn points.
+
+        Args:
+            x: Points of free space, ``(n, 2)``.
+            sees: Whether points, by their numbers, see vertices.
+
+        Returns:
+            The vertices, -1 for points that see none, and the lengths, ``inf`` for these; ``(n,)`` each.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, x)

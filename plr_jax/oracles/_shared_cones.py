@@ -1,4 +1,4 @@
-"""Sources of many goals up to a constant: where the same corners lead on alike, pieces of all goals are one.
+"""Numbers for the sources of many goals, so that cells which differ between goals by a constant have the same ones.
 
 Which source is best in a piece, and how far others are from it, depends on the differences of the sources' distances
 alone. Behind a corner they are the same for all goals that are reached by way of it. So the sources of each cell are
@@ -19,6 +19,11 @@ class SharedCones:
 
     A *kind* is a corner and the side on which paths bend around it, ``2 * corner + side``, or ``2 * view`` for a
     goal; the first ``num_turns`` kinds are those of corners.
+
+    Args:
+        points: The viewpoints, ``(views, 2)``: the corners, then the goals.
+        num_turns: Twice the number of corners.
+        step: Distances are kept as multiples of it, so that what differs by rounding is the same.
     """
 
     def __init__(self, points: Float[np.ndarray, "views 2"], num_turns: int, step: float) -> None:

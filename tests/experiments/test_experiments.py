@@ -31,6 +31,7 @@ SMOKED = [
         "teams",
         "families",
         "scale",
+        "pair_bounds",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}

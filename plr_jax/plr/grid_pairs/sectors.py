@@ -21,7 +21,7 @@ Cells = Int[np.ndarray, "pairs"]
 
 
 def corner_cells(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Free cells with a blocked cell, or the border's, diagonally beside them, and free cells on both its sides."""
+    """Corners: free cells with a blocked cell diagonally beside them, and free cells on both sides of that one."""
     return np.logical_or.reduce(_blocked_diagonals(free))
 
 

@@ -58,7 +58,14 @@ class BoxLevel:
 
 @dataclass(frozen=True, eq=False)
 class Prunings:
-    """The best tree below every box for several prices, by level: totals, leaves, and axes, -1 of leaves."""
+    """The best tree below every box, for several prices of a leaf, level by level.
+
+    Attributes:
+        price: The prices, falling.
+        total: What the best tree below each box costs, in errors and leaves, one array a level.
+        count: Its number of leaves.
+        choice: The axis along which it halves the box, -1 where the box is a leaf.
+    """
 
     price: Float[np.ndarray, "prices"]
     total: list[Float[np.ndarray, "prices _"]]

@@ -103,7 +103,15 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Top:
-    """Best trees of boxes above the lowest, for several prices and goals: totals, leaves, axes and sources."""
+    """The best trees of all boxes of a start, for several prices and goals.
+
+    Attributes:
+        total: What each costs, in errors and leaves.
+        count: Its number of leaves.
+        choice: The axis along which it halves the box, -1 where the box is a leaf.
+        source: The source that serves all of the box without an error, whatever the price; -1 where nothing reaches
+            the goal, and -2 where there is no such source.
+    """
 
     total: Float[np.ndarray, "prices goals boxes"]
     count: Int[np.ndarray, "prices goals boxes"]

@@ -24,7 +24,15 @@ _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query 
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """What all members of a family are built from and to."""
+    """What all members of a family share; called with oracles of some of them, it finds their leaves.
+
+    Attributes:
+        shared: What the oracles share of the boxes of the start.
+        start: The boxes at which all members start.
+        domain: What the PLRs cover.
+        limits: What the file of each is to keep within.
+        pattern: Samples of a cell, by which sources in sight are chosen.
+    """
 
     shared: Any
     start: Start
