@@ -255,7 +255,9 @@ def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: by
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
     """Points ``(..., 2)``; those of NumPy rounded down to whole numbers in their own precision."""
     if not isinstance(x, jax.Array):
-        x = np.floor(as_numbers(name, x, "points (..., 2)"))
+        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both are outside
+    elif jax.numpy.iscomplexobj(x):
+        raise ValueError(f"{name} must be points (..., 2) of real numbers, got an array of {x.dtype}.")
     if x.shape[-1:] != (2,):
         raise ValueError(f"{name} must have shape (..., 2), got {x.shape}.")
     return x

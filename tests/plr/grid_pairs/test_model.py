@@ -164,3 +164,11 @@ def test_bad_input_is_refused(rooms, unchecked_types):
     ]:
         with pytest.raises(ValueError, match=message):
             call()
+
+
+def test_points_far_outside_are_infinitely_far_and_complex_ones_are_refused(rooms):
+    pairs = construct_grid_pairs(rooms)
+    with np.errstate(over="raise"):
+        np.testing.assert_array_equal(pairs([[1e300, 0], [-1e300, 0], [0, np.inf]], [0, 0]), np.inf)
+    with pytest.raises(ValueError, match="real"):
+        pairs(jnp.zeros(2, complex), jnp.zeros(2))
