@@ -7,11 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._types import FamilyCellSources
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import Limits, check_memory
 from plr_jax.plr.growth.optimal import AT_ONCE, MAX_ASPECT_BITS
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes
 
 _UNKNOWN, _POOR = -1, -2
+_MARGIN_PROVEN = 1.2
+"""Times as much as along the other axis halves may cost to be looked at further, where largest errors count."""
 _GAIN = 4.0
 """Prices that a box must cost to be halved: below, it seldom gains one."""
 
@@ -90,7 +93,8 @@ def expand(
         is_open |= bool((halvable & (cost > 0) & (cost <= _GAIN * price)).any())
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
-            _drop_poor_axes(level, np.unique(parent), levels[depth + 1].costs(least_share))
+            margin = 1.0 if limits.proof is Proof.NONE else _MARGIN_PROVEN
+            _drop_poor_axes(level, np.unique(parent), levels[depth + 1].costs(least_share), margin)
         if depth + 1 < len(levels):
             children = level.child[:, :, below]
             below = np.zeros(len(levels[depth + 1].key), bool)
@@ -124,11 +128,13 @@ def prune(levels: list[BoxLevel], price: Float[np.ndarray, "prices"], least_shar
     return Prunings(price, totals[::-1], counts[::-1], choices[::-1])
 
 
-def _drop_poor_axes(level: BoxLevel, parent: Int[np.ndarray, "parents"], cost: Float[np.ndarray, "next"]) -> None:
+def _drop_poor_axes(
+    level: BoxLevel, parent: Int[np.ndarray, "parents"], cost: Float[np.ndarray, "next"], margin: float
+) -> None:
     """Leave out, of boxes that were halved along both axes, halves that cost more than those along the other."""
     child = level.child[:, :, parent]
     halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
-    axis, which = np.nonzero((halves > halves[::-1]) & (halves < np.inf))
+    axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
     level.child[axis, :, parent[which]] = _POOR
 
 
