@@ -84,11 +84,15 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
 def _corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], visibility: CornerVisibility, boundary: Boundary
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is."""
+    """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is.
+
+    Of points in one place, it is the one that stands out.
+    """
     number = {tuple(point): i for i, point in enumerate(visibility.corners.points.tolist())}
     corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
-    found, point = np.unique(corner_of_vertex[vertex], return_index=True)
-    point = point[found >= 0]
+    order = np.argsort(~outline.is_reflex, kind="stable")
+    found, place = np.unique(corner_of_vertex[vertex[order]], return_index=True)
+    point = order[place[found >= 0]]
     rank = np.empty(len(point), np.int64)
     rank[np.argsort(point)] = np.arange(len(point))
     return np.sort(point), rank

@@ -54,6 +54,20 @@ class Outline:
         _, index, count = np.unique(self.points, axis=0, return_inverse=True, return_counts=True)
         return count[index] > 1
 
+    @cached_property
+    def stays(self) -> Bool[np.ndarray, "points"]:
+        """Points that stay where they are when walls move back: contacts that no path may squeeze through."""
+        return self._is_contact & (not self.may_squeeze)
+
+    @cached_property
+    def is_reflex(self) -> Bool[np.ndarray, "points"]:
+        """Points that stand out into the free space on their side."""
+        before, after = (
+            self.points - self.points[np.argsort(self._following)],
+            self.points[self._following] - self.points,
+        )
+        return before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]
+
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are in free space."""
         import shapely  # which a query does not need
@@ -99,8 +113,8 @@ class Outline:
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
-        if distance > 0 and not self.may_squeeze:
-            mitre[self._is_contact] = 0.0
+        if distance > 0:
+            mitre[self.stays] = 0.0
         return points - distance * mitre
 
     def write(self, body: BitWriter) -> None:

@@ -85,14 +85,16 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     distances = np.full((size, size), np.inf, np.float32)
     distances[:count, :count] = stored.distances
     listed = _listed(stored, rows, count)
-    points = np.append(stored.points - middle, np.full((1, 2), np.inf), axis=0)
-    boxes = cells.grown_boxes(domain)
     width = float(stored.domain.width.max())
+    corners = _seen_corners(stored, _MARGIN * width)
+    aside = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
+    points = np.append(corners - middle, np.full((1, 2), np.inf), axis=0)
+    boxes = cells.grown_boxes(domain)
     receding = _RECEDING * width
     walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
     near = near_entries(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle
-    farther = float(np.linalg.norm(proud - points[:count], axis=1).max(initial=0.0))
+    farther = float(np.linalg.norm(proud + middle - stored.points, axis=1).max(initial=0.0))
     x, y = (along[listed] for along in points.T)
     return PairTables(
         partition=partition,
@@ -108,8 +110,14 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         half=_in_32_bits(stored.domain.width / 2),
         proud_walls=_groups_of_walls(stored.outline.moved_walls(-receding) - np.tile(middle, 2)),
         proud_corners=_in_32_bits(padded(proud, size, np.inf)),
-        rounding=_in_32_bits(np.array([stored.rounding, stored.rounding + 2 * farther])),
+        rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
     )
+
+
+def _seen_corners(stored: Stored, distance: float) -> Float[np.ndarray, "corners 2"]:
+    """The corners, those whose walls do not move back a little before them, or what is rounded would hide them."""
+    moved = stored.outline.moved_points(-distance)[stored.corner]
+    return np.where(stored.outline.stays[stored.corner, None], moved, stored.points)
 
 
 def _in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from piece_helpers import general_workspace, lattice_workspace
+from piece_helpers import fan_workspace, general_workspace, lattice_workspace
 
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
@@ -101,12 +101,23 @@ def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
 def test_walls_shorter_than_the_lattice_is_wide_hide_no_other_walls(ring):
     shifted = np.array(ring) + 1 / 3
     workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)], shifted])
-    pairs = construct_pairs(workspace)
+    pairs = construct_pairs(workspace, max_bytes=1024)
     x, y = some_pairs(workspace, 5, 60, seed=0)
     truth = exact(workspace, x, y)
     np.testing.assert_allclose(pairs(x, y), truth, atol=1e-5)
     lower, upper = pairs.bounds(x, y)
     assert (lower <= truth).all() and (truth <= upper).all() and np.isfinite(upper).mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", range(100, 104))
+def test_a_corner_at_a_contact_is_seen(seed):
+    workspace = fan_workspace(np.random.default_rng(seed))
+    pairs = construct_pairs(workspace, max_bytes=4096)
+    x, y = some_pairs(workspace, 12, 60, seed)
+    truth = exact(workspace, x, y)
+    np.testing.assert_allclose(pairs(x, y), truth, atol=1e-4)
+    lower, upper = pairs.bounds(x, y)
+    assert (lower <= truth).all() and (truth <= upper).all()
 
 
 def test_long_lists_are_searched_to_their_ends():
