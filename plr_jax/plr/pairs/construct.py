@@ -16,6 +16,7 @@ from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
 from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, shortest_distances
+from plr_jax.plr.pairs.tables import RECEDING
 from plr_jax.plr.pairs.visible_corners import visible_corners
 from plr_jax.plr.partition.tree import levels_of
 
@@ -40,8 +41,8 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
         The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, has too many corners or is wider than 1e18, or free space and
-            corners alone take more bytes.
+        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
+            than 8e-6 of its width; or if free space and corners alone take more bytes.
 
     References:
         "all-pairs" in Section II of the paper.
@@ -62,6 +63,11 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     outline, vertex = outline_of(
         boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
     )
+    if outline.is_turned_around(RECEDING * float(domain.width.max())):
+        raise ValueError(
+            f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
+            "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
+        )
     corner, rank = _corners_in_outline(outline, vertex, visibility, boundary)
     edges = np.sort(rank[_taut_edges(visibility)], axis=1)
 

@@ -13,9 +13,9 @@ from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.query.tables import Tables, build_tables
 
-_RECEDING = 32 * float(np.finfo(np.float32).eps)
+RECEDING = 32 * float(np.finfo(np.float32).eps)
 """How far walls move back for sight, in widths of the domain: several times what a query rounds."""
-_MARGIN = _RECEDING / 4
+_MARGIN = RECEDING / 4
 """How near to a hull, in widths of the domain, walls may hide its corner from it: more than a query rounds."""
 _UNROLLED = 16  # walls at a time
 _LEAVES_AT_ONCE = 32
@@ -90,7 +90,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     aside = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
     points = np.append(corners - middle, np.full((1, 2), np.inf), axis=0)
     boxes = cells.grown_boxes(domain)
-    receding = _RECEDING * width
+    receding = RECEDING * width
     walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
     near = near_entries(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle

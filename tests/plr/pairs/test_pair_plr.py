@@ -270,3 +270,16 @@ def test_properties(maze):
     assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
     assert len(levels_of(maze.stored.cells)[0]) == len(maze.stored.levels)
     assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes
+
+
+def test_walls_too_thin_for_32_bits_are_refused():
+    def with_wall(thickness):
+        return Workspace(((0, 0), (10, 10)), [[(5, 0), (5 + thickness, 0), (5 + thickness, 8), (5, 8)]])
+
+    with pytest.raises(ValueError, match="thinner than"):
+        construct_pairs(with_wall(1e-5))
+    pairs = construct_pairs(with_wall(1e-3))
+    x, y = np.array([[4.0, 1.0]]), np.array([[6.0, 1.0]])
+    around = VisibilityGraph(with_wall(1e-3), y[0])(x)
+    np.testing.assert_allclose(pairs(x, y), around, rtol=1e-6)
+    assert pairs.bounds(x, y)[0] <= around
