@@ -45,13 +45,15 @@ class MetricPairs:
         Raises:
             ValueError: If points have another last axis than ``dim``.
         """
-        x, y = (p if isinstance(p, jax.Array) else jnp.asarray(as_array(p)) for p in (x, y))
+        x, y = (p if isinstance(p, jax.Array) else as_array(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
             if points.ndim == 0 or points.shape[-1] != self.dim:
                 raise ValueError(f"{name} must be points of shape (..., {self.dim}), got {points.shape}.")
-        x, y = jnp.broadcast_arrays(x, y)
+        on_host = isinstance(x, np.ndarray) and isinstance(y, np.ndarray)
+        module: Any = np if on_host else jnp  # NumPy's 64-bit points are placed as such
+        x, y = module.broadcast_arrays(x, y)
         swaps = _comes_later(x, y)[..., None]
-        value = self.plr(jnp.concatenate([jnp.where(swaps, y, x), jnp.where(swaps, x, y)], axis=-1))
+        value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
         return jnp.where((x == y).all(axis=-1), jnp.zeros_like(value), jnp.maximum(value, 0))
 
     @property

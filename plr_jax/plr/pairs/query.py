@@ -160,7 +160,7 @@ def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: S
     lanes = jnp.searchsorted(number, 1 + jnp.arange(few))
     left = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
     left = _searched(tables, _at(at_least, lanes, "clip"), left)
-    return _where(is_open & (number <= few), jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
+    return _where(is_open, jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
 
 
 def _where(is_so: Bool[Array, "n"], one: Search, other: Search) -> Search:
@@ -207,7 +207,7 @@ def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
     """At most the length of the way by each corner of the first point's list."""
     listed = tables.listed[search.leaf_x].astype(jnp.uint32)
     size = len(tables.distances)
-    last_bits = np.uint32(2 ** (size - 1).bit_length() - 1)
+    last_bits = np.uint32(size - 1)  # a power of two less 1
     onward = _at(tables.onward.ravel(), search.leaf_y[:, None] * size + listed)
     last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
     x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))

@@ -159,7 +159,7 @@ def _ways_to_leaves(
     """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
     rows, longest = listed.shape
     size = len(distances)
-    last_bits = np.uint32(2 ** (size - 1).bit_length() - 1)
+    last_bits = np.uint32(size - 1)  # a power of two less 1
 
     def of_leaves(leaves):
         corners, near = leaves

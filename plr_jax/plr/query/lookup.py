@@ -200,8 +200,8 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
     """Row of the numbers of points, level by level.
 
     Each level is to be a loop of its own, in which reads of many points are under way at once. All in one, a point's
-    reads wait for one another, and few other points are; that takes three times as long. What is behind a condition,
-    XLA does not put into one loop with the rest. The condition always holds, which XLA cannot know.
+    reads wait for one another, and few other points are; that takes far longer. What is behind a condition, XLA does
+    not put into one loop with the rest. The condition always holds, which XLA cannot know.
     """
 
     def descend(entry: UInt32[Array, "*batch"], bits: UInt32[Array, "2 dim"]) -> UInt32[Array, "*batch"]:

@@ -96,3 +96,10 @@ def test_what_is_refused(pairs):
     ):
         with pytest.raises(ValueError, match=message):
             wrong()
+
+
+def test_far_from_the_origin_it_answers_as_near_it(pairs):
+    far = np.array([5e5, 4e6])
+    moved = construct_metric_pairs(manhattan, (far, far + 1), max_leaves=300)
+    x, y = (p.astype(np.float64) for p in random_points(1000, 5))
+    np.testing.assert_allclose(moved(far + x, far + y), pairs(x, y), atol=1e-4)
