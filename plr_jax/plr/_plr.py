@@ -15,7 +15,8 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells
 from plr_jax.plr._filled import filled_coefficients, planes_of_leaves
-from plr_jax.plr.file.container import HEADER_SIZE, Container, file_size
+from plr_jax.plr.file.container import Container
+from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.lower_bound import LowerBound
@@ -33,7 +34,7 @@ from plr_jax.plr.query.tables import Tables
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class PLR:
+class PLR(HeldFile):
     """A distance function stored over a binary space partition (Section III of the paper).
 
     Made by :func:`construct` and :func:`load`; ``plr(x)`` is :func:`evaluate`. A PLR is a pytree of arrays: a
@@ -184,12 +185,6 @@ class PLR:
         radius = 0.0 if folding is None else folding.radius(x)
         return np.where(is_inf, np.inf, self.leaf.values(lo[leaf], hi[leaf], coefficients, x) + radius)
 
-    def to_bytes(self) -> bytes:
-        """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
-        if np.ndim(self.file) != 1:
-            raise ValueError(f"Bytes are those of one PLR, but these arrays are those of several: {self.file.shape}.")
-        return np.asarray(self.file).tobytes()[: self.num_bytes]
-
     @property
     def leaf(self) -> LeafModel:
         """The leaf model; ``leaf.name`` is what :func:`construct` calls it."""
@@ -199,16 +194,6 @@ class PLR:
     def dim(self) -> int:
         """Number of axes."""
         return self.tables.dim
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the file."""
-        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
-
-    @property
-    def resident_bytes(self) -> int:
-        """Bytes of the tables that a query reads."""
-        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
     def container(self) -> Container:

@@ -15,7 +15,7 @@ from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.container import HEADER_SIZE, file_size
+from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.pairs.one_goal import plr_to
 from plr_jax.plr.pairs.query import is_inside, shortest_ways
 from plr_jax.plr.pairs.stored import Stored
@@ -29,7 +29,7 @@ _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are t
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class PairPLR:
+class PairPLR(HeldFile):
     """The distance between any two points of a planar workspace.
 
     Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over it or
@@ -126,20 +126,6 @@ class PairPLR:
     @cached_property
     def _middle(self) -> Float[np.ndarray, "2"]:
         return (self.domain.lo + self.domain.hi) / 2
-
-    def to_bytes(self) -> bytes:
-        """The bytes of the file, which :func:`save` writes."""
-        return np.asarray(self.file).tobytes()[: self.num_bytes]
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the file."""
-        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
-
-    @property
-    def resident_bytes(self) -> int:
-        """Bytes of the tables that a query reads."""
-        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
     @cached_property
     def stored(self) -> Stored:

@@ -1,0 +1,35 @@
+"""What answers from tables and holds the file that they were made of."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from plr_jax.plr.file.container import HEADER_SIZE, file_size
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, UInt8
+
+
+class HeldFile:
+    """Its bytes, and how much memory the tables take."""
+
+    if TYPE_CHECKING:
+        tables: Any
+        file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file, which :func:`save` writes; ``ValueError`` where the arrays are those of several."""
+        if np.ndim(self.file) != 1:
+            raise ValueError(f"Bytes are those of one, but these arrays are those of several: {self.file.shape}.")
+        return np.asarray(self.file).tobytes()[: self.num_bytes]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the file."""
+        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the tables that a query reads."""
+        return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
