@@ -18,6 +18,7 @@ from experiments import _scale_table as scale_table
 from experiments import _short_tables as short
 from experiments import _solve_tables as solve_tables
 from experiments import _summary_tables as summary_tables
+from experiments import families, pair_bounds
 from experiments._results import RESULTS, read
 from experiments._tables import at_least, markdown, mean_and_largest, nodes_of, num_solved, spread
 from experiments.team_sections._plans import FORMS, cell
@@ -275,6 +276,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "solve_cars": lambda: solve_tables.section("cars", results_of("solve")),
     "solve_nodes": lambda: solve_tables.section("nodes", results_of("solve")),
     "scale": lambda: scale_table.table(results_of("scale")),
+    "families": lambda: families.table(results_of("families")) + "\n",
+    "pair_bounds": lambda: markdown(pair_bounds.table(results_of("pair_bounds")), numbers=12) + "\n",
     "summaries": lambda: summary_tables.summaries(results_of("compare_summaries")),
 }
 
