@@ -11,6 +11,8 @@ from plr_jax.plr._trace import Traces, TraceStatus, trace
 from plr_jax.plr.grid_pairs.model import GridDistance, GridPairs, construct_grid_pairs
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 from plr_jax.plr.growth.rules import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
+from plr_jax.plr.layers.coarsen import coarsen
+from plr_jax.plr.layers.progressive import progressive
 from plr_jax.plr.leaves.continuous.model import Continuous
 from plr_jax.plr.leaves.plane.model import Plane
 from plr_jax.plr.metric_pairs.model import MetricPairs, construct_metric_pairs
@@ -42,6 +44,7 @@ __all__ = [
     "best_axis",
     "center_error",
     "certify",
+    "coarsen",
     "construct",
     "construct_grid_pairs",
     "construct_many",
@@ -57,6 +60,7 @@ __all__ = [
     "load_pairs",
     "maximum_depth",
     "midrange",
+    "progressive",
     "quantile",
     "refine",
     "sample_faces",
