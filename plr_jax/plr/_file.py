@@ -22,8 +22,8 @@ from plr_jax.plr.query.grid import FRACTION_BITS
 class Contents:
     """What a file holds: the levels of a tree, and its leaves in the order of its traversal.
 
-    They partition ``domain``, which is the box of a folding, where points are folded. A file may have a ``label``, and
-    layers of ``coarser`` PLRs before these leaves.
+    They partition ``domain``, which is the box of a folding, where points are folded. A file may have a ``label``,
+    and layers of ``coarser`` PLRs before these leaves.
     """
 
     domain: Box

@@ -185,7 +185,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """What a file's bytes hold, cut off at a mark or not; raises ``ValueError`` saying what is wrong with them."""
+        """What a file's bytes hold, cut off at a mark or not; raises ``ValueError`` saying what is wrong."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
