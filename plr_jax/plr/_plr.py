@@ -19,12 +19,13 @@ from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.portable.evaluator import NumpyPLR
+from plr_jax.plr.query.frame import corner_if_far
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
     PointPlacement,
     as_array,
     bound_points,
-    corner_if_far,
     evaluate_points,
     waypoints_of_points,
 )
@@ -140,6 +141,10 @@ class PLR(HeldFile):
         source = waypoints_of_points(tables, placed)
         corner = None if tables is self.tables else self._far_corner
         return source if corner is None else corner + np.asarray(source, np.float64)
+
+    def numpy(self) -> NumpyPLR:
+        """The same in NumPy alone, by the arithmetic that is part of the file format: quick for a single point."""
+        return NumpyPLR(self.to_bytes())
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:
