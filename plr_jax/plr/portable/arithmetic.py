@@ -123,8 +123,10 @@ class Grid:
 
     def in_cell(self, do: Operations, above: Value, count: Value, position: Value) -> Value:
         """Coordinate, from 0 to 1, in the cell of that position among so many."""
-        u = above * self.scale + (self.start - np.float32(1))
-        return do.let("t", u * count - position)
+        share = above * self.scale
+        if self.start < 1:
+            share = share + (self.start - np.float32(1))
+        return do.let("t", share * count - position)
 
 
 @dataclass(frozen=True)

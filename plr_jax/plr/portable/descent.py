@@ -53,9 +53,15 @@ class Descent:
     def _kind(self) -> int:
         return (1 << self.nodes.kind_bits) - 1
 
+    @property
+    def is_flat(self) -> bool:
+        """Whether the table knows every leaf."""
+        return bool((self.table & self._kind == self.nodes.dim).all())
+
     @cached_property
-    def _codes(self) -> memoryview:
-        return memoryview(self.table)  # whose entries are integers of Python
+    def codes(self) -> memoryview:
+        """The table, whose entries are then integers of Python."""
+        return memoryview(self.table)
 
     @cached_property
     def _child_codes(self) -> memoryview:
@@ -65,25 +71,30 @@ class Descent:
     def _depth(self) -> memoryview:
         return memoryview(self.nodes.depth)
 
-    def index(self, places: list) -> UInt32[np.ndarray, "n"] | int:
-        """Cell of the grid that places, arrays or integers of 23 bits, are in."""
-        index, first = 0, True
-        for place, bits in zip(places, self.bits, strict=True):
-            along = place >> (FRACTION_BITS - bits)
-            index, first = along if first else (index << bits) | along, False
-        return index
+    def index_text(self, places: list[str]) -> str:
+        """The row of numbers for places, of 23 bits each, as text of Python."""
+        shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, self.bits, strict=True)]
+        index = shifted[0]
+        for along, bits in zip(shifted[1:], self.bits[1:], strict=True):
+            index = f"({index}) << {bits} | {along}"
+        if self.is_flat:
+            return f"codes[{index}] >> {self.nodes.kind_bits}"
+        return f"descend(codes[{index}], ({', '.join(places)},))"
 
-    def row(self, places: list[int]) -> int:
-        """The row of numbers for one place."""
-        code, kind, kind_bits = self._codes[self.index(places)], self._kind, self.nodes.kind_bits
-        while (axis := code & kind) != self.nodes.dim:
+    def row(self, code: int, places: tuple[int, ...]) -> int:
+        """The row of numbers for one place, below the node of that code."""
+        kind_bits = self.nodes.kind_bits
+        while (axis := code & self._kind) != self.nodes.dim:
             node = code >> kind_bits
             code = self._child_codes[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - self._depth[node])) & 1)]
         return code >> kind_bits
 
     def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Int[np.ndarray, "n"] | UInt32[np.ndarray, "n"]:
         """The row of numbers for each place."""
-        code = self.table[self.index(places)]
+        index = places[0] >> (FRACTION_BITS - self.bits[0])
+        for place, bits in zip(places[1:], self.bits[1:], strict=True):
+            index = (index << bits) | (place >> (FRACTION_BITS - bits))
+        code = self.table[index]
         moving = np.flatnonzero(code & self._kind != self.nodes.dim)
         while len(moving):
             node = code[moving] >> self.nodes.kind_bits

@@ -1,6 +1,5 @@
 """A PLR in NumPy alone, which answers by the arithmetic of the format."""
 
-import math
 import os
 from collections.abc import Callable
 from functools import cached_property
@@ -15,11 +14,12 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.point import point_query
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.query.grid import FRACTION_BITS
 
 _CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
-_ONE = np.float32(1 << FRACTION_BITS)
+_PLAIN = (float, int, np.float64, np.float32)
 _FRACTION = np.uint32((1 << FRACTION_BITS) - 1)
 
 
@@ -39,32 +39,6 @@ class _OfArrays:
     @staticmethod
     def fraction(x: Any) -> Any:
         return x.view(np.uint32) & _FRACTION
-
-
-class _OfNumbers:
-    """Operations of single numbers, each a scalar of NumPy."""
-
-    @staticmethod
-    def let(name: str, value: Any) -> Any:
-        return value
-
-    @staticmethod
-    def where(condition: Any, yes: Any, no: Any) -> Any:
-        return yes if condition else no
-
-    @staticmethod
-    def floor(x: Any) -> Any:
-        return type(x)(math.floor(x))
-
-    @staticmethod
-    def root(x: Any) -> Any:
-        return np.float32(math.sqrt(x))  # of a 32-bit float, the rounded root of 64 bits is that of 32
-
-    rounded = np.float32
-
-    @staticmethod
-    def fraction(x: Any) -> int:
-        return int(x * _ONE) & 0x7FFFFF  # the product is exact
 
 
 class NumpyPLR:
@@ -91,14 +65,7 @@ class NumpyPLR:
             depth, position = program.cells.depth, program.cells.position
             self._cells = np.stack([np.ldexp(1.0, depth), position], axis=2).astype(np.float32)
         self._cell_columns = np.ascontiguousarray(np.moveaxis(self._cells, 0, 2))
-        domain = program.domain
-        below = np.where(domain.periodic, np.nextafter(domain.hi, -np.inf), domain.hi)
-        self._ends = list(zip(domain.lo.tolist(), below.tolist(), strict=True))  # of what is sure to be inside
-
-    @property
-    def dim(self) -> int:
-        """Number of axes."""
-        return self._program.dim
+        self.dim = program.dim
 
     @property
     def domain(self) -> Box:
@@ -117,8 +84,8 @@ class NumpyPLR:
         Raises:
             ValueError: If the points are not numbers of that shape.
         """
-        point = self._as_point(x)
-        return self._answered(x, self._values, ()) if point is None else self._value_at(point)
+        answer = self._at_point(x)
+        return self._answered(x, self._values, ()) if answer is None else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
         """Where to go straight to from each point: the source of the leaf that holds it.
@@ -159,27 +126,25 @@ class NumpyPLR:
         certificate = self._program.contents.certificate
         return None if certificate is None else certificate.bounds().astype(np.float32)
 
-    def _as_point(self, x: ArrayLike) -> list[Any] | None:
-        """The coordinates of a single point that is inside the domain; None if it is not one."""
+    @cached_property
+    def _point_query(self) -> Callable[..., np.float32 | None]:
+        cells = self._cells.reshape(len(self._numbers), -1)
+        return point_query(self._program, self._descent, np.concatenate([cells, self._numbers], axis=1))
+
+    def _at_point(self, x: ArrayLike) -> np.float32 | None:
+        """The value at a single point inside the domain; None if it is not one."""
         if type(x) is np.ndarray:
             if x.ndim != 1:
                 return None
             x = x.tolist()
         elif type(x) is not tuple and type(x) is not list:
             return None
-        if len(x) != len(self._ends):
+        if len(x) != self.dim or type(x[0]) not in _PLAIN:
             return None
-        for along, (lo, hi) in zip(x, self._ends, strict=True):
-            if (type(along) is not float and type(along) is not int) or not lo <= along <= hi:
-                return None
-        return list(map(self._program.precision, x))
-
-    def _value_at(self, point: list[Any]) -> np.float32:
-        program = self._program
-        x = program.placed(_OfNumbers, point)
-        above = program.above(_OfNumbers, x)
-        row = self._descent.row(program.places(_OfNumbers, above))
-        return program.value(_OfNumbers, x, above, list(self._numbers[row]), self._cells[row])
+        try:
+            return self._point_query(*x)
+        except (TypeError, ValueError):  # of coordinates that are no numbers
+            return None
 
     def _answered(self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...]) -> Any:
         """Answers of that shape to points, chunk by chunk."""
