@@ -1,6 +1,6 @@
-r"""The arithmetic of a query, part of the file format: every reader that keeps to it answers alike, bit for bit.
+"""The arithmetic of a query, part of the file format: every reader that keeps to it answers alike, bit for bit.
 
-:class:`~plr_jax.plr.portable.evaluator.NumpyPLR` and the programs of :func:`export_c` keep to it, and the vectors
+:class:`~plr_jax.plr.portable.evaluator.NumpyPLR` and the headers of :func:`~plr_jax.plr.portable.header.c_header` keep to it, and the vectors
 in ``tests/plr/vectors`` hold answers. A compiled ``plr(x)`` does the same operations, of which XLA may fuse some
 products and sums.
 

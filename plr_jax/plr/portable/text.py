@@ -1,5 +1,6 @@
 """Operations that write a program: values are its expressions, and those that have a name are its statements."""
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -172,6 +173,21 @@ class CWriter(Writer):
 
     conjunction = "&&"
 
+    def __init__(self, name: str) -> None:
+        """With a name with which those of its functions begin."""
+        super().__init__()
+        self.name = name
+        self.floors: set[str] = set()
+
+    def used_statements(self) -> list[str]:
+        """All statements but constants that no later one reads."""
+        kept: list[str] = []
+        for statement in reversed(self.statements):
+            name = re.match(r"const \w+ (\w+) = ", statement)
+            if name is None or re.search(rf"\b{name[1]}\b", " ".join(kept)):
+                kept.append(statement)
+        return kept[::-1]
+
     def literal(self, value: Any) -> str:
         """The shortest decimal that is read as the same number."""
         number = value if isinstance(value, np.floating) else np.float32(value)
@@ -190,8 +206,8 @@ class CWriter(Writer):
 
     def floor(self, x: Text) -> Text:
         """By a function of the program, there is one for each type."""
-        name = "floor_of_double" if x.type == "double" else "floor_of_float"
-        return self.atom(f"NAME_{name}({x})", x.type)
+        self.floors.add(x.type)
+        return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def root(self, x: Text) -> Text:
         """The only function of the mathematical library."""
