@@ -150,8 +150,8 @@ class PLR(HeldFile):
     def c_header(self, name: str) -> str:
         """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
 
-        It defines ``float NAME_distance(const float x[dim])``, of cones ``void NAME_waypoint(const float x[dim], float
-        waypoint[dim])`` too; in a domain far from the origin coordinates are doubles. Answers are those of
+        It defines ``float NAME_distance(const float x[dim])``, and of cones ``void NAME_waypoint(const float x[dim],
+        float waypoint[dim])``; in a domain far from the origin coordinates are doubles. Answers are those of
         :meth:`numpy`, bit for bit, where nothing is fused: compile with ``-ffp-contract=off``.
 
         Args:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import product_in_order
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
@@ -298,8 +299,8 @@ def linear_mean_planes(
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
     """What :meth:`LeafModel.mean_planes` is of a linear model."""
     ends = np.eye(dim)
-    half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
-    return coefficients @ model.basis(np.zeros((1, dim)))[0], half
+    half = product_in_order(coefficients, (model.basis(ends) - model.basis(-ends)).T) / 2
+    return product_in_order(coefficients, model.basis(np.zeros((1, dim))).T)[:, 0], half
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:

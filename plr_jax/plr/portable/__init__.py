@@ -1,8 +1,7 @@
 """The arithmetic of a query, part of the file format: every reader that keeps to it answers alike, bit for bit.
 
-:class:`~plr_jax.plr.portable.evaluator.NumpyPLR` and the headers of :func:`~plr_jax.plr.portable.header.c_header` keep to it, and the vectors
-in ``tests/plr/vectors`` hold answers. A compiled ``plr(x)`` does the same operations, of which XLA may fuse some
-products and sums.
+``plr.numpy()`` and ``plr.c_header(name)`` keep to it, and the vectors in ``tests/plr/vectors`` hold answers. A
+compiled ``plr(x)`` does the same operations, of which XLA may fuse some products and sums.
 
 All operations are those of IEEE 754, rounded to nearest, none fused, in 32-bit floats unless 64 are named; what is
 written ``a + b + c`` is computed from left to right. What is called a *number* is computed once from the file, in 64

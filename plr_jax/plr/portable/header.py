@@ -85,7 +85,7 @@ class _Header:
             code_type = "uint16_t" if max(nodes.root, nodes.children.max()) < 2**16 else "uint32_t"
             lines += [
                 "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
-                f"   here times {1 << nodes.kind_bits} plus the axis; of a leaf, that of its numbers plus {nodes.dim}. */",
+                f"   here times {1 << nodes.kind_bits} plus its axis; of a leaf, of its numbers plus {nodes.dim}. */",
                 f"static const {code_type} {name}_tree[{len(nodes.children)}][2] = {{",
                 *_filled(f"{{{lower}, {upper}}}" for lower, upper in nodes.children.tolist()),
                 "};",

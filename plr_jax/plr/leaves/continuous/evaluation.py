@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import product_in_order
 from plr_jax.plr.leaves.continuous.basis import monomials
 from plr_jax.plr.partition.cells import Cells
 
@@ -19,7 +20,7 @@ def numbers_of_polynomials(
     such a number, as a 32-bit float, says how many such intervals span the domain.
     """
     is_inf = np.isinf(coefficients[:, 0])
-    powers = np.where(is_inf[:, None], 0.0, coefficients) @ monomials(order, cells.dim)
+    powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(order, cells.dim))
     powers[is_inf, 0] = np.inf
     return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 

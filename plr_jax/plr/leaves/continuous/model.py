@@ -122,8 +122,9 @@ class Continuous:
 
     def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
         """Numbers of every leaf; 0 for unreachable ones."""
-        numbers = numbers_of_leaves(self.order, stored.partition.space) @ stored.decode()
-        return numbers.reshape(len(cells), -1)
+        of_masters = numbers_of_leaves(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
+        terms = of_masters.data * stored.decode()[of_masters.col]  # summed in their order, on any processor alike
+        return np.bincount(of_masters.row, terms, of_masters.shape[0]).reshape(len(cells), -1)
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""

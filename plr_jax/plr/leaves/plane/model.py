@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import cone_above_plane
 from plr_jax.geometry.convex_pieces import Pieces
@@ -195,7 +196,7 @@ class Plane:
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - table_corners(domain)[0]
-        return np.column_stack([coefficients[:, 0] - np.sum(slope * to_center, axis=1), slope])
+        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
     def below_cones(
         self,
