@@ -11,6 +11,7 @@ from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.branch_and_bound import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
@@ -40,9 +41,8 @@ def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: boo
     """The best partition whose file has at most so many bytes, grown from the estimate."""
     model, domain = _model(), field.mesh.domain
     proof = Proof.OPEN_LEAVES if is_proven else Proof.NONE
-    limits = check_limits(
-        domain.dim, model.least_bytes, False, model.bytes_without_budget, None, None, max_bytes, None, proof
-    )
+    unit, frame = (model.least_bytes, False, model.bytes_without_budget), frame_size(domain)
+    limits = check_limits(domain.dim, *unit, None, None, max_bytes, None, proof, frame)
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(field.estimates, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)

@@ -12,6 +12,7 @@ from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Certificate
+from plr_jax.plr.file.held import held
 from plr_jax.plr.query.frame import LARGEST
 from plr_jax.plr.query.tables import build_tables
 
@@ -38,8 +39,7 @@ def from_bytes(data: bytes) -> PLR:
 def deferred_plr(data: bytes) -> PLR:
     """The PLR that a file's bytes hold, which are known to be right: its tables are made when they are first used."""
     plr = object.__new__(PLR)
-    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
-    vars(plr).update(file=file, _deferred=partial(from_bytes, data))
+    vars(plr).update(file=held(data), _deferred=partial(from_bytes, data))
     return plr
 
 
@@ -53,7 +53,7 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
     numbers = leaf.numbers(domain, cells, filled_coefficients(contents))
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
         raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
-    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data)))
+    file = held(data)
     tables = build_tables(domain, cells, numbers, leaf, len(data)).of_folding(contents.folding)
     if contents.certificate is None:
         return PLR(tables, file, None)
@@ -64,9 +64,9 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
 
 def with_stored(plr: PLR, stored: Any) -> PLR:
     """A PLR of the same partition and model that stores something else, of which nothing is proven."""
-    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None))
+    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None, coarser=()))
 
 
 def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
     """The same PLR with another proof."""
-    return plr_of_leaves(replace(plr._contents, certificate=certificate))
+    return plr_of_leaves(replace(plr._contents, certificate=certificate, coarser=()))

@@ -14,8 +14,8 @@ from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.folding.choice import folding_of
-from plr_jax.plr.folding.codec import folding_to_bytes
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
@@ -171,7 +171,7 @@ def construct(
         max_bytes,
         tolerance,
         proof,
-        0 if folding is None else len(folding_to_bytes(folding)),
+        frame_size(domain, folding),
     )
     num_samples = model.num_samples if num_samples is None else num_samples
     require_integer("num_samples", num_samples, model.least_samples(domain.dim))

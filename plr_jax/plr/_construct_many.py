@@ -23,6 +23,7 @@ from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import FamilyLeafModel, LeafModel, MemberLeaves
@@ -112,6 +113,7 @@ def construct_many(
         max_bytes,
         tolerance,
         proof_of(certified, leaf_bounds),
+        frame_size(domain),
     )
     is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic

@@ -9,7 +9,7 @@ from typing import Any
 from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import Container, read_tree, write_tree
+from plr_jax.plr.file.container import Container, Layer, read_tree, write_tree
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel, SourcedLeafModel
@@ -22,7 +22,8 @@ from plr_jax.plr.query.grid import FRACTION_BITS
 class Contents:
     """What a file holds: the levels of a tree, and its leaves in the order of its traversal.
 
-    They partition ``domain``, which is the box of a folding, where points are folded.
+    They partition ``domain``, which is the box of a folding, where points are folded. A file may have a ``label``, and
+    layers of ``coarser`` PLRs before these leaves.
     """
 
     domain: Box
@@ -32,6 +33,8 @@ class Contents:
     stored: Any
     certificate: Certificate | None = None
     folding: Folding | None = None
+    label: str = ""
+    coarser: tuple[Layer, ...] = ()
 
 
 def encode(contents: Contents) -> bytes:
@@ -43,34 +46,36 @@ def encode(contents: Contents) -> bytes:
     if contents.certificate is not None:
         contents.certificate.write(body)
         proof = contents.certificate.proof
-    code, num_leaves = code_of_leaf(contents.leaf), len(contents.cells)
     domain = contents.domain if contents.folding is None else contents.folding.domain
-    return Container(domain, code, num_leaves, body.to_bytes(), int(proof), contents.folding).to_bytes()
+    layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
+    return Container(domain, (*contents.coarser, layer), contents.folding, contents.label).to_bytes()
 
 
 def decode(data: bytes) -> Contents:
     """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
     container = Container.from_bytes(data)
-    leaf, dim = leaf_of_code(container.leaf_code), container.domain.dim
+    layer, dim = container.last, container.domain.dim
+    leaf = leaf_of_code(layer.leaf_code)
     leaf.check_dim(dim)
-    body = BitReader(container.body)
-    levels = read_tree(body, dim, container.num_leaves)
+    body = BitReader(layer.body)
+    levels = read_tree(body, dim)
     cells = tree_of_levels(levels, dim).leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
-    if container.folding is not None and (isinstance(leaf, SourcedLeafModel) or container.proof_code != Proof.NONE):
+    if container.folding is not None and (isinstance(leaf, SourcedLeafModel) or layer.proof_code != Proof.NONE):
         raise ValueError("its points are folded, but its leaves have sources or a proof, which are not")
     stored = leaf.read(body, container.folded_domain, cells)
-    if container.proof_code not in tuple(Proof):
-        raise ValueError(f"it has a proof of kind {container.proof_code}, this release knows kinds 0 to {max(Proof)}")
-    certificate = read_certificate(body, Proof(container.proof_code), len(cells))
+    if layer.proof_code not in tuple(Proof):
+        raise ValueError(f"it has a proof of kind {layer.proof_code}, this release knows kinds 0 to {max(Proof)}")
+    certificate = read_certificate(body, Proof(layer.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return Contents(container.folded_domain, leaf, levels, cells, stored, certificate, container.folding)
+    domain, folding, coarser = container.folded_domain, container.folding, container.layers[:-1]
+    return Contents(domain, leaf, levels, cells, stored, certificate, folding, container.label, coarser)
 
 
 def decode_cells(data: bytes) -> Cells:
     """The leaves alone that a file's bytes hold, in the order of the tree's traversal."""
     container = Container.from_bytes(data)
     dim = container.domain.dim
-    return tree_of_levels(read_tree(BitReader(container.body), dim, container.num_leaves), dim).leaves
+    return tree_of_levels(read_tree(BitReader(container.last.body), dim), dim).leaves

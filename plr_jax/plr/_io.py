@@ -9,7 +9,7 @@ from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
 from plr_jax.plr._assembly import from_bytes
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
+from plr_jax.plr.file.container import MOST_BYTES
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_from_bytes
 
 Read = TypeVar("Read", PLR, PairPLR)
@@ -69,9 +69,7 @@ def load_pairs(path: str | os.PathLike) -> PairPLR:
 def _read(path: str | os.PathLike, what: str, from_data: Callable[[bytes], Read]) -> Read:
     try:
         with open(path, "rb") as file:
-            data = file.read(HEADER_SIZE)
-            if is_header(data):  # or nothing says how much to read
-                data += file.read(max(file_size(data) - len(data), 0) + 1)
+            data = file.read(MOST_BYTES + 1)
         return from_data(data)
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as {what}: {error}.") from error

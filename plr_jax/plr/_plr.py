@@ -45,7 +45,7 @@ class PLR(HeldFile):
 
     Attributes:
         tables: What a query reads, derived from ``file`` alone.
-        file: The bytes that :func:`save` writes, padded with zeros to a power of two.
+        file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
         band: Proven lower and upper bounds of the distance minus an answer, ``(2, rows)``: one row for all leaves, or
             one a leaf, padded to a power of two; see :meth:`bounds`. None if nothing is proven.
     """

@@ -1,61 +1,165 @@
-r"""The container of a PLR file: a header, the domain, a bit stream that begins with the tree, and a checksum.
+r"""The container of a PLR file: a header, layers of bits that each begin with a tree, and checksums.
 
-All numbers are little-endian. Layout of version 2, of version 3 for domains with a periodic axis, and of
-version 4 for leaves of folded points, whether or not an axis is periodic:
+Layout of version 5, with numbers as in ``fields.py``:
 
-    4s      magic, b"PLR\n"
-    u8      version
-    u8      number of axes
-    u8      code of the leaf model; 255 for distances of pairs of points (see ``plr/pairs/stored.py``)
-    u8      what it keeps of a proof: 0 nothing, 1 the largest error, 2 bounds of every leaf as well
-    u32     number of leaves
-    u32     size of the whole file in bytes
-    f64     lower corner of the domain, one number an axis; then the upper corner. Of each periodic axis, of which
-              version 3 has one or more and version 2 none, the two are exchanged: the upper end comes first
-    ...     of version 4, how points are folded (see ``plr/folding/codec.py``); leaves are then of the box of those
-    ...     bit stream, least significant bit first, the last byte filled up with zeros:
+    2s      magic, b"P\xb5"
+    u8      low four bits: version; high four: number of axes, 0 for more than 15
+    u8      three bits: code of the leaf model; 7 for distances of pairs of points (see ``plr/pairs/stored.py``)
+            two bits: what it keeps of a proof (see ``plr/certificate/certificate.py``)
+            one bit: are points folded?
+            one bit: is there a label, or are there several layers?
+            one bit: is the domain kept in floats?
+    ...     number of axes, if there are more than 15
+    ...     the domain (see ``domain.py``)
+    ...     how points are folded, if they are (see ``plr/folding/codec.py``); leaves are then of the box of those
+    ...     the label, if that bit is set: its length in bytes, and it in UTF-8; then the number of layers but the
+            last one, and of each its size in bytes
+    ...     layers. Each but the last one begins with
+      u8      the code of its leaf model, and four bits left of it, what it keeps of a proof
+            and all have a bit stream, least significant bit first, the last byte filled up with zeros:
               the tree over the leaves, whose boxes follow from the splits: level by level from the root, for every
                 node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
               what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
                 lower half first
-              what it keeps of a proof (see ``plr/certificate/certificate.py``)
-    u32     CRC-32 of all bytes before
+              what it keeps of a proof
+      u32     CRC-32 of all bytes before, from the start of the file, little-endian
+
+The last layer is the PLR. Layers before it are coarser PLRs of the same domain, each complete in itself: a file that
+is cut off behind one of them, at a *mark*, is one of that PLR. So whoever fetches a file need not fetch all of it.
 """
 
 import struct
 import zlib
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.domain import domain_to_bytes, read_domain
+from plr_jax.plr.file.fields import ByteReader, varint
 from plr_jax.plr.folding.codec import folding_to_bytes, read_folding
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
-VERSION, _PERIODIC_VERSION, _FOLDED_VERSION = 2, 3, 4
-_VERSIONS = (VERSION, _PERIODIC_VERSION, _FOLDED_VERSION)
-PAIRS_CODE = 255
+VERSION = 5
+PAIRS_CODE = 7
 """Code that stands for a leaf model in files of distances between pairs of points."""
-_MAGIC = b"PLR\n"
-_START_OF_CONTINUOUS = b"CPL\n\x01"  # in version 1, continuous PLRs had a format of their own
-_HEADER = struct.Struct("<4sBBBBII")
-HEADER_SIZE = _HEADER.size
+MOST_LABEL_BYTES = 1000
+MOST_BYTES = 2**28
+"""Bytes of the largest file."""
+_MAGIC = b"P\xb5"
+_EARLIER = b"PLR\n", b"CPL\n"  # magic of versions before
+_MOST_LAYERS = 32
+_MOST_AXES = 15  # of those that fit into four bits
+_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7
 _CRC = struct.Struct("<I")
 
 
 @dataclass(frozen=True)
-class Container:
-    """What every PLR file has; its body is the bit stream. With a ``folding``, points are folded."""
+class Layer:
+    """A PLR of the file's domain; its body is the bit stream."""
+
+    leaf_code: int
+    body: bytes
+    proof_code: int = 0
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands before the layers.
+
+    Attributes:
+        domain: The box that the file covers.
+        leaf_code: Of the last layer.
+        proof_code: Of the last layer.
+        folding: How points are folded; None if they are not.
+        label: What is said of the file, any text.
+        sizes: Bytes of all layers but the last one.
+    """
 
     domain: Box
     leaf_code: int
-    num_leaves: int
-    body: bytes
     proof_code: int = 0
     folding: Folding | None = None
+    label: str = ""
+    sizes: tuple[int, ...] = ()
+
+    @cached_property
+    def data(self) -> bytes:
+        """Its bytes."""
+        dim, (domain, is_floats) = self.domain.dim, domain_to_bytes(self.domain)
+        fits, label = dim <= _MOST_AXES, self.label.encode()
+        flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
+        parts = [_MAGIC, bytes([VERSION | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
+        parts += [b"" if fits else varint(dim), domain]
+        if self.folding is not None:
+            parts.append(folding_to_bytes(self.folding))
+        if flags & _EXTENDED:
+            parts += [varint(len(label)), label, varint(len(self.sizes)), *map(varint, self.sizes)]
+        return b"".join(parts)
+
+    @property
+    def marks(self) -> tuple[int, ...]:
+        """Where a file may be cut off: the ends of all layers but the last one, in bytes from its start."""
+        return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
+
+    @staticmethod
+    def read(data: bytes) -> "Header":
+        """The header that a file's bytes begin with; raises ``ValueError`` saying what is wrong with it."""
+        if data.startswith(_EARLIER):
+            raise ValueError(f"it has a format version before {VERSION}, which this release reads; build it again")
+        reader = ByteReader(data)
+        if data[: len(_MAGIC)] != _MAGIC:
+            raise ValueError("it does not start like a PLR file")
+        reader.take(len(_MAGIC))
+        first, second = reader.take(2)
+        if (version := first & 15) != VERSION:
+            remedy = "update plr_jax" if version > VERSION else "build it again"
+            raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
+        dim = first >> 4 or reader.varint()
+        domain = read_domain(reader, dim, bool(second & _FLOATS))
+        folding = read_folding(reader, domain) if second & _FOLDED else None
+        label, sizes = "", ()
+        if second & _EXTENDED:
+            label = _read_label(reader)
+            if (count := reader.varint()) > _MOST_LAYERS:
+                raise ValueError(f"it states {count} layers, more than {_MOST_LAYERS}")
+            sizes = tuple(reader.varint() for _ in range(count))
+        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes)
+        if header.data != data[: reader.at]:
+            raise ValueError("its header is not written in the one way there is")
+        return header
+
+
+def _read_label(reader: ByteReader) -> str:
+    if (length := reader.varint()) > MOST_LABEL_BYTES:
+        raise ValueError(f"it states a label of {length} bytes, more than {MOST_LABEL_BYTES}")
+    try:
+        return reader.take(length).decode()
+    except UnicodeDecodeError:
+        raise ValueError("its label is no text") from None
+
+
+@dataclass(frozen=True)
+class Container:
+    """What every PLR file has. With a ``folding``, points are folded.
+
+    Its layers are the coarser PLRs, and last the one that the file is of. Where it was cut off at a mark, that is the
+    finest one there still is.
+    """
+
+    domain: Box
+    layers: tuple[Layer, ...]
+    folding: Folding | None = None
+    label: str = ""
+
+    @property
+    def last(self) -> Layer:
+        """The finest layer."""
+        return self.layers[-1]
 
     @property
     def folded_domain(self) -> Box:
@@ -64,71 +168,52 @@ class Container:
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
-        domain = self.domain
-        first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
-        content = np.concatenate([first, second]).astype("<f8").tobytes()
-        if self.folding is not None:
-            content += folding_to_bytes(self.folding)
-        content += self.body
-        size = HEADER_SIZE + len(content) + _CRC.size
-        version = _PERIODIC_VERSION if domain.is_periodic else VERSION
-        version = version if self.folding is None else _FOLDED_VERSION
-        header = _HEADER.pack(_MAGIC, version, domain.dim, self.leaf_code, self.proof_code, self.num_leaves, size)
-        return header + content + _CRC.pack(zlib.crc32(header + content))
+        *coarser, last = self.layers
+        sizes = tuple(1 + len(layer.body) + _CRC.size for layer in coarser)
+        data = Header(self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes).data
+        for layer in coarser:
+            data += bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body
+            data += _CRC.pack(zlib.crc32(data))
+        data += last.body
+        return data + _CRC.pack(zlib.crc32(data))
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-        if not data.startswith((_MAGIC, _START_OF_CONTINUOUS)):
-            raise ValueError("it does not start like a PLR file")
-        version = data[4] if len(data) > len(_MAGIC) else VERSION
-        if version not in _VERSIONS:
-            remedy = "update plr_jax" if version > VERSION else "build it again"
-            versions = f"versions {VERSION} to {_FOLDED_VERSION}"
-            raise ValueError(f"it has format version {version}, this release reads {versions}; {remedy}")
-        if len(data) < HEADER_SIZE + _CRC.size:
-            raise ValueError("the data end too early")
-        _, _, dim, leaf_code, proof_code, num_leaves, size = _HEADER.unpack_from(data)
-        if len(data) != size:
-            number = f"{len(data)}" if len(data) < size else "more"
-            raise ValueError(f"it has {number} bytes, its header states {size}: the file is truncated or corrupt")
-        (crc,) = _CRC.unpack(data[-_CRC.size :])
-        if zlib.crc32(data[: -_CRC.size]) != crc:
-            raise ValueError("its checksum does not match: the file is corrupt")
-        content = data[HEADER_SIZE : -_CRC.size]
-        if dim == 0 or len(content) < 16 * dim:
-            raise ValueError(f"it states {dim} axes, and holds {len(content)} bytes for them and the leaves")
-        corners = np.frombuffer(content[: 16 * dim], "<f8").astype(np.float64).reshape(2, dim)
-        domain = Box(corners[0], corners[1]) if version == VERSION else _periodic_domain(corners, version)
-        folding, body = None, content[16 * dim :]
-        if version == _FOLDED_VERSION:
-            folding, body = read_folding(body, domain)
-        return Container(domain, leaf_code, num_leaves, body, proof_code, folding)
+        """What a file's bytes hold, cut off at a mark or not; raises ``ValueError`` saying what is wrong with them."""
+        header = Header.read(data)
+        if len(data) > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
+        start, layers = len(header.data), []
+        for end in header.marks:
+            if end > len(data):
+                break
+            codes, body = data[start], data[start + 1 : end - _CRC.size]
+            _check(data, start + 1, end)
+            layers.append(Layer(codes & 15, body, codes >> 4))
+            start = end
+        if start < len(data) or not layers:
+            _check(data, start, len(data))
+            layers.append(Layer(header.leaf_code, data[start : -_CRC.size], header.proof_code))
+        return Container(header.domain, tuple(layers), header.folding, header.label)
 
 
-def _periodic_domain(corners: Float[np.ndarray, "2 dim"], version: int) -> Box:
-    """The domain of versions whose periodic axes have the upper end first; version 3 is for such alone."""
-    periodic = corners[0] > corners[1]
-    if version == _PERIODIC_VERSION and not periodic.any():
-        raise ValueError(f"it has format version {_PERIODIC_VERSION}, but none of its axes is periodic")
-    lo, hi = np.where(periodic, corners[::-1], corners)
-    return Box(lo, hi, tuple(map(bool, periodic)))
+def _check(data: bytes, start: int, end: int) -> None:
+    """Raise ``ValueError`` if a layer of these bytes has no room for a checksum, or another one."""
+    if end < start + _CRC.size:
+        raise ValueError("the data end too early")
+    if zlib.crc32(data[: end - _CRC.size]) != _CRC.unpack(data[end - _CRC.size : end])[0]:
+        raise ValueError("its checksum does not match: the file is truncated or corrupt")
 
 
-def container_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Size of a file of so many leaves, of which the model keeps so many bits."""
+def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
+    """Bytes of a file of one layer besides its bit stream."""
+    return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
+
+
+def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
+    """Bytes of the bit stream of so many leaves, of which the model and the proof keep so many bits."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
-    return int(HEADER_SIZE + 16 * dim - (-(tree_bits + num_bits) // 8) + _CRC.size)
-
-
-def is_header(data: bytes) -> bool:
-    """Whether a file that begins so may be one of this version."""
-    return len(data) >= HEADER_SIZE and data.startswith(_MAGIC) and data[4] in _VERSIONS
-
-
-def file_size(header: bytes) -> int:
-    """Size that a file's header, its first ``HEADER_SIZE`` bytes, states."""
-    return _HEADER.unpack_from(header)[-1]
+    return int(-(-(tree_bits + num_bits) // 8))
 
 
 def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
@@ -138,8 +223,8 @@ def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
         body.write(level.axis, _axis_bits(dim))
 
 
-def read_tree(body: BitReader, dim: int, num_leaves: int) -> list[Level]:
-    """The tree that comes next; raises ``ValueError`` if it is none with so many leaves."""
+def read_tree(body: BitReader, dim: int) -> list[Level]:
+    """The tree that comes next; raises ``ValueError`` if it is none."""
     levels, num_nodes = [], 1
     while num_nodes:
         if len(levels) > MAX_DEPTH:
@@ -150,9 +235,6 @@ def read_tree(body: BitReader, dim: int, num_leaves: int) -> list[Level]:
             raise ValueError(f"it splits axis {axis.max()} of {dim}")
         levels.append(Level(inner, axis))
         num_nodes = 2 * len(axis)
-    found = 1 + sum(len(level.axis) for level in levels)
-    if found != num_leaves:
-        raise ValueError(f"its tree has {found} leaves, its header states {num_leaves}")
     return levels
 
 

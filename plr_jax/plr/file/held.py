@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from plr_jax.plr.file.container import HEADER_SIZE, file_size
+from plr_jax._arrays import padded, padded_size
 
 if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
+
+_SIZE_BYTES = 4
 
 
 class HeldFile:
@@ -27,9 +29,16 @@ class HeldFile:
     @property
     def num_bytes(self) -> int:
         """Bytes of the file."""
-        return file_size(np.asarray(self.file)[:HEADER_SIZE].tobytes())
+        return int.from_bytes(np.asarray(self.file)[-_SIZE_BYTES:].tobytes(), "little")
 
     @property
     def resident_bytes(self) -> int:
         """Bytes of the tables that a query reads."""
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
+
+
+def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":
+    """Bytes of a file as an array of one of few sizes: padded with zeros, and last of all how many they are."""
+    file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
+    file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
+    return file

@@ -1,4 +1,4 @@
-"""What a file keeps of a folding, after the domain: numbers as in ``file/container.py``.
+"""What a file keeps of a folding, after the domain: floats little-endian.
 
 f64     the center, one number an axis
 u8      1 if folded coordinates run along axes of their own, else 0
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from plr_jax.geometry.box import Box
+from plr_jax.plr.file.fields import ByteReader
 from plr_jax.plr.folding.folding import Folding
 
 _ORTHOGONAL = 1e-9
@@ -31,27 +32,18 @@ def folding_to_bytes(folding: Folding) -> bytes:
     )
 
 
-def read_folding(data: bytes, domain: Box) -> tuple[Folding, bytes]:
-    """The folding that data begin with, and what follows; raises ``ValueError`` saying what is wrong with it."""
-    dim, at = domain.dim, 0
-
-    def take(count: int) -> bytes:
-        nonlocal at
-        at += count
-        if at > len(data):
-            raise ValueError("the data end within its folding")
-        return data[at - count : at]
-
-    center = np.frombuffer(take(8 * dim), "<f8").astype(np.float64)
-    is_turned = _flags(take(1))[0]
-    axes = (
-        np.frombuffer(take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim) if is_turned else np.eye(dim)
-    )
-    marks = _flags(take(dim * (take(1)[0] + 1))).reshape(-1, dim)
+def read_folding(reader: ByteReader, domain: Box) -> Folding:
+    """The next folding; raises ``ValueError`` saying what is wrong with it."""
+    dim = domain.dim
+    center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
+    axes = np.eye(dim)
+    if _flags(reader.take(1))[0]:
+        axes = np.frombuffer(reader.take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim)
+    marks = _flags(reader.take(dim * (reader.byte() + 1))).reshape(-1, dim)
     mirrors = tuple(tuple(map(bool, row)) for row in marks[:-1])
     folding = Folding(domain, center, axes, mirrors, tuple(map(bool, marks[-1])))
     _check(folding)
-    return folding, data[at:]
+    return folding
 
 
 def _flags(data: bytes) -> Bool[np.ndarray, "n"]:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, require_integer
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.container import container_size
+from plr_jax.plr.file.container import body_size
 from plr_jax.plr.partition.tree import MAX_DEPTH
 from plr_jax.plr.query.grid import byte_class, max_axis_depth, rows_of_class
 
@@ -31,7 +31,7 @@ class Limits:
     """When to stop: see :func:`construct`.
 
     No cell is halved more than ``max_axis_depth`` times along one axis, which bounds a query's tables. Files have
-    room for the ``proof``, with which errors are those that are proven, and for ``folding_bytes``.
+    room for the ``proof``, with which errors are those that are proven, and take ``frame_bytes`` besides bits.
     """
 
     max_depth: int
@@ -39,12 +39,12 @@ class Limits:
     max_leaves: int
     max_bytes: float
     tolerance: float
-    proof: Proof = Proof.NONE
-    folding_bytes: int = 0
+    proof: Proof
+    frame_bytes: int
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
         """Bytes of a file of so many leaves, of which the model keeps so many bits."""
-        return container_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves)) + self.folding_bytes
+        return self.frame_bytes + body_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves))
 
 
 def check_limits(
@@ -57,7 +57,7 @@ def check_limits(
     max_bytes: int | None,
     tolerance: int | float | None,
     proof: Proof,
-    folding_bytes: int = 0,
+    frame_bytes: int,
 ) -> Limits:
     """Limits with every None replaced, after checking the ranges of what :func:`construct` is given."""
     for name, value, least in (
@@ -89,7 +89,7 @@ def check_limits(
         max_bytes=np.inf if max_bytes is None else float(max_bytes),
         tolerance=0.0 if tolerance is None else float(tolerance),
         proof=proof,
-        folding_bytes=folding_bytes,
+        frame_bytes=frame_bytes,
     )
 
 

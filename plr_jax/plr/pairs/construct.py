@@ -10,6 +10,7 @@ from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.pairs.growth import Lists, grow_lists
 from plr_jax.plr.pairs.lattice import outline_of
@@ -51,7 +52,8 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     if not isinstance(workspace, Workspace):
         raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
-    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE)
+    frame = frame_size(workspace.bounds)
+    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE, frame)
     domain, boundary = workspace.bounds, workspace.boundary
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")

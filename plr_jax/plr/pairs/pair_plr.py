@@ -10,12 +10,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, UInt8
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded
 from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.held import HeldFile
+from plr_jax.plr.file.held import HeldFile, held
 from plr_jax.plr.pairs.one_goal import plr_to
 from plr_jax.plr.pairs.query import is_inside, shortest_ways
 from plr_jax.plr.pairs.stored import Stored
@@ -37,7 +37,7 @@ class PairPLR(HeldFile):
 
     Attributes:
         tables: What a query reads, derived from ``file`` alone.
-        file: The bytes that :func:`save` writes, padded with zeros to a power of two.
+        file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
     """
 
     tables: PairTables
@@ -163,7 +163,7 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
     """The PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
     stored = Stored.from_bytes(data)
     tables = build_pair_tables(stored, len(data))
-    return PairPLR(tables, padded(np.frombuffer(data, np.uint8), padded_size(len(data))))
+    return PairPLR(tables, held(data))
 
 
 @jax.jit

@@ -1,11 +1,15 @@
 """What the file of a PairPLR holds, and its layout.
 
-It is a PLR file (see ``plr/file/container.py``) whose leaf model has the code 255. Its bit stream is:
+It is a PLR file (see ``plr/file/container.py``) of two layers, whose leaf model has the code 7. The first one, from
+which all distances follow, is:
 
     the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
     the outline of free space (see ``outline.py``)
     which of its points are corners, a set
     which pairs of corners are joined, a set of the pairs in order of the later corner
+
+The second one is what makes queries quick. Where it was cut off, there is one leaf, which lists all corners.
+
     the tree over the leaves
     the corners that are listed: for the root those that it leaves out of all, a set; then for the halves of the split
       nodes of each level, those that they leave out of their parent's, a set a level
@@ -22,10 +26,10 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import PAIRS_CODE, Container, read_tree, write_tree
+from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer, read_tree, write_tree
 from plr_jax.plr.pairs.outline import Outline, read_outline
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, Tree, tree_of_levels
+from plr_jax.plr.partition.tree import Level, Tree, levels_of, tree_of_levels
 
 MOST_CORNERS = 2**13
 WIDEST = 1e18
@@ -88,22 +92,27 @@ class Stored:
         is_joined = np.zeros(count * (count - 1) // 2, bool)
         is_joined[_number_of_pair(self.edges)] = True
         body.write_set(is_joined)
-        write_tree(body, self.levels, 2)
-        _write_lists(body, self.tree, self.leaf, self.listed, count)
-        return Container(self.domain, PAIRS_CODE, len(self.tree.node_of_leaf), body.to_bytes()).to_bytes()
+        lists = BitWriter()
+        write_tree(lists, self.levels, 2)
+        _write_lists(lists, self.tree, self.leaf, self.listed, count)
+        layers = Layer(PAIRS_CODE, body.to_bytes()), Layer(PAIRS_CODE, lists.to_bytes())
+        return Container(self.domain, layers).to_bytes()
 
     @staticmethod
     def from_bytes(data: bytes) -> "Stored":
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
         container = Container.from_bytes(data)
-        if container.leaf_code != PAIRS_CODE or container.proof_code or container.folding is not None:
+        if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
             raise ValueError("it holds the distance to one goal; use load")
+        first, *others = container.layers
+        if len(others) > 1 or any(layer.proof_code for layer in container.layers) or container.folding is not None:
+            raise ValueError(f"its pairs have {len(others)} layers of lists, proofs or folded points")
         domain = container.domain
         if domain.dim != 2 or domain.is_periodic:
             raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
         if not domain.width.max() <= WIDEST:
             raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
-        body = BitReader(container.body)
+        body = BitReader(first.body)
         rounding = float(body.read_floats(1)[0])
         if not 0 <= rounding < np.inf:
             raise ValueError(f"its distances err by {rounding}")
@@ -113,11 +122,16 @@ class Stored:
         if count > MOST_CORNERS:
             raise ValueError(f"it has {count} corners; at most {MOST_CORNERS} are read")
         edges = _pair_of_number(np.flatnonzero(body.read_set(count * (count - 1) // 2)))
-        levels = read_tree(body, 2, container.num_leaves)
-        most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
-        leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
         if not body.at_end():
-            raise ValueError("it holds more data than its leaves need")
+            raise ValueError("it holds more data than its corners need")
+        levels, leaf, listed = levels_of(Cells.root(2))[0], np.zeros(count, np.int64), np.arange(count)
+        if others:
+            body = BitReader(others[0].body)
+            levels = read_tree(body, 2)
+            most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
+            leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
+            if not body.at_end():
+                raise ValueError("it holds more data than its leaves need")
         return Stored(domain, outline, corner, edges, levels, leaf, listed, rounding)
 
 
