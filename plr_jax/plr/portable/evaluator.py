@@ -11,7 +11,7 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.container import HEADER_SIZE, file_size, is_header
+from plr_jax.plr.file.container import MOST_BYTES
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.descent import Descent
 from plr_jax.plr.portable.point import point_query
@@ -212,10 +212,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
     """
     try:
         with open(path, "rb") as file:
-            data = file.read(HEADER_SIZE)
-            if is_header(data):  # or nothing says how much to read
-                data += file.read(max(file_size(data) - len(data), 0) + 1)
-        return NumpyPLR(data)
+            return NumpyPLR(file.read(MOST_BYTES + 1))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
 
