@@ -20,7 +20,6 @@ from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.portable.evaluator import NumpyPLR
-from plr_jax.plr.portable.header import c_header
 from plr_jax.plr.query.frame import corner_if_far
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
@@ -163,7 +162,7 @@ class PLR(HeldFile):
         Raises:
             ValueError: If the name is no identifier.
         """
-        return c_header(self.to_bytes(), name)
+        return self.numpy().c_header(name)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:

@@ -14,6 +14,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.file.container import MOST_BYTES
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.header import c_header
 from plr_jax.plr.portable.point import point_query
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.query.grid import FRACTION_BITS
@@ -71,6 +72,16 @@ class NumpyPLR:
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
         return self._program.domain
+
+    @property
+    def max_error(self) -> float | None:
+        """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
+        certificate = self._program.contents.certificate
+        return None if certificate is None else certificate.max_error
+
+    def c_header(self, name: str) -> str:
+        """The same as one header of C99: see :meth:`PLR.c_header`."""
+        return c_header(self._program, name)
 
     def __call__(self, x: ArrayLike) -> Any:
         """Distance at each point.

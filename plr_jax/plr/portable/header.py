@@ -12,23 +12,23 @@ _FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "45
 _WIDTH = 100  # of a line
 
 
-def c_header(data: bytes, name: str) -> str:
+def c_header(program: Program, name: str) -> str:
     """The header of a PLR.
 
     Args:
-        data: The bytes of its file.
+        program: What a query of it computes.
         name: With which all that it defines begins, an identifier of C.
 
     Returns:
         The text of the header.
 
     Raises:
-        ValueError: If the name is no identifier, or the bytes are not those of a PLR.
+        ValueError: If the name is no identifier.
     """
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
-    header = _Header(Program.of_file(data), name)
-    return "\n".join([*header.introduction(len(data)), *header.tables(), *header.functions(), *header.end()])
+    header = _Header(program, name)
+    return "\n".join([*header.introduction(), *header.tables(), *header.functions(), *header.end()])
 
 
 class _Header:
@@ -42,7 +42,7 @@ class _Header:
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
         self.helpers: set[str] = set()
 
-    def introduction(self, num_bytes: int) -> list[str]:
+    def introduction(self) -> list[str]:
         """What the header is, and what it includes."""
         program, name = self.program, self.name
         domain, guard = program.domain, f"{name.upper()}_H"
@@ -54,8 +54,7 @@ class _Header:
         return [
             f"#ifndef {guard}",
             f"#define {guard}",
-            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}, of a "
-            f"file of {num_bytes} bytes.",
+            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
             "",
             f"   {name}_distance: distance from a point {' x '.join(ends)};",
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
