@@ -32,6 +32,7 @@ PLR_LAYERS = [
     ["leaves"],
     ["_file"],
     ["_filled"],
+    ["portable"],
     ["_plr"],
     ["_assembly", "_location", "_stack"],
     ["_certify", "pairs"],
