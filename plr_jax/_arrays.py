@@ -182,6 +182,22 @@ def run_members(
     return first[which][run] + place, run
 
 
+def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"]:
+    """Sum of each row from left to right: what libraries sum in blocks, they round as the processor has it."""
+    total = terms[:, 0].copy()
+    for column in terms.T[1:]:
+        total += column
+    return total
+
+
+def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "terms m"]) -> Float[np.ndarray, "n m"]:
+    """The product ``a @ b``, each entry summed from left to right, on any processor alike."""
+    total = np.zeros((len(a), b.shape[1]))
+    for column, row in zip(a.T, b, strict=True):
+        total += column[:, None] * row
+    return total
+
+
 def mixed(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
     """A hash of each number, in which every bit depends on all of its.
 

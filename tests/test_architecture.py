@@ -19,7 +19,7 @@ LAYERS = [
     ["_problem"],
     ["_validate"],
     ["oracles", "plr", "planners", "spaces"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal", "remote"],
     ["cli"],
     ["__main__"],
 ]
@@ -32,12 +32,13 @@ PLR_LAYERS = [
     ["leaves"],
     ["_file"],
     ["_filled"],
+    ["portable"],
     ["_plr"],
     ["_assembly", "_location", "_stack"],
     ["_certify", "pairs"],
     ["_checkpoint", "_io", "_trace", "refinement"],
     ["_construct"],
-    ["_construct_many", "metric_pairs"],
+    ["_construct_many", "metric_pairs", "layers"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

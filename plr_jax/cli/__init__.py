@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import typer
 
-INTERRUPTED_EXIT, TERMINATED_EXIT = 130, 143
+INTERRUPTED_EXIT, BROKEN_PIPE_EXIT, TERMINATED_EXIT = 130, 141, 143
 _SOON = 0.01  # seconds, in which a callback ends
 
 

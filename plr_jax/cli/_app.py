@@ -1,13 +1,18 @@
 """The application, and what all its commands have in common: their errors and exit codes."""
 
+import contextlib
 import functools
+import os
+import sys
 from collections.abc import Callable
 from typing import Annotated, NoReturn
 
+import click
 import typer
+from typer.core import TyperCommand
 
 import plr_jax
-from plr_jax.cli import INTERRUPTED_EXIT
+from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
 
 app = typer.Typer(
     name="plr-jax",
@@ -48,8 +53,9 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except KeyboardInterrupt:
                 typer.echo("Interrupted.", err=True)
                 raise typer.Exit(INTERRUPTED_EXIT) from None
-            except BrokenPipeError:
-                raise  # a reader such as `head` that has seen enough
+            except BrokenPipeError:  # a reader such as `head` that has seen enough
+                _discard_output()
+                raise typer.Exit(BROKEN_PIPE_EXIT) from None
             except OSError as error:
                 # strerror and filename alone read better than "[Errno 2] ...".
                 where = f"{error.filename}: " if error.filename else ""
@@ -57,9 +63,39 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except ValueError as error:
                 fail(str(error))
 
-        return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
+        return app.command(epilog="\n\n".join(["Examples:", *examples]), cls=_Command)(run)
 
     return register
+
+
+class _Command(TyperCommand):
+    """A command that says what is wrong with a goal of two arguments."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError:
+            for option, x, y in zip(given, given[1:], given[2:], strict=False):
+                if option in ("--goal", "-g") and _is_number(x) and _is_number(y):
+                    raise click.UsageError(f"{option} is one argument X,Y: write {option} {x},{y}.", ctx) from None
+            raise
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.rstrip(","))
+    except ValueError:
+        return False
+    return True
+
+
+def _discard_output() -> None:
+    """Send what is still to be written nowhere, or Python would complain about it at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
 
 
 def fail(message: str, code: int = 2) -> NoReturn:

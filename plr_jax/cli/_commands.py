@@ -3,11 +3,11 @@
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
 
-import sys
 import time
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -20,10 +20,9 @@ from plr_jax.cli._inputs import (
     PICTURES,
     SCENES,
     map_and_goal,
-    parse_points,
-    read_text,
     require_writable,
 )
+from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
 
 _ERROR_POINTS = 20_000
 
@@ -154,26 +153,61 @@ def query(
     bounds: Annotated[
         bool, typer.Option("--bounds", help="Print distance,lower,upper: proven bounds beside the distance.")
     ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first row that is no point.")] = False,
 ) -> None:
-    """Print the distance of each point, one a line; inf outside the domain.
+    """Print the distance of each point, one a line: inf outside the domain, nan for nan and for what is no point.
 
-    A first line that is no row of numbers is taken as a header.
+    Rows that are none are told on standard error. A first line of names is taken as a header. Tables of any length
+    are answered in little memory.
     """
-    from plr_jax.plr import load
+    from plr_jax.plr import load_numpy
 
-    plr = load(file)
-    name, text = read_text(points)
-    x = parse_points(name, text, plr.domain.dim)
-    answers = np.asarray(plr(x))[:, None]
+    require_standard_output()
+    plr = load_numpy(file)
+    columns: list[Callable[[np.ndarray], Any]] = [plr]
     if gradient:
-        import jax
-
-        answers = np.hstack([answers, jax.vmap(jax.grad(plr))(x)])
+        columns.append(_gradients(file))
     if bounds and plr.max_error is None:
         raise ValueError(f"Nothing is proven of {file}: files that plr-jax build writes have a proof.")
     if bounds:
-        answers = np.column_stack([answers, *plr.bounds(x)])
-    sys.stdout.writelines(",".join(f"{value:.9g}" for value in row) + "\n" for row in answers)
+        columns.append(lambda x: np.column_stack(plr.bounds(x)))
+    name, table = open_table(points)
+    with table:
+        chunks = PointTable(name, plr.dim, strict).chunks(table)
+        print_answers(np.column_stack([column(x) for column in columns]) for x in chunks)
+
+
+def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
+    """The gradients at points, which JAX differentiates; compiled for few sizes."""
+    import jax
+
+    from plr_jax._arrays import padded, padded_size
+    from plr_jax.plr import load
+
+    gradients = jax.jit(jax.vmap(jax.grad(load(file))))
+    return lambda x: np.asarray(gradients(padded(x, padded_size(len(x)))))[: len(x)]
+
+
+@command("plr-jax export maze.plr --c -o plr_maze.h", "plr-jax export maze.plr --c -o include/maze.h --name level_1")
+def export(
+    file: _File,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The header to write.", show_default=False)],
+    c: Annotated[bool, typer.Option("--c", help="As one header of C99, also valid C++.")] = False,
+    name: Annotated[
+        str | None,
+        typer.Option(help="With which all that it defines begins.", show_default="the header's without its ending"),
+    ] = None,
+) -> None:
+    """Write a .plr file as code that answers points: without heap, and bit for bit what query prints."""
+    from plr_jax._atomic import write_atomically
+    from plr_jax.plr import load_numpy
+
+    if not c:
+        raise ValueError("Say as what: --c is for a header of C99.")
+    require_writable(output, (".h", ".hpp"))
+    text = load_numpy(file).c_header(output.stem if name is None else name)
+    write_atomically(output, text.encode())
+    typer.echo(f"wrote {output}: {len(text):,} bytes")
 
 
 @command("plr-jax info maze.plr")

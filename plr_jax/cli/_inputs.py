@@ -3,7 +3,6 @@
 import errno
 import os
 import stat
-import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -112,40 +111,8 @@ def parse_goal(text: str) -> Float[np.ndarray, "2"]:
     """The point that ``X,Y`` means."""
     goal = np.array(_numbers(text))
     if goal.shape != (2,) or not np.isfinite(goal).all():
-        raise ValueError(f"--goal must be two numbers X,Y, got {text!r}.")
+        raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
     return goal
-
-
-def read_text(source: str) -> tuple[str, str]:
-    """Name and text of a file, or of standard input for ``-``."""
-    try:
-        if source == "-":
-            return "stdin", sys.stdin.read()
-        return source, Path(source).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError(f"{'stdin' if source == '-' else source} is not a text file.") from None
-
-
-def parse_points(name: str, text: str, dim: int) -> Float[np.ndarray, "n dim"]:
-    """The points of a CSV text: ``dim`` finite numbers a line, after an optional header.
-
-    ``ValueError`` if a line is blank or malformed, named by its number; or there is none.
-    """
-    lines, points = text.rstrip().splitlines(), []
-    for number, line in enumerate(lines, start=1):
-        if number == 1 and _is_header(line):
-            continue
-        points.append(_numbers(line))
-        if len(points[-1]) != dim or not np.isfinite(points[-1]).all():
-            raise ValueError(f"{name}, line {number}: expected {dim} comma-separated finite numbers, got {line!r}.")
-    if not points:
-        raise ValueError(f"{name} has no points: expected {dim} comma-separated numbers a line.")
-    return np.array(points)
-
-
-def _is_header(line: str) -> bool:
-    """Whether the line has letters and no field that is a number (a broken first line is an error, not a header)."""
-    return any(map(str.isalpha, line)) and not any(_numbers(field) for field in line.split(","))
 
 
 def _numbers(line: str) -> list[float]:

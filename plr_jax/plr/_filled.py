@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import sum_of_columns
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.contacts import neighbor_of_largest_contact
@@ -33,7 +34,7 @@ def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
         coefficients[unreachable] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
-        coefficients[borrower] = leaf.of_planes(center + np.sum(half * along, axis=1), half * widths)
+        coefficients[borrower] = leaf.of_planes(center + sum_of_columns(half * along), half * widths)
     return coefficients
 
 

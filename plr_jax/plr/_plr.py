@@ -19,12 +19,13 @@ from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.portable.evaluator import NumpyPLR
+from plr_jax.plr.query.frame import corner_if_far
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
     PointPlacement,
     as_array,
     bound_points,
-    corner_if_far,
     evaluate_points,
     waypoints_of_points,
 )
@@ -140,6 +141,28 @@ class PLR(HeldFile):
         source = waypoints_of_points(tables, placed)
         corner = None if tables is self.tables else self._far_corner
         return source if corner is None else corner + np.asarray(source, np.float64)
+
+    def numpy(self) -> NumpyPLR:
+        """The same in NumPy alone, by the arithmetic that is part of the file format: quick for a single point."""
+        return NumpyPLR(self.to_bytes())
+
+    def c_header(self, name: str) -> str:
+        """The same as one header of C99, also valid C++: without heap, with no function of a library but ``sqrtf``.
+
+        It defines ``float NAME_distance(const float x[dim])``, and of cones ``void NAME_waypoint(const float x[dim],
+        float waypoint[dim])``; in a domain far from the origin coordinates are doubles. Answers are those of
+        :meth:`numpy`, bit for bit, where nothing is fused: compile with ``-ffp-contract=off``.
+
+        Args:
+            name: With which all that it defines begins, an identifier of C.
+
+        Returns:
+            The text of the header.
+
+        Raises:
+            ValueError: If the name is no identifier.
+        """
+        return self.numpy().c_header(name)
 
     @staticmethod
     def stack(plrs: Sequence["PLR"]) -> TableStack:

@@ -9,6 +9,7 @@ import pytest
 
 from plr_jax import PLR, Box, Dubins, Euclidean, ReedsShepp, certify, construct, from_bytes, load, refine, save
 from plr_jax.plr._location import leaf_of
+from plr_jax.plr.file.container import Container
 
 WINDOW = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
 ASIDE = Box((-2, -4, -np.pi), (6, 3, np.pi), periodic=(False, False, True))

@@ -11,7 +11,7 @@ Layout of version 5, with numbers as in ``fields.py``:
             one bit: is the domain kept in floats?
     ...     number of axes, if there are more than 15
     ...     the domain (see ``domain.py``)
-    ...     how points are folded, if they are (see ``plr/folding/codec.py``); leaves are then of the box of those
+    ...     how points are folded, if they are (see ``plr/file/folding.py``); leaves are then of the box of those
     ...     the label, if that bit is set: its length in bytes, and it in UTF-8; then the number of layers but the
             last one, and of each its size in bytes
     ...     layers. Each but the last one begins with
@@ -40,7 +40,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.domain import domain_to_bytes, read_domain
 from plr_jax.plr.file.fields import ByteReader, varint
-from plr_jax.plr.folding.codec import folding_to_bytes, read_folding
+from plr_jax.plr.file.folding import folding_to_bytes, read_folding
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
@@ -55,7 +55,7 @@ MOST_AXES = 255
 MAGIC = b"P\xb5"
 """What every file of this version begins with."""
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of versions before
-_MOST_LAYERS = 32
+MOST_LAYERS = 32
 _MOST_IN_BITS = 15
 _FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7
 _CRC = struct.Struct("<I")
@@ -131,8 +131,8 @@ class Header:
         label, sizes = "", ()
         if second & _EXTENDED:
             label = _read_label(reader)
-            if (count := reader.varint()) > _MOST_LAYERS:
-                raise ValueError(f"it states {count} layers, more than {_MOST_LAYERS}")
+            if (count := reader.varint()) > MOST_LAYERS:
+                raise ValueError(f"it states {count} layers, more than {MOST_LAYERS}")
             sizes = tuple(reader.varint() for _ in range(count))
         header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes)
         if header.data != data[: reader.at]:

@@ -13,7 +13,7 @@ from plr_jax._arrays import as_finite, require_integer
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import body_size
 from plr_jax.plr.partition.tree import MAX_DEPTH
-from plr_jax.plr.query.tables import byte_class, max_axis_depth, rows_of_class
+from plr_jax.plr.query.grid import byte_class, max_axis_depth, rows_of_class
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200

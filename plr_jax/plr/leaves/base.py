@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import product_in_order
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
@@ -16,11 +17,7 @@ from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.partition.tree import Level, Tree
-from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array, csr_array
 
 
 class Rules(NamedTuple):
@@ -30,10 +27,11 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+Functions: TypeAlias = tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"], Float[np.ndarray, "n terms"]]
+"""Functions of leaves: corners of their boxes, and finite coefficients."""
+
 UNIT = 2.0**-24
 """Largest relative error of rounding to 32-bit floats."""
-
-_RESIDUAL, _MOST_STEPS = 1e-10, 200  # of conjugate gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,16 +142,26 @@ class LeafModel(Protocol):
         """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
         ...
 
-    def evaluate(
-        self,
-        tables: Tables,
-        leaf: UInt32[Array, "*batch"],
-        x: Float[Array, "*batch dim"],
-        outside: Bool[Array, "*batch"],
-    ) -> Float[Array, "*batch"]:
-        """Value at each point, in JAX: that of the leaf whose numbers ``number_of_leaf`` finds at ``leaf``.
+    @property
+    def is_of_cells(self) -> bool:
+        """Whether its functions are of the place in a cell, whose own numbers then stand before the others.
 
-        If a point is ``outside`` the domain, any number will do.
+        Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
+        """
+        ...
+
+    def num_numbers(self, dim: int) -> int:
+        """How many :attr:`numbers` a query reads of a leaf."""
+        ...
+
+    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """The value at a place, by operations whose order is part of the format: see ``plr/portable``.
+
+        Args:
+            numbers: Those of the leaf, without the ones of its cell; arrays, scalars or text of a program.
+            place: Along each axis, from 0 to 1 in the leaf's cell or, unless it ``is_of_cells``, how far from the
+                domain's rounded lower corner.
+            root: The square root.
         """
         ...
 
@@ -167,6 +175,12 @@ class LeafModel(Protocol):
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
+        ...
+
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of functions of leaves minus those of others, over boxes, one each."""
         ...
 
     def rounding(
@@ -248,10 +262,8 @@ class SourcedLeafModel(LeafModel, Protocol):
         """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
         ...
 
-    def waypoints(
-        self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
-    ) -> Float[Array, "*batch dim"]:
-        """The source of the leaf of each point, in JAX and in the precision of the points."""
+    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
+        """Of a leaf's numbers those that say how far its source is from the domain's rounded lower corner."""
         ...
 
 
@@ -296,8 +308,8 @@ def linear_mean_planes(
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
     """What :meth:`LeafModel.mean_planes` is of a linear model."""
     ends = np.eye(dim)
-    half = coefficients @ (model.basis(ends) - model.basis(-ends)).T / 2
-    return coefficients @ model.basis(np.zeros((1, dim)))[0], half
+    half = product_in_order(coefficients, (model.basis(ends) - model.basis(-ends)).T) / 2
+    return product_in_order(coefficients, model.basis(np.zeros((1, dim))).T)[:, 0], half
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
@@ -312,39 +324,3 @@ def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """The nearest 32-bit floats that are not above, in double precision."""
     rounded = values.astype(np.float32)
     return np.where(rounded > values, np.nextafter(rounded, np.float32(-np.inf)), rounded).astype(np.float64)
-
-
-def weighted_squares(
-    of_parameters: "csr_array | csc_array", normal: Float[np.ndarray, "leaves terms terms"]
-) -> "csr_array":
-    """The normal matrix of parameters that are mapped to all coefficients, from those of the leaves' coefficients."""
-    from scipy.sparse import bsr_array
-
-    each = np.arange(len(normal) + 1)
-    return of_parameters.T @ (bsr_array((normal, each[:-1], each)) @ of_parameters)
-
-
-def solve_sparse(normal: "csr_array", moments: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Solve equations whose matrix is symmetric and positive definite, by its factors."""
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    # Without pivoting, the factors of such a matrix fill in a quarter as much.
-    options = {"SymmetricMode": True}
-    factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-    return factors.solve(moments)
-
-
-def solve_by_descent(normal: "csr_array", moments: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """The same by conjugate gradients, to a relative residual of 1e-10; by factors if that takes long.
-
-    In more than two dimensions factors fill in far more than the matrix holds. Where samples determine all values,
-    the matrix divided by its diagonal is well conditioned, whatever the sizes of leaves.
-    """
-    from scipy.sparse import diags_array
-    from scipy.sparse.linalg import cg
-
-    scale = 1 / np.sqrt(normal.diagonal())
-    scaled = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
-    values, failed = cg(scaled, scale * moments, rtol=_RESIDUAL, maxiter=_MOST_STEPS)
-    return solve_sparse(normal, moments) if failed else scale * values

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from plr_jax.plr.folding.folding import Folding
-from plr_jax.plr.query.frame import frame_of
+from plr_jax.plr.query.frame import folding_numbers, frame_of, mirrored_axes
 from plr_jax.plr.query.picked import Picked
 
 
@@ -42,17 +42,14 @@ class FoldedWindow:
     @staticmethod
     def of(folding: Folding) -> "FoldedWindow":
         """The same folding, for queries."""
-        periodic = np.array(folding.domain.periodic)
-        reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
-        center = folding.center.astype(np.float32)
-        corners = np.stack([folding.box.lo, folding.box.hi])
+        center, corners = folding_numbers(folding)
         return FoldedWindow(
             frame=jnp.asarray(frame_of(folding.domain, np.zeros(folding.domain.dim))),
-            center=jnp.asarray(np.stack([center, folding.center - center]).astype(np.float32)),
-            corners=jnp.asarray(np.where(periodic, [[-np.inf], [np.inf]], corners).astype(np.float32)),
+            center=jnp.asarray(center),
+            corners=jnp.asarray(corners),
             axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
-            mirrors=tuple(zip(folding.pivots, reversed_axes, strict=True)),
-            periodic=tuple(map(int, np.flatnonzero(periodic))),
+            mirrors=mirrored_axes(folding),
+            periodic=tuple(map(int, np.flatnonzero(folding.domain.periodic))),
         )
 
     def __call__(self, x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch dim"]:

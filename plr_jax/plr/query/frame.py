@@ -1,14 +1,17 @@
-"""A box as queries know it: in 32-bit floats."""
+"""A box as queries know it, and how it is folded: in 32-bit floats."""
 
 from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.grid import FRACTION_BITS
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
 
 class Frame(IntEnum):
@@ -56,3 +59,28 @@ def frame_of(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray,
     rounded = top.astype(np.float32)
     frame[Frame.TOP] = np.where(rounded > top, np.nextafter(rounded, np.float32(0)), rounded)
     return frame
+
+
+def corner_if_far(frame: ArrayLike) -> Float[np.ndarray, "dim"] | None:
+    """The rounded lower corner of a domain, given by its frame, that is far from the origin; else None."""
+    lo, hi = np.asarray(frame, np.float64)[[Frame.LO, Frame.HI]]
+    return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
+
+
+def folding_numbers(folding: Folding) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
+    """A folding's center in 32-bit floats with what they leave of it, and the corners of the box of folded points.
+
+    These are infinite along periodic axes.
+    """
+    center = folding.center.astype(np.float32)
+    corners = np.stack([folding.box.lo, folding.box.hi])
+    return (
+        np.stack([center, folding.center - center]).astype(np.float32),
+        np.where(folding.domain.periodic, [[-np.inf], [np.inf]], corners).astype(np.float32),
+    )
+
+
+def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
+    """For each mirror its pivot, and the axes that it reverses."""
+    reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
+    return tuple(zip(folding.pivots, reversed_axes, strict=True))

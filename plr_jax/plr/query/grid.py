@@ -1,4 +1,4 @@
-"""The grids that tables are made of: which leaves meet which block, and where.
+"""The grids that tables are made of: how large they are, which leaves meet which block, and where.
 
 A *block* is a cell of a coarse grid of ``2**block_bits`` along the axes, its *shape* the bits of the finer grid that
 its own leaves need.
@@ -12,6 +12,13 @@ from plr_jax.plr.partition.cells import Cells
 
 FRACTION_BITS = 23  # of a 32-bit float
 WORD_BITS = 32
+MIN_CLASS = 8
+_SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
+MOST_ROWS = 2**14  # of a class whose tables are of one shape
+MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
+_DEEP_BITS = 28  # of a point's place in all, beyond the classes above
+_PAGED_DEPTH = 13  # along an axis, so that blocks and the page of a deepest leaf stay small
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
@@ -81,3 +88,36 @@ def row_major(
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
     return index
+
+
+def byte_class(num_bytes: int) -> int:
+    """The smallest exponent of a power of two that is at least so many bytes."""
+    return max(MIN_CLASS, (num_bytes - 1).bit_length())
+
+
+def rows_of_class(of_class: int, least_bytes: int | float) -> int:
+    """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
+    return int((1 << of_class) / least_bytes)
+
+
+def slot_bits_of_rows(rows: int) -> int:
+    """Bits of the flat table of a class that has room for so many leaves."""
+    return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
+
+
+def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
+    """How often a cell may be halved along one axis, for a class of files or for any.
+
+    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; trees that are to be deep, as of
+    leaf models with pages or for a proof, may go as far as pages do. Else the tables' size is bounded.
+    """
+    rows = None if of_class is None else rows_of_class(of_class, least_bytes)
+    if rows is None or rows > MOST_ROWS or dim > 2:
+        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
+    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
+
+
+def max_entries(num_bytes: int) -> int:
+    """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
+    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
+    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)

@@ -1,6 +1,7 @@
 """A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
 
 from functools import partial, reduce
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.query.trie import Trie
 
+_EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 _ENDS_IN_DOUBLE = (
     2.0**-44
 )  # how well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly
@@ -31,7 +33,7 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array,
     x = _wrapped(tables, x)
     row = find_row(tables, jax.lax.stop_gradient(x))
     outside, answer = outside_domain(tables, x)
-    value = tables.leaf.evaluate(tables, row, x, outside)
+    value = _value(tables, row, x, outside)
     if tables.radial:
         value += radius(x, tables.radial, outside)
     return jnp.where(outside, answer, value)
@@ -70,7 +72,8 @@ def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Ar
     """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
     x = jax.lax.stop_gradient(x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32))
     outside, answer = outside_domain(tables, x)
-    source = tables.leaf.waypoints(tables, find_row(tables, x), x)
+    numbers = _numbers(tables, find_row(tables, x), x.dtype)
+    source = tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(tables.leaf.source_of(numbers), axis=-1)
     return jnp.where((outside | jnp.isnan(answer))[..., None], jnp.nan, source)
 
 
@@ -155,11 +158,62 @@ def _moved_with_tangent(primals, tangents):
     return primals[1], tangents[0]
 
 
-def number_of_leaf(tables: Tables, row: UInt32[Array, "*batch"], which: int, count: int) -> Float[Array, "*batch"]:
-    """One of the ``count`` numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
+def _value(
+    tables: Tables, row: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"], outside: Bool[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Value of the leaf at each point; if that is ``outside`` the domain, any number will do."""
+    numbers, frame, place = _numbers(tables, row, x.dtype), tables.frame.astype(x.dtype), []
+    for axis in range(tables.dim):
+        above = x[..., axis] - frame[Frame.LO, axis]
+        if tables.leaf.is_of_cells:
+            u = above * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
+            above = _zero_if_differentiated(_coordinate_in_cell(u, numbers[axis]), outside)
+        place.append(above)
+    return tables.leaf.value(numbers[tables.dim * tables.leaf.is_of_cells :], place, _root)
+
+
+def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: Any) -> list[Float[Array, "*batch"]]:
+    """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
+    count = tables.leaf.num_numbers(tables.dim)
     if tables.numbers.ndim == 2:
-        return _gather(tables.numbers[which], row)
-    return _gather(tables.numbers, row * np.uint32(count) + np.uint32(which))
+        return [_gather(tables.numbers[which], row).astype(dtype) for which in range(count)]
+    first = row * np.uint32(count)
+    return [_gather(tables.numbers, first + np.uint32(which)).astype(dtype) for which in range(count)]
+
+
+def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Coordinate, from 0 to 1, in the interval of that number, of a point at ``u`` of the domain.
+
+    Where the lookup rounds a point across a border, the coordinate is beyond 0 or 1 by as much. Products and the
+    difference are exact, so both leaves at a face see the same point.
+    """
+    exponent = jax.lax.bitcast_convert_type(number.astype(jnp.float32), jnp.uint32) & _EXPONENT
+    count = jax.lax.bitcast_convert_type(exponent, jnp.float32).astype(u.dtype)
+    return u * count - (number - count)
+
+
+@jax.custom_jvp
+def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The coordinates, but zero outside the domain where differentiated: zero times a gradient at inf is NaN."""
+    return t
+
+
+@_zero_if_differentiated.defjvp
+def _zero_with_tangent(primals, tangents):
+    t, outside = primals
+    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
+
+
+@jax.custom_jvp
+def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The square root, whose slope at zero, at a source itself, counts as zero."""
+    return jnp.sqrt(square)
+
+
+@_root.defjvp
+def _root_with_tangent(primals, tangents):
+    root = jnp.sqrt(primals[0])
+    return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
 def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[Array, "*batch"]:
@@ -174,7 +228,8 @@ def _place(tables: Tables, x: Float[Array, "*batch dim"], axis: int) -> UInt32[A
     share = (x[..., axis] - lo) * scale
     # The bound stands before the sum, or a compiler might round product and sum at once in one part of a query and
     # apart in another, and so put a point beside a border into a block of one cell and a slot of the other.
-    placed = jnp.where(share < top, share, top) + start
+    # Points that rounding put below the lower edge would be beside the upper one.
+    placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
     return jax.lax.bitcast_convert_type(placed.astype(jnp.float32), jnp.uint32)
 
 

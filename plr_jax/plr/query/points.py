@@ -10,11 +10,8 @@ from jaxtyping import Array, Float
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
-from plr_jax.plr.query.frame import Frame
 from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
 from plr_jax.plr.query.tables import Tables
-
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
 
 find_leaves = jax.jit(lookup)
 """The leaf of each point, as its index."""
@@ -66,12 +63,6 @@ def _check_points(tables: Tables, x: Array) -> None:
 def _require_real(x: Array | np.ndarray) -> None:
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-
-
-def corner_if_far(frame: ArrayLike) -> Float[np.ndarray, "dim"] | None:
-    """The rounded lower corner of a domain, given by its frame, that is far from the origin; else None."""
-    lo, hi = np.asarray(frame, np.float64)[[Frame.LO, Frame.HI]]
-    return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
 
 
 @dataclass(frozen=True, eq=False)

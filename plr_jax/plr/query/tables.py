@@ -35,19 +35,21 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
 from plr_jax.plr.query.folded import FoldedWindow
 from plr_jax.plr.query.frame import frame_of, table_corners
-from plr_jax.plr.query.grid import FRACTION_BITS, block_shapes
+from plr_jax.plr.query.grid import (
+    FRACTION_BITS,
+    MAX_FLAT_BITS,
+    MOST_ROWS,
+    block_shapes,
+    byte_class,
+    max_entries,
+    rows_of_class,
+    slot_bits_of_rows,
+)
 from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.trie import Trie
 
-MIN_CLASS = 8
-_SLOT_BITS = ((2**10, 14), (2**12, 16))  # of flat tables with up to so many rows; beyond, MAX_FLAT_BITS
-MOST_ROWS = 2**14  # of a class whose tables are of one shape
-MAX_FLAT_BITS = 18  # a flat table of 16-bit leaves then fits a core's second-level cache
-_DEEP_BITS = 28  # of a point's place in all, beyond the classes above
-_PAGED_DEPTH = 13  # along an axis, so that blocks and the page of a deepest leaf stay small
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
-_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache, the other half is for slots
 
 
@@ -187,36 +189,3 @@ def _bits_of_index(bits: Int[np.ndarray, "dim"]) -> UInt32[Array, "2 dim"]:
     """Mask and shift that make an index of the first bits along each axis of a point's place."""
     mask = ((1 << bits) - 1) << (FRACTION_BITS - bits)
     return jnp.asarray(np.stack([mask, FRACTION_BITS - np.cumsum(bits[::-1])[::-1]]).astype(np.uint32))
-
-
-def byte_class(num_bytes: int) -> int:
-    """The smallest exponent of a power of two that is at least so many bytes."""
-    return max(MIN_CLASS, (num_bytes - 1).bit_length())
-
-
-def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Leaves for which the tables of a class have room, where a leaf takes so many bytes at the least."""
-    return int((1 << of_class) / least_bytes)
-
-
-def slot_bits_of_rows(rows: int) -> int:
-    """Bits of the flat table of a class that has room for so many leaves."""
-    return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
-
-
-def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """How often a cell may be halved along one axis, for a class of files or for any.
-
-    In the plane and on a line the slots of a class of up to ``MOST_ROWS`` suffice; trees that are to be deep, as of
-    leaf models with pages or for a proof, may go as far as pages do. Else the tables' size is bounded.
-    """
-    rows = None if of_class is None else rows_of_class(of_class, least_bytes)
-    if rows is None or rows > MOST_ROWS or dim > 2:
-        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
-
-
-def max_entries(num_bytes: int) -> int:
-    """Entries that the tables of a file of so many bytes may have: they bound what loading it takes."""
-    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
-    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)

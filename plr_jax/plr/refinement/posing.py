@@ -28,9 +28,8 @@ from plr_jax.plr.leaves.base import (
     Parameters,
     as_linear,
     linear_mean_planes,
-    solve_sparse,
-    weighted_squares,
 )
+from plr_jax.plr.leaves.sparse_squares import solve_sparse, weighted_squares
 from plr_jax.plr.refinement.objective import Objective
 
 _POINTS_A_PARAMETER = 4  # that a leaf must have to be fitted to its points

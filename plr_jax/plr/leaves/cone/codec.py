@@ -33,6 +33,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.frame import LARGEST
@@ -81,7 +82,7 @@ class StoredSources:
     def offsets(self) -> Float[np.ndarray, "sources"]:
         """Distance of each to the goal, along its parents; raises ``ValueError`` if they lead in a circle."""
         onward = self.parent
-        length = np.sqrt(np.square(self.points - self.points[onward]).sum(axis=1))
+        length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
         for _ in range(len(onward).bit_length()):  # twice as far along the parents each time
             length, onward = length + length[onward], onward[onward]
         if not self.is_root[onward].all():

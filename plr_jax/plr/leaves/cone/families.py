@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.leaves.base import solve_sparse, weighted_squares
 from plr_jax.plr.leaves.cone.fit import Cones, Samples, normal_equations
+from plr_jax.plr.leaves.sparse_squares import solve_sparse, weighted_squares
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -1,21 +1,21 @@
 """A cone in every leaf: an offset and the distance to a source, which many leaves share."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
-from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.growth.rules import best_axis, largest_error
-from plr_jax.plr.leaves.base import UNIT, Rules, largest_coordinates
+from plr_jax.plr.leaves.base import UNIT, Functions, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.family.task import FamilyTask, family_task
@@ -23,9 +23,7 @@ from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Frame, table_corners
-from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -47,6 +45,7 @@ class Cone:
     num_samples = 96
     least_bytes = 0.5
     has_deep_trees = True
+    is_of_cells = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Half a byte each, and what some tens of sources take."""
@@ -139,6 +138,19 @@ class Cone:
         """Extremes of other cones minus these, over convex pieces."""
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes in the plane; elsewhere less tight, but exact where both cones have one source."""
+        (*_, cones), (*_, other_cones) = leaves, others
+        if lo.shape[1] == 2:
+            pieces = boxes_as_pieces(lo, hi)
+            return difference_of_cones(pieces, cones[:, 1:], cones[:, 0], other_cones[:, 1:], other_cones[:, 0])
+        apart = np.linalg.norm(cones[:, 1:] - other_cones[:, 1:], axis=1)
+        shift, spread = cones[:, 0] - other_cones[:, 0], np.linalg.norm(hi - lo, axis=1)
+        center = self.values(*leaves, (lo + hi) / 2) - self.values(*others, (lo + hi) / 2) - shift
+        return shift + np.maximum(center - spread, -apart), shift + np.minimum(center + spread, apart)
+
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
@@ -149,32 +161,27 @@ class Cone:
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
         return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
-    def evaluate(
-        self,
-        tables: Tables,
-        leaf: UInt32[Array, "*batch"],
-        x: Float[Array, "*batch dim"],
-        outside: Bool[Array, "*batch"],
-    ) -> Float[Array, "*batch"]:
-        """Value of each point's cone."""
-        corner, terms = tables.frame[Frame.LO].astype(x.dtype), 1 + tables.dim
-        square = jnp.zeros(x.shape[:-1], x.dtype)
-        for axis in range(tables.dim):
-            source = number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype)
-            square += jnp.square((x[..., axis] - corner[axis]) - source)
-        return number_of_leaf(tables, leaf, 0, terms).astype(x.dtype) + _root(square)
+    def num_numbers(self, dim: int) -> int:
+        """The offset, and coordinates of the source."""
+        return 1 + dim
+
+    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """The offset, to which the root is added of the squares of differences, summed axis by axis."""
+        offset, *source = numbers
+        differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
+        square, *others = (difference * difference for difference in differences)
+        for other in others:
+            square = square + other
+        return offset + root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
         """All sources, with their parents, and the index of every leaf's own."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
-    def waypoints(
-        self, tables: Tables, leaf: UInt32[Array, "*batch"], x: Float[Array, "*batch dim"]
-    ) -> Float[Array, "*batch dim"]:
-        """The source of the leaf of each point."""
-        numbers = [number_of_leaf(tables, leaf, 1 + axis, 1 + tables.dim) for axis in range(tables.dim)]
-        return tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(numbers, axis=-1).astype(x.dtype)
+    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
+        """All but the offset."""
+        return numbers[1:]
 
 
 def _require_euclidean(domain: Box) -> None:
@@ -183,18 +190,6 @@ def _require_euclidean(domain: Box) -> None:
             f"Leaves of kind 'cone' hold Euclidean distances, which no periodic axis has, got {domain}. Use "
             "continuous ones or planes instead."
         )
-
-
-@jax.custom_jvp
-def _root(square: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The square root, whose slope at zero, at a source itself, counts as zero."""
-    return jnp.sqrt(square)
-
-
-@_root.defjvp
-def _root_with_tangent(primals, tangents):
-    root = jnp.sqrt(primals[0])
-    return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
 def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tuple[Cells, StoredCones]:

@@ -1,17 +1,14 @@
-"""The value of a leaf's polynomial, in JAX."""
+"""Leaves as polynomials of the place in their cells."""
 
-import jax
-import jax.numpy as jnp
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Float
 
-from plr_jax.plr.leaves.continuous.basis import POWERS, monomials
+from plr_jax._arrays import product_in_order
+from plr_jax.plr.leaves.continuous.basis import monomials
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Frame
-from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import Tables
-
-_EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
 
 
 def numbers_of_polynomials(
@@ -23,62 +20,18 @@ def numbers_of_polynomials(
     such a number, as a 32-bit float, says how many such intervals span the domain.
     """
     is_inf = np.isinf(coefficients[:, 0])
-    powers = np.where(is_inf[:, None], 0.0, coefficients) @ monomials(order, cells.dim)
+    powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(order, cells.dim))
     powers[is_inf, 0] = np.inf
     return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
 
-def evaluate_polynomial(
-    order: int,
-    tables: Tables,
-    leaf: UInt32[Array, "*batch"],
-    x: Float[Array, "*batch dim"],
-    outside: Bool[Array, "*batch"],
-) -> Float[Array, "*batch"]:
-    """Value of each point's polynomial."""
-    frame, t = tables.frame.astype(x.dtype), []
-    count = tables.dim + POWERS[order] ** tables.dim
-    for axis in range(tables.dim):
-        u = (x[..., axis] - frame[Frame.LO, axis]) * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
-        along = _coordinate_in_cell(u, number_of_leaf(tables, leaf, axis, count))
-        t.append(_zero_if_differentiated(along, outside))
-    coefficients = [number_of_leaf(tables, leaf, which, count) for which in range(tables.dim, count)]
-    return jnp.asarray(_polynomial(POWERS[order], coefficients, t))
-
-
-@jax.custom_jvp
-def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The coordinates, but zero outside the domain where differentiated: zero times a gradient at inf is NaN."""
-    return t
-
-
-@_zero_if_differentiated.defjvp
-def _zero_with_tangent(primals, tangents):
-    t, outside = primals
-    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
-
-
-def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Coordinate, from 0 to 1, in the interval of that number, of a point at ``u`` of the domain.
-
-    Where the lookup rounds a point across a border, the coordinate is beyond 0 or 1 by as much. Products and the
-    difference are exact, so both leaves at a face see the same point.
-    """
-    exponent = jax.lax.bitcast_convert_type(number, jnp.uint32) & _EXPONENT
-    count = jax.lax.bitcast_convert_type(exponent, jnp.float32)
-    return u * count.astype(u.dtype) - (number - count).astype(u.dtype)
-
-
-def _polynomial(
-    powers: int, coefficients: list[Float[Array, "*batch"]], t: list[Float[Array, "*batch"]]
-) -> Float[Array, "*batch"]:
+def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
     """Horner's rule along the first coordinate, whose coefficients are polynomials of the others."""
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
     parts = [coefficients[power * stride : (power + 1) * stride] for power in range(powers)]
-    terms = [_polynomial(powers, part, t[1:]) for part in parts]
-    total = terms[-1].astype(t[0].dtype)
-    for term in reversed(terms[:-1]):
+    total, *others = (polynomial(powers, part, t[1:]) for part in reversed(parts))
+    for term in others:
         total = total * t[0] + term
     return total

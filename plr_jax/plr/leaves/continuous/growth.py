@@ -8,10 +8,11 @@ from jaxtyping import Float, Int
 from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.growth.limits import Limits, check_memory, grow
 from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
-from plr_jax.plr.leaves.base import Rules, solve_by_descent, solve_sparse, weighted_squares
+from plr_jax.plr.leaves.base import Rules
 from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
 from plr_jax.plr.leaves.continuous.space import NodalSpace
+from plr_jax.plr.leaves.sparse_squares import solve_by_descent, solve_sparse, weighted_squares
 from plr_jax.plr.partition.faces import shared_faces
 from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, weights_of_fit

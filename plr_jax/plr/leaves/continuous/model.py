@@ -1,10 +1,11 @@
 """Values at the corners of leaves, tied across free faces, all fitted at once."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Bool, Float
 
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import cone_above_plane
@@ -13,6 +14,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
+    Functions,
     Parameters,
     Rules,
     largest_coordinates,
@@ -28,14 +30,14 @@ from plr_jax.plr.leaves.continuous.basis import (
     monomials,
     numbers_of_leaves,
     numbers_of_planes,
+    on_boxes,
 )
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
-from plr_jax.plr.leaves.continuous.evaluation import evaluate_polynomial, numbers_of_polynomials
+from plr_jax.plr.leaves.continuous.evaluation import numbers_of_polynomials, polynomial
 from plr_jax.plr.leaves.continuous.growth import grow_tied
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.partition.tree import Tree
-from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 _MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
@@ -60,6 +62,7 @@ class Continuous:
     num_samples = 96
     least_bytes = 1
     has_deep_trees = False
+    is_of_cells = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Two each: most of the values at corners are shared, and small as surpluses."""
@@ -121,8 +124,9 @@ class Continuous:
 
     def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
         """Numbers of every leaf; 0 for unreachable ones."""
-        numbers = numbers_of_leaves(self.order, stored.partition.space) @ stored.decode()
-        return numbers.reshape(len(cells), -1)
+        of_masters = numbers_of_leaves(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
+        terms = of_masters.data * stored.decode()[of_masters.col]  # summed in their order, on any processor alike
+        return np.bincount(of_masters.row, terms, of_masters.shape[0]).reshape(len(cells), -1)
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
@@ -193,6 +197,14 @@ class Continuous:
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
 
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Least and largest coefficients in the Bernstein basis of each box: exact at order 0."""
+        polynomials = (on_boxes(self.order, *functions, lo, hi) for functions in (leaves, others))
+        apart = np.subtract(*polynomials)
+        return apart.min(axis=1), apart.max(axis=1)
+
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
@@ -204,12 +216,10 @@ class Continuous:
         of_place = (highest - 1) * np.ldexp(1.0, cells.depth) @ places
         return 1.02 * UNIT * powers.sum(axis=1) * (2 * highest * cells.dim + 1 + of_place)
 
-    def evaluate(
-        self,
-        tables: Tables,
-        leaf: UInt32[Array, "*batch"],
-        x: Float[Array, "*batch dim"],
-        outside: Bool[Array, "*batch"],
-    ) -> Float[Array, "*batch"]:
-        """Value at each point, whose leaf is known."""
-        return evaluate_polynomial(self.order, tables, leaf, x, outside)
+    def num_numbers(self, dim: int) -> int:
+        """Those of the cell, and coefficients by powers of the place in it."""
+        return dim + POWERS[self.order] ** dim
+
+    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """The polynomial of the place, by Horner's rule."""
+        return polynomial(POWERS[self.order], numbers, place)

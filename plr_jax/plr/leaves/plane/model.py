@@ -1,12 +1,13 @@
 """A plane in every leaf, each fitted to its own samples: the paper's model."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import cone_above_plane
 from plr_jax.geometry.convex_pieces import Pieces
@@ -19,6 +20,7 @@ from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.growth.rules import largest_error
 from plr_jax.plr.leaves.base import (
     UNIT,
+    Functions,
     Parameters,
     Rules,
     largest_coordinates,
@@ -38,9 +40,8 @@ from plr_jax.plr.leaves.plane.codec import (
 )
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
-from plr_jax.plr.query.frame import Frame, table_corners
-from plr_jax.plr.query.lookup import number_of_leaf
-from plr_jax.plr.query.tables import MOST_ROWS, Tables
+from plr_jax.plr.query.frame import table_corners
+from plr_jax.plr.query.grid import MOST_ROWS
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
 _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
@@ -65,6 +66,7 @@ class Plane:
     num_samples = 192
     least_bytes = 2
     has_deep_trees = False
+    is_of_cells = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
@@ -195,7 +197,7 @@ class Plane:
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - table_corners(domain)[0]
-        return np.column_stack([coefficients[:, 0] - np.sum(slope * to_center, axis=1), slope])
+        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
     def below_cones(
         self,
@@ -211,6 +213,16 @@ class Plane:
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Differences at the centers of boxes, and what the slopes' differences make of half their widths."""
+        center, reach = (lo + hi) / 2, (hi - lo) / 2
+        slope, other = (2 * planes[:, 1:] / (end - start) for start, end, planes in (leaves, others))
+        apart = self.values(*leaves, center) - self.values(*others, center)
+        spread = (np.abs(slope - other) * reach).sum(axis=1)
+        return apart - spread, apart + spread
+
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
@@ -219,19 +231,16 @@ class Plane:
         terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
 
-    def evaluate(
-        self,
-        tables: Tables,
-        leaf: UInt32[Array, "*batch"],
-        x: Float[Array, "*batch dim"],
-        outside: Bool[Array, "*batch"],
-    ) -> Float[Array, "*batch"]:
-        """Value of each point's plane."""
-        corner, terms = tables.frame[Frame.LO].astype(x.dtype), 1 + tables.dim
-        value = number_of_leaf(tables, leaf, 0, terms).astype(x.dtype)
-        for axis in range(tables.dim):
-            value += number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype) * (x[..., axis] - corner[axis])
-        return jnp.asarray(value)
+    def num_numbers(self, dim: int) -> int:
+        """The value at the corner, and slopes."""
+        return 1 + dim
+
+    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """The value at the corner, to which a product is added axis by axis."""
+        value, *slopes = numbers
+        for slope, along in zip(slopes, place, strict=True):
+            value = value + slope * along
+        return value
 
 
 def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:

@@ -1,0 +1,161 @@
+"""Tables of points, read and answered chunk by chunk: any number of rows in little memory."""
+
+import io
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+import typer
+from jaxtyping import Float
+
+_CHUNK_BYTES = 1 << 20
+_MOST_WARNINGS, _MOST_SHOWN = 10, 80
+
+
+@dataclass
+class PointTable:
+    """Points as lines of text: ``dim`` numbers a line, separated by commas, after an optional header of names.
+
+    A row that is not so many numbers is NaN throughout, and is told on standard error; of many such rows the first
+    few, and how many there were.
+
+    Attributes:
+        name: What errors call the table.
+        dim: Numbers a line.
+        strict: Whether such a row is an error, after the rows before it.
+    """
+
+    name: str
+    dim: int
+    strict: bool = False
+    num_lines: int = field(default=0, init=False)
+    num_bad: int = field(default=0, init=False)
+    _error: str | None = field(default=None, init=False)
+
+    def chunks(self, file: BinaryIO) -> Iterator[Float[np.ndarray, "n dim"]]:
+        """The points, some at a time.
+
+        Raises:
+            ValueError: If it is no text, has no points, or has a row that is none and is to be ``strict``.
+        """
+        is_empty = True
+        for block in self._blocks(file):
+            points = self._parsed(block)
+            if len(points):
+                is_empty = False
+                yield points
+            if self._error is not None:
+                raise ValueError(self._error)
+        if is_empty:
+            raise ValueError(f"{self.name} has no points: expected {self._expected} a line.")
+        if self.num_bad > _MOST_WARNINGS:
+            typer.echo(f"Warning: {self.name} has {self.num_bad:,} rows that are no points.", err=True)
+
+    @property
+    def _expected(self) -> str:
+        return f"{self.dim} comma-separated numbers"
+
+    def _blocks(self, file: BinaryIO) -> Iterator[bytes]:
+        """Whole lines, without the header and blank lines at the end, as they come."""
+        rest, is_start = b"", True
+        while data := file.read1(_CHUNK_BYTES):
+            rest += data
+            if is_start and b"\n" in rest:
+                is_start, rest = False, self._without_header(self._without_mark(rest))
+            filled = len(rest.rstrip())
+            end = rest.find(b"\n", filled) + 1 or rest.rfind(b"\n", 0, filled) + 1
+            if filled and end and not is_start:
+                yield rest[:end]
+                rest = rest[end:]
+            if len(rest) > _CHUNK_BYTES:
+                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_CHUNK_BYTES:,} bytes.")
+        if is_start:
+            rest = self._without_header(self._without_mark(rest))
+        if rest.strip():
+            yield rest.rstrip() + b"\n"
+
+    def _without_mark(self, start: bytes) -> bytes:
+        """A file's start without the mark that spreadsheets write."""
+        if b"\0" in start:
+            raise ValueError(f"{self.name} is not a text file.")
+        return start.removeprefix(b"\xef\xbb\xbf")
+
+    def _without_header(self, start: bytes) -> bytes:
+        line, newline, others = start.partition(b"\n")
+        if not _is_header(line):
+            return start
+        self.num_lines += len(newline)
+        return others
+
+    def _parsed(self, block: bytes) -> Float[np.ndarray, "n dim"]:
+        num_lines = block.count(b"\n")
+        try:
+            points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+            is_plain = points.shape == (num_lines, self.dim)
+        except ValueError:
+            is_plain = False
+        if not is_plain:
+            points = self._parsed_line_by_line(block.splitlines())
+        self.num_lines += num_lines
+        return points
+
+    def _parsed_line_by_line(self, lines: list[bytes]) -> Float[np.ndarray, "n dim"]:
+        points = np.full((len(lines), self.dim), np.nan)
+        for index, line in enumerate(lines):
+            numbers = _numbers(line)
+            if len(numbers) == self.dim:
+                points[index] = numbers
+                continue
+            text = line.decode(errors="replace")
+            text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
+            message = f"{self.name}, line {self.num_lines + index + 1}: expected {self._expected}, got {text!r}"
+            if self.strict:
+                self._error = message + "."
+                return points[:index]
+            self.num_bad += 1
+            if self.num_bad <= _MOST_WARNINGS:
+                typer.echo(f"Warning: {message}; the answer is nan.", err=True)
+            if self.num_bad == _MOST_WARNINGS:
+                typer.echo("Warning: of further such rows only their number is told.", err=True)
+        return points
+
+
+def open_table(source: str) -> tuple[str, BinaryIO]:
+    """Name and bytes of a file, or of standard input for ``-``."""
+    if source != "-":
+        return source, open(source, "rb")
+    if sys.stdin is None:
+        raise ValueError("Standard input is closed: name a file of points.")
+    return "stdin", sys.stdin.buffer
+
+
+def require_standard_output() -> None:
+    """Refuse to work where nobody could read the answers."""
+    if sys.stdout is None:
+        raise ValueError("Standard output is closed: there is nowhere to print answers.")
+
+
+def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
+    """Print answers, one row a line, chunk by chunk."""
+    for answers in chunks:
+        line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
+        sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))
+        sys.stdout.flush()
+
+
+def _is_header(line: bytes) -> bool:
+    """Whether a line is one of names: each begins with a letter, and none is a number, as ``nan`` is."""
+    fields = [field.strip(" \t\r\"'#") for field in line.decode(errors="replace").split(",")]
+    return all(field[:1].isalpha() or field[:1] == "_" for field in fields) and not any(
+        _numbers(field.encode()) for field in fields
+    )
+
+
+def _numbers(line: bytes) -> list[float]:
+    """The comma-separated numbers of a line; none if a field is not one."""
+    try:
+        return [float(part) for part in line.split(b",")]
+    except ValueError:
+        return []

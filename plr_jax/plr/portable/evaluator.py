@@ -1,0 +1,243 @@
+"""A PLR in NumPy alone, which answers by the arithmetic of the format."""
+
+import os
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._arrays import shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.container import MOST_BYTES
+from plr_jax.plr.leaves.base import as_sourced
+from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.header import c_header
+from plr_jax.plr.portable.point import point_query
+from plr_jax.plr.portable.program import Program
+from plr_jax.plr.query.grid import FRACTION_BITS
+
+_CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
+_PLAIN = (float, int, np.float64, np.float32)
+_FRACTION = np.uint32((1 << FRACTION_BITS) - 1)
+
+
+class _OfArrays:
+    """Operations of arrays."""
+
+    @staticmethod
+    def let(name: str, value: Any) -> Any:
+        return value
+
+    where, floor, root = staticmethod(np.where), staticmethod(np.floor), staticmethod(np.sqrt)
+
+    @staticmethod
+    def rounded(x: Any) -> Any:
+        return x.astype(np.float32)
+
+    @staticmethod
+    def fraction(x: Any) -> Any:
+        return x.view(np.uint32) & _FRACTION
+
+
+class NumpyPLR:
+    """A PLR that is queried in NumPy, without JAX: by :func:`load_numpy`, or ``plr.numpy()``.
+
+    ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats by the arithmetic that is part of the format
+    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. It is ``inf`` outside
+    the closed domain and NaN where a coordinate is. ``plr(x)`` differs by what a compiler rounds at once.
+
+    A single point, as a tuple, a list or an array, takes a few microseconds, a batch some nanoseconds a point.
+    Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far
+    from the origin, and around periodic axes.
+    """
+
+    def __init__(self, data: bytes):
+        """Of the bytes of a file; raises ``ValueError`` saying what is wrong with them."""
+        self._program = program = Program.of_file(data)
+        num_leaves = len(program.cells)
+        self._descent = Descent.of(program.nodes(np.arange(num_leaves)))
+        self._numbers = program.numbers[:, program.dim * program.leaf.is_of_cells :]
+        self._columns = np.ascontiguousarray(self._numbers.T)
+        self._cells = np.zeros((num_leaves, 0, 2), np.float32)  # how many cells span the domain, and which it is
+        if program.leaf.is_of_cells:
+            depth, position = program.cells.depth, program.cells.position
+            self._cells = np.stack([np.ldexp(1.0, depth), position], axis=2).astype(np.float32)
+        self._cell_columns = np.ascontiguousarray(np.moveaxis(self._cells, 0, 2))
+        self.dim = program.dim
+
+    @property
+    def domain(self) -> Box:
+        """The closed box that the PLR covers."""
+        return self._program.domain
+
+    @property
+    def max_error(self) -> float | None:
+        """Proven bound of the largest error anywhere, in units of distance; None if there is none."""
+        certificate = self._program.contents.certificate
+        return None if certificate is None else certificate.max_error
+
+    def c_header(self, name: str) -> str:
+        """The same as one header of C99: see :meth:`PLR.c_header`."""
+        return c_header(self._program, name)
+
+    def __call__(self, x: ArrayLike) -> Any:
+        """Distance at each point.
+
+        Args:
+            x: Points, ``(..., dim)``.
+
+        Returns:
+            Distances, ``(...)``, float32; of a single point, a scalar.
+
+        Raises:
+            ValueError: If the points are not numbers of that shape.
+        """
+        answer = self._at_point(x)
+        return self._answered(x, self._values, ()) if answer is None else answer
+
+    def waypoint(self, x: ArrayLike) -> Any:
+        """Where to go straight to from each point: the source of the leaf that holds it.
+
+        Args:
+            x: Points, ``(..., dim)``.
+
+        Returns:
+            Points, ``(..., dim)``, float32, in a domain far from the origin float64; NaN outside the domain and for
+            NaN.
+
+        Raises:
+            ValueError: If leaves have no sources, as only those of cones do, or as for a query.
+        """
+        as_sourced(self._program.leaf)
+        return self._answered(x, self._waypoints, (self.dim,))
+
+    def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
+        """Proven bounds of the distance at each point from which the goal can be reached, as :meth:`PLR.bounds`.
+
+        Args:
+            x: Points, ``(..., dim)``.
+
+        Returns:
+            Lower bounds, at least 0, and upper bounds, ``(...)`` each, float32. Both are ``inf`` outside the domain,
+            NaN where a coordinate is.
+
+        Raises:
+            ValueError: If nothing is proven of the PLR, or as for a query.
+        """
+        if self._band is None:
+            raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or use certify.")
+        answers = self._answered(x, self._bounds, (2,))
+        return answers[..., 0], answers[..., 1]
+
+    @cached_property
+    def _band(self) -> Float[np.ndarray, "2 rows"] | None:
+        certificate = self._program.contents.certificate
+        return None if certificate is None else certificate.bounds().astype(np.float32)
+
+    @cached_property
+    def _point_query(self) -> Callable[..., np.float32 | None]:
+        cells = self._cells.reshape(len(self._numbers), -1)
+        return point_query(self._program, self._descent, np.concatenate([cells, self._numbers], axis=1))
+
+    def _at_point(self, x: ArrayLike) -> np.float32 | None:
+        """The value at a single point inside the domain; None if it is not one."""
+        if type(x) is np.ndarray:
+            if x.ndim != 1:
+                return None
+            x = x.tolist()
+        elif type(x) is not tuple and type(x) is not list:
+            return None
+        if len(x) != self.dim or type(x[0]) not in _PLAIN:
+            return None
+        try:
+            return self._point_query(*x)
+        except (TypeError, ValueError):  # of coordinates that are no numbers
+            return None
+
+    def _answered(self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...]) -> Any:
+        """Answers of that shape to points, chunk by chunk."""
+        x = _as_points(x, self.dim)
+        flat = x.reshape(-1, self.dim)
+        of_type = np.float64 if answer == self._waypoints and self._program.corner is not None else np.float32
+        answers = np.empty((len(flat), *shape), of_type)
+        with np.errstate(all="ignore"):
+            for start in range(0, len(flat), _CHUNK):
+                chunk = slice(start, start + _CHUNK)
+                self._answer_chunk(flat[chunk], answer, answers[chunk])
+        return answers.reshape((*x.shape[:-1], *shape))[()]
+
+    def _answer_chunk(self, points: np.ndarray, answer: Callable[..., Any], answers: np.ndarray) -> None:
+        """Write the answers to some points, by columns."""
+        program = self._program
+        if program.corner is not None:
+            points = points.astype(np.float64)
+        x = list(np.ascontiguousarray(points.T))
+        if points.dtype == np.float64:
+            x = program.wrapped_wide(_OfArrays, x)
+        x = [along.astype(program.precision, copy=False) for along in x]
+        inside = program.contains(_OfArrays, x)
+        if not (is_inside := inside.all()):
+            x = [
+                np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
+            ]
+        x = program.placed(_OfArrays, x)
+        above = program.above(_OfArrays, x)
+        answers[...] = answer(x, above, self._descent.rows(program.places(_OfArrays, above)))
+        if not is_inside:
+            is_nan = np.isnan(points[~inside]).any(axis=1)
+            outside = np.nan if answer == self._waypoints else np.where(is_nan, np.nan, np.inf)
+            answers[~inside] = np.reshape(outside, (-1, *[1] * (answers.ndim - 1)))
+
+    def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        numbers = [column[leaf] for column in self._columns]
+        cells = [(count[leaf], position[leaf]) for count, position in self._cell_columns]
+        return self._program.value(_OfArrays, x, above, numbers, cells)
+
+    def _waypoints(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
+
+    def _bounds(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        assert self._band is not None, "bounds are asked for where there is a proof"
+        value, band = self._values(x, above, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
+        lower = np.nextafter(value + band[0], np.float32(-np.inf))
+        upper = np.nextafter(value + band[1], np.float32(np.inf))
+        finite = value < np.inf
+        return np.stack([np.where(finite, np.maximum(lower, 0), value), np.where(finite, upper, value)], axis=1)
+
+
+def load_numpy(path: str | os.PathLike) -> NumpyPLR:
+    """Read a PLR that :func:`save` wrote, to query it in NumPy: JAX is not imported.
+
+    Args:
+        path: The file.
+
+    Returns:
+        What answers points, by the arithmetic that is part of the format.
+
+    Raises:
+        ValueError: If the file is truncated, corrupt, no PLR file, of pairs, or of another version of the format.
+        OSError: If the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            return NumpyPLR(file.read(MOST_BYTES + 1))
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
+
+
+def _as_points(x: ArrayLike, dim: int) -> np.ndarray:
+    """Points as an array of 32-bit or 64-bit floats; masked numbers are NaN."""
+    if isinstance(x, np.ma.MaskedArray):
+        x = np.ma.filled(x.astype(np.float64), np.nan)
+    try:
+        x = np.asarray(x)
+    except ValueError as error:
+        raise ValueError(f"Points must be an array of numbers, got {shortened(x)}.") from error
+    if x.dtype.kind not in "iubf":
+        raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
+    if x.ndim == 0 or x.shape[-1] != dim:
+        raise ValueError(f"Points must have shape (..., {dim}), got {x.shape}.")
+    return x if x.dtype in (np.float32, np.float64) else x.astype(np.float64)

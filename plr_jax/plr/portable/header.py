@@ -1,0 +1,206 @@
+"""A PLR as a header of C99: its numbers and the code that they need, by the arithmetic of the format."""
+
+import re
+from collections.abc import Iterable
+
+from plr_jax._arrays import shortened
+from plr_jax.plr.leaves.base import SourcedLeafModel
+from plr_jax.plr.portable.program import Program
+from plr_jax.plr.portable.text import CWriter, Text
+
+_FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
+_WIDTH = 100  # of a line
+
+
+def c_header(program: Program, name: str) -> str:
+    """The header of a PLR.
+
+    Args:
+        program: What a query of it computes.
+        name: With which all that it defines begins, an identifier of C.
+
+    Returns:
+        The text of the header.
+
+    Raises:
+        ValueError: If the name is no identifier.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise ValueError(f"The name must be an identifier of C, such as plr_maze, got {shortened(name)}.")
+    header = _Header(program, name)
+    return "\n".join([*header.introduction(), *header.tables(), *header.functions(), *header.end()])
+
+
+class _Header:
+    """The parts of a header."""
+
+    def __init__(self, program: Program, name: str):
+        self.program, self.name = program, name
+        self.rows, row_of_leaf = program.rows
+        self.nodes = program.nodes(row_of_leaf)
+        self.type = "float" if program.corner is None else "double"
+        self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
+        self.helpers: set[str] = set()
+
+    def introduction(self) -> list[str]:
+        """What the header is, and what it includes."""
+        program, name = self.program, self.name
+        domain, guard = program.domain, f"{name.upper()}_H"
+        ends = [
+            f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
+            for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
+        ]
+        waypoint = f"   {name}_waypoint: where to go straight to from a point; NaN outside the domain.\n"
+        return [
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            f"/* The distance to a goal, by plr_jax: {len(program.cells)} leaves of kind {program.leaf.name!r}.",
+            "",
+            f"   {name}_distance: distance from a point {' x '.join(ends)};",
+            "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
+            *(waypoint.splitlines() if self.is_sourced else []),
+            "",
+            "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
+            "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
+            "",
+            "#include <float.h>",
+            "#include <math.h>",
+            "#include <stdint.h>",
+            "",
+            "#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0",
+            '#error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"',
+            "#endif",
+            "#if defined(__clang__)",
+            "#pragma STDC FP_CONTRACT OFF",
+            "#endif",
+            "",
+        ]
+
+    def tables(self) -> list[str]:
+        """The tree, and the numbers of the leaves."""
+        name, nodes, count = self.name, self.nodes, self.rows.shape[1]
+        lines = []
+        if len(nodes.children):
+            code_type = "uint16_t" if max(nodes.root, nodes.children.max()) < 2**16 else "uint32_t"
+            lines += [
+                "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
+                f"   here times {1 << nodes.kind_bits} plus its axis; of a leaf, of its numbers plus {nodes.dim}. */",
+                f"static const {code_type} {name}_tree[{len(nodes.children)}][2] = {{",
+                *_filled(f"{{{lower}, {upper}}}" for lower, upper in nodes.children.tolist()),
+                "};",
+                "",
+            ]
+        literal = CWriter(name).literal
+        return [
+            *lines,
+            f"static const float {name}_numbers[{len(self.rows)}][{count}] = {{",
+            *_filled("{" + ", ".join(map(literal, row)) + "}" for row in self.rows),
+            "};",
+            "",
+        ]
+
+    def functions(self) -> list[str]:
+        """The functions."""
+        distance = self._query("distance")
+        waypoint = self._query("waypoint") if self.is_sourced else []
+        return [*self._floors(), *self._descent(), *distance, *waypoint]  # which floors, their bodies say
+
+    def end(self) -> list[str]:
+        """What closes it."""
+        return ["#endif", ""]
+
+    def _descent(self) -> list[str]:
+        """From places to the leaf's row."""
+        nodes, name, dim = self.nodes, self.name, self.program.dim
+        if not len(nodes.children):
+            return []
+        of_cells = self.program.leaf.is_of_cells
+        mask = (1 << nodes.kind_bits) - 1
+        return [
+            "/* Down the tree: each split takes the next bit of the place along its axis. */",
+            f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
+            "{",
+            f"    uint32_t code = {nodes.root}u;",
+            f"    while ((code & {mask}u) != {dim}u) {{",
+            f"        const uint32_t axis = code & {mask}u;",
+            "        const uint32_t upper = place[axis] >> 31;",
+            "        place[axis] <<= 1;",
+            *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
+            f"        code = {name}_tree[code >> {nodes.kind_bits}][upper];",
+            "    }",
+            f"    return code >> {nodes.kind_bits};",
+            "}",
+            "",
+        ]
+
+    def _query(self, what: str) -> list[str]:
+        """A function of a point."""
+        program, name, dim, do = self.program, self.name, self.program.dim, CWriter(self.name)
+        given = [do.atom(f"x[{axis}]", self.type) for axis in range(dim)]
+        is_distance = what == "distance"
+        result, out = ("float", "") if is_distance else ("void", f", {self.type} waypoint[{dim}]")
+        inside = program.contains(do, given)
+        is_nan = " || ".join(f"{x} != {x}" for x in given)
+        outside = [f"return {is_nan} ? NAN : INFINITY;"]
+        if not is_distance:
+            outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
+        do.statements += [f"if (!({inside})) {{", *(f"    {line}" for line in outside), "}"]
+        x = program.placed(do, given if program.corner is None else program.wrapped_wide(do, given))
+        above = program.above(do, x)
+        places, of_cells = program.places(do, above), program.leaf.is_of_cells
+        cells: list[tuple[Text, Text]] = []
+        row = "0"
+        if len(self.nodes.children):
+            do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, places))}}};")
+            if of_cells:
+                do.statements.append(f"uint32_t cell[{dim}][2] = {{{', '.join(['{1, 0}'] * dim)}}};")
+            row = f"{name}_leaf(place{', cell' * of_cells})"
+        do.statements.append(f"const float *const n = {name}_numbers[{row}];")
+        if of_cells:
+            is_split = len(self.nodes.children) > 0
+            texts = [(f"(float)cell[{axis}][0]", f"(float)cell[{axis}][1]") for axis in range(dim)]
+            texts = texts if is_split else [("1.0f", "0.0f")] * dim
+            cells = [(do.atom(count), do.atom(position)) for count, position in texts]
+        numbers = [do.atom(f"n[{i}]") for i in range(self.rows.shape[1])]
+        if is_distance:
+            do.statements.append(f"return {program.value(do, x, above, numbers, cells)};")
+        else:
+            do.statements += [f"waypoint[{axis}] = {to};" for axis, to in enumerate(program.waypoint(numbers))]
+        body = do.used_statements()
+        self.helpers |= do.floors
+        return [
+            f"static inline {result} {name}_{what}(const {self.type} x[{dim}]{out})",
+            "{",
+            *(f"    {line}" for line in body),
+            "}",
+            "",
+        ]
+
+    def _floors(self) -> list[str]:
+        """The floor of each type that is needed: beyond the bits of a mantissa every number is whole."""
+        lines = []
+        for of_type, whole, digits, one in _FLOORS:
+            if of_type in self.helpers:
+                lines += [
+                    f"static inline {of_type} {self.name}_floor_of_{of_type}({of_type} v)",
+                    "{",
+                    f"    if (v >= {digits} || v <= -{digits}) {{",
+                    "        return v;",
+                    "    }",
+                    f"    const {of_type} toward_zero = ({of_type})({whole})v;",
+                    f"    return toward_zero > v ? toward_zero - {one} : toward_zero;",
+                    "}",
+                    "",
+                ]
+        return lines
+
+
+def _filled(entries: Iterable[str]) -> list[str]:
+    """Entries, separated by commas, in lines that are full."""
+    lines, line = [], ""
+    for entry in entries:
+        if len(line) + len(entry) > _WIDTH:
+            lines.append(line)
+            line = ""
+        line += f"{' ' if line else '    '}{entry},"
+    return [*lines, line]

@@ -1,0 +1,70 @@
+"""A query of a single point in Python: the arithmetic of the format, written out for one PLR.
+
+What the steps are is known beforehand, and so is every number but the leaf's; what is left takes a few microseconds.
+"""
+
+from collections.abc import Callable
+from math import floor, sqrt
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.program import Program
+from plr_jax.plr.portable.text import PythonWriter
+
+
+class _Rows(dict):
+    """Rows of a table as tuples of scalars, each made when it is first read."""
+
+    def __init__(self, table: Float[np.ndarray, "rows count"]):
+        self._table = table
+
+    def __missing__(self, row: int) -> tuple[np.float32, ...]:
+        self[row] = numbers = tuple(self._table[row])
+        return numbers
+
+
+def point_query(
+    program: Program, descent: Descent, numbers: Float[np.ndarray, "leaves count"]
+) -> Callable[..., np.float32 | None]:
+    """The value at a point, given by its coordinates; None unless it is plainly inside the domain.
+
+    ``numbers`` are those of the leaves; of such as are of cells, how many cells there are along each axis and which
+    it is come first.
+    """
+    do, domain = PythonWriter(), program.domain
+    given = [f"x{axis}" for axis in range(program.dim)]
+    inside = [
+        f"{lo!r} <= {name} {'<' if is_periodic else '<='} {hi!r}"
+        for name, lo, hi, is_periodic in zip(
+            given, domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True
+        )
+    ]
+    precision = np.dtype(program.precision).name
+    of_type = "float" if precision == "float32" else "double"
+    x = program.placed(do, [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given])
+    above = program.above(do, x)
+    index = descent.index_text([str(do.let("place", place)) for place in program.places(do, above)])
+    do.statements.append(f"leaf = {index}")
+    names = [f"n{i}" for i in range(numbers.shape[1])]
+    do.statements.append(f"{', '.join(names)}, = rows[leaf]")
+    read = [do.atom(name) for name in names]
+    num_of_cell = 2 * program.dim * program.leaf.is_of_cells
+    cell = list(zip(read[:num_of_cell:2], read[1:num_of_cell:2], strict=True))
+    value = program.value(do, x, above, read[num_of_cell:], cell)
+    lines = [f"if not ({' and '.join(inside)}): return None", *do.statements, f"return {value}"]
+    source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
+    names_in_source: dict[str, Any] = {
+        **do.constants,
+        "rows": _Rows(numbers),
+        "descend": descent.row,
+        "codes": descent.codes,
+        "floor": floor,
+        "sqrt": sqrt,
+        "float32": np.float32,
+        "float64": np.float64,
+    }
+    exec(source, names_in_source)
+    return names_in_source["query"]

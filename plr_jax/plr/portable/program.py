@@ -1,0 +1,250 @@
+"""What a query computes with: everything that is derived from a file before points come."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr._file import Contents, decode
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import tree_of_levels
+from plr_jax.plr.portable.arithmetic import Fold, Grid, Operations, Period, Point, Value, Window, all_of, length
+from plr_jax.plr.query.frame import (
+    LARGEST,
+    Frame,
+    corner_if_far,
+    folding_numbers,
+    frame_of,
+    mirrored_axes,
+    table_corners,
+)
+
+_TOLERANCE = 2.0**-44
+_LARGEST_OF = {np.float32: np.finfo(np.float32).max, np.float64: np.finfo(np.float64).max}
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A query without its points: its steps (see the package), each with its numbers.
+
+    Attributes:
+        contents: What the file holds.
+        domain: The domain of the points; that of ``contents`` is of folded ones.
+        numbers: What the leaves compute with, in the order of the tree's traversal.
+        corner: In a far domain, from where points are counted in 64 bits; else None.
+    """
+
+    contents: Contents
+    domain: Box
+    numbers: Float[np.ndarray, "leaves count"]
+    corner: Float[np.ndarray, "dim"] | None
+
+    @staticmethod
+    def of_file(data: bytes) -> "Program":
+        """The program of a file; raises ``ValueError`` saying what is wrong with that."""
+        contents = decode(data)
+        numbers = contents.leaf.numbers(contents.domain, contents.cells, filled_coefficients(contents))
+        if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
+            raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+        domain = contents.domain if contents.folding is None else contents.folding.domain
+        corner = corner_if_far(frame_of(domain, np.zeros(domain.dim)))
+        return Program(contents, domain, numbers.astype(np.float32), corner)
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.domain.dim
+
+    @property
+    def leaf(self) -> LeafModel:
+        """The leaf model."""
+        return self.contents.leaf
+
+    @property
+    def cells(self) -> Cells:
+        """Cells of the leaves, in the order of the tree's traversal."""
+        return self.contents.cells
+
+    @property
+    def precision(self) -> type[np.float32] | type[np.float64]:
+        """Of the points that are asked for at the least: 64 bits in a far domain."""
+        return np.float32 if self.corner is None else np.float64
+
+    @property
+    def _is_counted_from_corner(self) -> bool:
+        return self.corner is not None and self.contents.folding is None
+
+    @cached_property
+    def frame(self) -> Float[np.ndarray, "7 dim"]:
+        """That of the domain that the leaves partition, as points come to it."""
+        domain = self.contents.domain
+        return frame_of(domain, table_corners(domain)[0] if self._is_counted_from_corner else np.zeros(domain.dim))
+
+    @cached_property
+    def grids(self) -> list[Grid]:
+        """The domain that the leaves partition, axis by axis."""
+        rows = (Frame.LO, Frame.SCALE, Frame.START, Frame.TOP)
+        return [Grid(*self.frame[list(rows), axis]) for axis in range(self.dim)]
+
+    @cached_property
+    def windows(self) -> list[Window]:
+        """Where points have an answer, axis by axis."""
+        if self.contents.folding is None:
+            corners = self.frame[[Frame.LO, Frame.HI]]
+        elif self.corner is None:
+            corners = np.stack(table_corners(self.domain))
+        else:
+            corners = np.stack([self.domain.lo, self.domain.hi])
+        windows = [Window(*corners[:, axis]) for axis in range(self.dim)]
+        for axis in np.flatnonzero(self.domain.periodic):
+            largest = self.precision(_LARGEST_OF[self.precision])
+            windows[axis] = Window(-largest, largest)
+        return windows
+
+    @cached_property
+    def periods(self) -> dict[int, Period]:
+        """The ends of periodic axes, in 32 bits."""
+        frame, periods = self.frame, {}
+        for axis in np.flatnonzero(self.domain.periodic).tolist():
+            lo = frame[Frame.LO, axis] + frame[Frame.LO_REST, axis]
+            hi = frame[Frame.HI, axis] - frame[Frame.HI_REST, axis]
+            tolerance = np.float32(_TOLERANCE) * max(abs(lo), abs(hi))
+            periods[axis] = Period(lo, hi, frame[Frame.SCALE, axis], tolerance)
+        return periods
+
+    @cached_property
+    def wide_periods(self) -> dict[int, Period]:
+        """The ends of periodic axes of the domain, in 64 bits."""
+        lo, hi, zero = self.domain.lo, self.domain.hi, np.float64(0)
+        axes = np.flatnonzero(self.domain.periodic).tolist()
+        return {axis: Period(lo[axis], hi[axis], 1 / (hi[axis] - lo[axis]), zero) for axis in axes}
+
+    @cached_property
+    def fold(self) -> Fold | None:
+        """How points are folded, in their precision; None if they are not."""
+        folding = self.contents.folding
+        if folding is None:
+            return None
+        mirrors, axes = mirrored_axes(folding), folding.axes
+        if self.corner is None:
+            (center, rest), (lo, hi) = folding_numbers(folding)
+            axes = axes.astype(np.float32)
+        else:
+            center, rest = folding.center, np.zeros(self.dim)
+            lo, hi = np.where(folding.domain.periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
+        return Fold(center, rest, list(axes) if folding.is_turned else None, mirrors, lo, hi)
+
+    @cached_property
+    def radial(self) -> list[int]:
+        """Axes of which the length of folded coordinates is added."""
+        folding = self.contents.folding
+        return [] if folding is None else np.flatnonzero(folding.radial).tolist()
+
+    def contains(self, do: Operations, x: Point) -> Value:
+        """Whether a point has an answer; its precision is :attr:`precision`."""
+        tests = []
+        for axis, window in enumerate(self.windows):
+            along = x[axis]
+            if self._is_counted_from_corner and not self.domain.periodic[axis]:
+                along = do.let("from_corner", self._from_corner(do, x, axis))
+            tests.append(window.contains(along))
+        return all_of(tests)
+
+    def wrapped_wide(self, do: Operations, x: Point) -> Point:
+        """A point of 64 bits, finite along periodic axes, with those wrapped."""
+        x = list(x)
+        for axis, period in self.wide_periods.items():
+            x[axis] = period.wrapped(do, x[axis])
+        return x
+
+    def placed(self, do: Operations, x: Point) -> Point:
+        """A point that has an answer, in 32 bits, folded and wrapped; in a far domain it is wrapped in 64 before."""
+        if self._is_counted_from_corner:
+            x = [do.let("x", self._from_corner(do, x, axis)) for axis in range(self.dim)]
+        elif self.fold is not None:
+            x = self.fold.folded(do, x)
+            x = x if self.corner is None else [do.let("z", do.rounded(along)) for along in x]
+        for axis, period in self.periods.items():
+            x = list(x)
+            x[axis] = period.wrapped(do, x[axis])
+        return x
+
+    def _from_corner(self, do: Operations, x: Point, axis: int) -> Value:
+        assert self.corner is not None, "the domain is far"
+        return do.rounded(x[axis] - self.corner[axis])
+
+    def above(self, do: Operations, x: Point) -> Point:
+        """How far a placed point is from the domain's rounded lower corner."""
+        return [do.let("above", grid.above(along)) for grid, along in zip(self.grids, x, strict=True)]
+
+    def places(self, do: Operations, above: Point) -> list[Value]:
+        """Place along each axis."""
+        return [grid.place(do, along) for grid, along in zip(self.grids, above, strict=True)]
+
+    def value(
+        self, do: Operations, x: Point, above: Point, numbers: Sequence[Value], cell: list[tuple[Value, Value]]
+    ) -> Value:
+        """The value at a placed point of a leaf of given numbers and, if it is of cells, how many and which it is."""
+        place = above
+        if self.leaf.is_of_cells:
+            along = zip(self.grids, above, cell, strict=True)
+            place = [grid.in_cell(do, a, count, position) for grid, a, (count, position) in along]
+        value = self.leaf.value(numbers, place, do.root)
+        return value + length(do, x, self.radial) if self.radial else value
+
+    def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
+        """The source of a leaf of given numbers."""
+        corner = self.frame[Frame.LO] if self.corner is None else self.corner
+        return [lo + along for lo, along in zip(corner, self.leaf.source_of(numbers), strict=True)]
+
+    @cached_property
+    def rows(self) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
+        """The different numbers that leaves have, without those of their cells, and which are each leaf's."""
+        numbers = self.numbers[:, self.dim * self.leaf.is_of_cells :]
+        _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(first))
+        return numbers[np.sort(first)], rank[row.ravel()]
+
+    def nodes(self, row_of_leaf: Int[np.ndarray, "leaves"]) -> "Nodes":
+        """The tree, whose leaves are rows of a table."""
+        tree = tree_of_levels(self.contents.levels, self.dim)
+        inner = np.flatnonzero(tree.child >= 0)
+        index = np.full(len(tree.child), -1)
+        index[inner] = np.arange(len(inner))
+        index[tree.node_of_leaf] = row_of_leaf
+        kind = np.where(tree.child >= 0, tree.axis, self.dim)
+        code = (index << self.dim.bit_length()) | kind
+        children = code[tree.child[inner][:, None] + np.arange(2)]
+        return Nodes(self.dim, int(code[0]), children, tree.axis[inner], tree.cells.depth[inner, tree.axis[inner]])
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The nodes of a tree as codes: ``index << bits | kind``, of ``kind_bits`` bits.
+
+    A split node's kind is the axis of its split and its index one of ``children``; a leaf's kind is the number of
+    axes, and its index a row of numbers.
+
+    Attributes:
+        dim: Number of axes.
+        root: Code of the root.
+        children: Codes of the lower and upper child of each split node, in the order of levels.
+        axis: Along which each is split.
+        depth: How often its cell was along that axis before.
+    """
+
+    dim: int
+    root: int
+    children: Int[np.ndarray, "splits 2"]
+    axis: Int[np.ndarray, "splits"]
+    depth: Int[np.ndarray, "splits"]
+
+    @property
+    def kind_bits(self) -> int:
+        """Bits of a kind."""
+        return self.dim.bit_length()
