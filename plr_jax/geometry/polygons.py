@@ -11,7 +11,7 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
+from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_numbers, shortened
@@ -28,8 +28,8 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
 
     Args:
         name: What one of them is called in an error, before its number.
-        shapes: A Shapely polygon, multipolygon or collection of those; or an iterable of these and of rings
-            ``(n, 2)``, closed or not.
+        shapes: A Shapely polygon, linear ring, multipolygon or collection of those; or an iterable of these and of
+            rings ``(n, 2)``, closed or not.
 
     Raises:
         ValueError: If ``shapes`` is something else, or one is not a valid polygon, saying what is wrong with it.
@@ -50,15 +50,19 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
     Args:
         name: What it is called in an error.
-        ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon.
+        ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon or linear ring.
 
     Raises:
         ValueError: If it is none, saying what is wrong with it.
     """
+    if isinstance(ring, LinearRing):
+        ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
         polygon, points = ring, shapely.get_coordinates(ring)
     elif isinstance(ring, BaseGeometry):
-        raise ValueError(f"{name} must be a polygon, got a {ring.geom_type}.")
+        raise ValueError(
+            f"{name} must be a polygon, got a {ring.geom_type}; give lines and points a width with buffer()."
+        )
     else:
         points, polygon = as_numbers(name, ring, "numbers of shape (n, 2)"), None
     if points.ndim != 2 or points.shape[1] != 2:

@@ -48,8 +48,8 @@ class Workspace:
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
-        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) and Shapely polygons, holes allowed, in any
-            iterable; or one Shapely polygon, multipolygon or collection of those.
+        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) and Shapely polygons (holes allowed), linear
+            rings, multipolygons and collections of them, in any iterable; or one such Shapely geometry.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
             a single point. The point itself is free either way.
 

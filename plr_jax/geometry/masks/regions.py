@@ -17,9 +17,6 @@ from plr_jax.geometry.masks.tracing import PixelRings, pixel_rings
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
 
 
-_MOST_CORNERS = 2_000_000
-
-
 def placed_region(
     free: ArrayLike,
     resolution: float | int,
@@ -71,8 +68,6 @@ def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float) -> 
         tolerance: How far, in pixels, its outline may be from theirs, and theirs from it.
     """
     outlines = pixel_rings(free)
-    if len(outlines.points) > _MOST_CORNERS:
-        raise ValueError(f"The outline has {len(outlines.points):,} corners, more than {_MOST_CORNERS:,}: smooth it.")
     component = _components(free, outlines)
     rings = simplified(outlines, tolerance)
     loops, ring = _simple_loops(rings)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-RISING, FALLING = 9, 6  # free pixels that touch in a corner only: lower left and upper right, or the other two
+_MOST_CORNERS = 2**18
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,21 +29,29 @@ class PixelRings:
 
 
 def pixel_rings(free: Bool[np.ndarray, "rows columns"]) -> PixelRings:
-    """The outlines of the free pixels of a grid."""
+    """The outlines of the free pixels of a grid; ``ValueError`` if they have too many corners."""
     padded = np.pad(free, 1)
-    # Which of the four pixels at a lattice point are free: 1 lower left, 2 lower right, 4 upper left, 8 upper right.
-    around = padded[:-1, :-1] + 2 * padded[:-1, 1:] + 4 * padded[1:, :-1] + 8 * padded[1:, 1:].astype(np.uint8)
-    y, x = np.nonzero(_CORNER[around])
-    code = around[y, x]
+    (lower_left, lower_right), (upper_left, upper_right) = (
+        (rows[:, :-1], rows[:, 1:]) for rows in (padded[:-1], padded[1:])
+    )
+    touches = (lower_left == upper_right) & (upper_left == lower_right) & (lower_left != lower_right)
+    is_corner = touches | (lower_left ^ lower_right ^ upper_left ^ upper_right)
+    if (count := np.count_nonzero(is_corner)) > _MOST_CORNERS:
+        raise ValueError(
+            f"The outline of the pixels has {count:,} corners, at most {_MOST_CORNERS:,} are read: smooth the "
+            "picture, or drop its specks."
+        )
+    y, x = np.nonzero(is_corner)
     # A contact is a corner twice: the run along x that ends there has the first, the one that begins the second.
-    twice = np.where((code == RISING) | (code == FALLING), 2, 1)
-    x, y, code = np.repeat(x, twice), np.repeat(y, twice), np.repeat(code, twice)
-    is_contact = (code == RISING) | (code == FALLING)
-    is_second = np.append(False, is_contact[1:] & is_contact[:-1] & (x[1:] == x[:-1]) & (y[1:] == y[:-1]))
+    twice = np.where(touches[y, x], 2, 1)
+    is_contact = np.repeat(twice == 2, twice)
+    is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), twice)) == 0))
+    x, y = np.repeat(x, twice), np.repeat(y, twice)
     # In the order of rows corners 0 and 1, 2 and 3, ... are the ends of runs along x; likewise of columns along y.
     along_x = np.arange(len(x)) ^ 1
-    # Of a rising contact, the run that arrives from the left goes on downward, so that its pixel stays apart.
-    columns = np.lexsort((is_second ^ (code == FALLING), y, x))
+    # A run that arrives from the left goes on around its pixel, which is free below it or above: down, or up.
+    goes_down = padded[y, x]
+    columns = np.lexsort((is_second == goes_down, y, x))
     along_y = np.empty_like(columns)
     along_y[columns] = columns[np.arange(len(x)) ^ 1]
     # Free space on the left: to the right along runs with free pixels above them.
@@ -54,9 +62,6 @@ def pixel_rings(free: Bool[np.ndarray, "rows columns"]) -> PixelRings:
     follower = np.where(leaves_along_x, along_x, along_y)
     order, start = _cycles(follower)
     return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
-
-
-_CORNER = np.array([bin(code).count("1") % 2 == 1 or code in (RISING, FALLING) for code in range(16)])
 
 
 def _cycles(follower: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "cycles_and_1"]]:
