@@ -1,7 +1,9 @@
 """The application, and what all its commands have in common: their errors and exit codes."""
 
 import functools
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, NoReturn
 
 import typer
@@ -60,6 +62,21 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
         return app.command(epilog="\n\n".join(["Examples:", *examples]))(run)
 
     return register
+
+
+@contextmanager
+def saying(what: str) -> Iterator[None]:
+    """Say on a terminal what is being done, until it is."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    sys.stderr.write(f"{what} ...")
+    sys.stderr.flush()
+    try:
+        yield
+    finally:
+        sys.stderr.write("\r\x1b[K")  # back to the beginning of the line, and all of it erased
+        sys.stderr.flush()
 
 
 def fail(message: str, code: int = 2) -> NoReturn:

@@ -17,6 +17,7 @@ from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image
 from plr_jax.scenes._polygons import read_polygons
 
 MAP_ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
+"""How the names of files end that :func:`read_workspace` reads."""
 
 
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
