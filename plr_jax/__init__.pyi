@@ -53,6 +53,7 @@ from .plr import TraceStatus as TraceStatus
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
 from .plr import certify as certify
+from .plr import coarsen as coarsen
 from .plr import construct as construct
 from .plr import construct_grid_pairs as construct_grid_pairs
 from .plr import construct_many as construct_many
@@ -66,11 +67,13 @@ from .plr import load as load
 from .plr import load_pairs as load_pairs
 from .plr import maximum_depth as maximum_depth
 from .plr import midrange as midrange
+from .plr import progressive as progressive
 from .plr import refine as refine
 from .plr import save as save
 from .plr import stack as stack
 from .plr import trace as trace
 from .plr.pairs.construct import construct_pairs as construct_pairs
+from .remote import open_url as open_url
 from .robots.disc import DiscRobot as DiscRobot
 from .robots.point import PointRobot as PointRobot
 from .robots.polygon import PolygonRobot as PolygonRobot

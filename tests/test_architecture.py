@@ -19,7 +19,7 @@ LAYERS = [
     ["_problem"],
     ["_validate"],
     ["oracles", "plr", "planners", "spaces"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal", "remote"],
     ["cli"],
     ["__main__"],
 ]
@@ -38,7 +38,7 @@ PLR_LAYERS = [
     ["_certify", "pairs"],
     ["_checkpoint", "_io", "_trace", "refinement"],
     ["_construct"],
-    ["_construct_many", "metric_pairs"],
+    ["_construct_many", "metric_pairs", "layers"],
 ]
 # And inside that of the planners.
 PLANNER_LAYERS = [

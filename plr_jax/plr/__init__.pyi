@@ -21,6 +21,8 @@ from .growth.rules import center_error as center_error
 from .growth.rules import cyclic_axis as cyclic_axis
 from .growth.rules import largest_error as largest_error
 from .growth.rules import maximum_depth as maximum_depth
+from .layers.coarsen import coarsen as coarsen
+from .layers.progressive import progressive as progressive
 from .leaves.continuous.model import Continuous as Continuous
 from .leaves.plane.model import Plane as Plane
 from .metric_pairs.model import MetricPairs as MetricPairs

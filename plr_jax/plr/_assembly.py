@@ -64,9 +64,9 @@ def _assemble(data: bytes, contents: Contents) -> PLR:
 
 def with_stored(plr: PLR, stored: Any) -> PLR:
     """A PLR of the same partition and model that stores something else, of which nothing is proven."""
-    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None, coarser=()))
+    return plr_of_leaves(replace(plr._contents, stored=stored, certificate=None)).with_label(plr.label)
 
 
 def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
     """The same PLR with another proof."""
-    return plr_of_leaves(replace(plr._contents, certificate=certificate, coarser=()))
+    return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)

@@ -20,10 +20,9 @@ from plr_jax.plr.query.grid import FRACTION_BITS
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a file holds: the levels of a tree, and its leaves in the order of its traversal.
+    """What the last layer of a file holds: the levels of a tree, and its leaves in the order of its traversal.
 
-    They partition ``domain``, which is the box of a folding, where points are folded. A file may have a ``label``, and
-    layers of ``coarser`` PLRs before these leaves.
+    They partition ``domain``, which is the box of a folding, where points are folded.
     """
 
     domain: Box
@@ -33,8 +32,6 @@ class Contents:
     stored: Any
     certificate: Certificate | None = None
     folding: Folding | None = None
-    label: str = ""
-    coarser: tuple[Layer, ...] = ()
 
 
 def encode(contents: Contents) -> bytes:
@@ -48,7 +45,7 @@ def encode(contents: Contents) -> bytes:
         proof = contents.certificate.proof
     domain = contents.domain if contents.folding is None else contents.folding.domain
     layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
-    return Container(domain, (*contents.coarser, layer), contents.folding, contents.label).to_bytes()
+    return Container(domain, (layer,), contents.folding).to_bytes()
 
 
 def decode(data: bytes) -> Contents:
@@ -70,8 +67,7 @@ def decode(data: bytes) -> Contents:
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    domain, folding, coarser = container.folded_domain, container.folding, container.layers[:-1]
-    return Contents(domain, leaf, levels, cells, stored, certificate, folding, container.label, coarser)
+    return Contents(container.folded_domain, leaf, levels, cells, stored, certificate, container.folding)
 
 
 def decode_cells(data: bytes) -> Cells:

@@ -1,18 +1,18 @@
 """Files of all leaf models: what is written is read, and what has been damaged since is refused."""
 
 import contextlib
-import struct
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plr_helpers import contents_of_planes, random_contents, sealed, three_leaves, walled
+from plr_helpers import UNIT, contents_of_planes, points, random_contents, sealed, three_leaves, walled
 
+from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.box import Box
-from plr_jax.plr import Plane, construct, from_bytes
+from plr_jax.plr import Plane, construct, from_bytes, load
 from plr_jax.plr._file import decode, decode_cells, encode
-from plr_jax.plr.file.container import Container
+from plr_jax.plr.file.container import Container, Header, Layer
 from plr_jax.plr.leaves.plane.codec import StoredPlanes
 
 MODELS = ("plane", "continuous", "smooth")
@@ -46,9 +46,8 @@ def test_a_file_of_planes_by_hand():
     fields += [(7, 8), (255, 8), (2, 8), (3, 4), (16 - 5, 4), (8 - 2, 3), (1, 2)]
     bits = "".join(f"{value:0{width}b}"[::-1] for value, width in fields)
     body = np.packbits([int(bit) for bit in bits], bitorder="little").tobytes()
-    header = b"PLR\n" + bytes([2, 2, 0, 0]) + struct.pack("<II", 3, 0)
-    expected = sealed(header + struct.pack("<4d", -1, 0, 1, 3) + body)
-    assert encode(contents_of_planes(cells, planes, domain)) == expected
+    header = b"P\xb5" + bytes([5 | 2 << 4, 0, 0, 1, 0, 2, 6])  # see test_container.py
+    assert encode(contents_of_planes(cells, planes, domain)) == sealed(header + body)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 8])
@@ -88,7 +87,7 @@ def test_every_truncation_is_refused(data):
     for size in range(len(data)):
         with pytest.raises(ValueError):
             decode(data[:size])
-    for size in range(16 + 32, len(data) - 4, 5):  # with a checksum that is right
+    for size in range(9, len(data) - 4, 5):  # with a checksum that is right
         with pytest.raises(ValueError):
             decode(sealed(data[:size]))
 
@@ -108,8 +107,8 @@ def test_a_forged_body_with_a_right_checksum_is_refused_or_read(data, draw):
     """No bytes, however made, may crash the reader with anything but ValueError."""
     body = bytearray(data[:-4])
     for _ in range(draw.draw(st.integers(1, 8))):
-        body[draw.draw(st.integers(5, len(body) - 1))] = draw.draw(st.integers(0, 255))
-    forged = sealed(bytes(body[: draw.draw(st.integers(16, len(body)))]))
+        body[draw.draw(st.integers(3, len(body) - 1))] = draw.draw(st.integers(0, 255))
+    forged = sealed(bytes(body[: draw.draw(st.integers(9, len(body)))]))
     with contextlib.suppress(ValueError):
         assert from_bytes(forged).num_leaves > 0
 
@@ -121,16 +120,94 @@ def test_more_data_than_leaves_need_are_refused(data):
 
 def test_a_model_that_is_not_known_or_not_for_so_many_axes_is_refused(data):
     with pytest.raises(ValueError, match="it has leaves of kind 4, this release knows kinds 0 to 3"):
-        decode(sealed(data[:6] + b"\x04" + data[7:-4]))
-    ten_axes = Container(Box(np.zeros(10), np.ones(10)), 1, 1, b"").to_bytes()
+        decode(sealed(data[:3] + bytes([data[3] & ~7 | 4]) + data[4:-4]))
+    ten_axes = Container(Box(np.zeros(10), np.ones(10)), (Layer(1, b""),)).to_bytes()
     with pytest.raises(ValueError, match="up to 6 dimensions, got 10"):
         decode(ten_axes)
 
 
-@pytest.mark.parametrize("leaf", MODELS)
-def test_a_number_of_leaves_that_the_tree_has_not_is_refused(leaf):
-    contents = random_contents(0, 2, leaf)
-    data = encode(contents)
-    for num_leaves in (0, 1, 2**32 - 1):
-        with pytest.raises(ValueError, match=f"its header states {num_leaves}"):
-            from_bytes(sealed(data[:8] + struct.pack("<I", num_leaves) + data[12:-4]))
+LAYERS = [
+    ("cone", {"certified": True}),
+    ("continuous", {"num_samples": 32}),
+    ("plane", {"certified": True, "leaf_bounds": True}),
+    ("smooth", {"num_samples": 32}),
+]
+
+
+@pytest.fixture(scope="module")
+def layered():
+    """PLRs of one map, of all models and kinds of proofs, and the file of all of them."""
+    wall = [[0.4, 0], [0.5, 0], [0.5, 0.7], [0.4, 0.7]]
+    oracle, sizes = VisibilityGraph(Workspace(((0, 0), (1, 1)), [wall]), (0.1, 0.1)), (200, 400, 800, 1600)
+    plrs = [
+        construct(oracle, UNIT, leaf=leaf, max_bytes=size, **options)
+        for size, (leaf, options) in zip(sizes, LAYERS, strict=True)
+    ]
+    layers = tuple(Container.from_bytes(plr.to_bytes()).last for plr in plrs)
+    return plrs, Container(UNIT, layers, label="walls").to_bytes()
+
+
+def ends(data):
+    return (*Header.read(data).marks, len(data))
+
+
+def test_up_to_each_mark_a_file_is_the_coarser_plr(layered, tmp_path):
+    plrs, data = layered
+    x = points(500, 3)
+    assert len(ends(data)) == len(plrs)
+    for end, plr, (leaf, options) in zip(ends(data), plrs, LAYERS, strict=True):
+        (tmp_path / "cut.plr").write_bytes(data[:end])
+        cut = load(tmp_path / "cut.plr")
+        assert cut.leaf.name == leaf and cut.num_leaves == plr.num_leaves and cut.domain == plr.domain
+        np.testing.assert_array_equal(cut(x), plr(x))
+        assert cut.to_bytes() == data[:end] and cut.num_bytes == end
+        if "certified" in options:
+            assert cut.max_error == plr.max_error
+        if "leaf_bounds" in options:
+            np.testing.assert_array_equal(cut.bounds(x), plr.bounds(x))
+
+
+def test_layers_and_labels_are_kept_when_a_file_is_written_again(layered):
+    plrs, data = layered
+    assert encode(decode(data)) == data
+    for number, end in enumerate(ends(data), 1):
+        again = encode(decode(data[:end]))
+        assert len(decode(again).coarser) == number - 1 and decode(again).label == "walls"
+        assert encode(decode(again)) == again and ends(again)[-1] == len(again) <= end
+        np.testing.assert_array_equal(decode_cells(data[:end]).position, plrs[number - 1].cells.position)
+
+
+def test_every_truncation_of_layers_but_at_marks_and_every_flipped_bit_is_refused(layered):
+    _, data = layered
+    for size in set(range(len(data))) - set(ends(data)):
+        with pytest.raises(ValueError):
+            decode(data[:size])
+    for position in range(len(data)):
+        corrupt = bytearray(data)
+        corrupt[position] ^= 1 << position % 8
+        with pytest.raises(ValueError):
+            decode(bytes(corrupt))
+
+
+@pytest.mark.parametrize(
+    ("code", "message"), [(4, "leaves of kind 4"), (8, "leaves of kind 8"), (7, "use load_pairs")]
+)
+def test_a_coarser_layer_of_a_model_that_is_not_known_is_refused_where_it_is_the_last(code, message):
+    data = Container(UNIT, (Layer(code, b"body"), Layer(0, b"body"))).to_bytes()
+    with pytest.raises(ValueError, match=message):
+        from_bytes(data[: ends(data)[0]])
+
+
+def test_a_coarser_layer_of_a_proof_that_is_not_known_is_refused_where_it_is_the_last():
+    layer = Container.from_bytes(encode(random_contents(0, 2, "plane"))).last
+    data = Container(UNIT, (Layer(0, layer.body, 9), layer)).to_bytes()
+    with pytest.raises(ValueError, match="a proof of kind 9, this release knows kinds 0 to 3"):
+        from_bytes(data[: ends(data)[0]])
+
+
+def test_plrs_of_more_than_fifteen_axes_are_read_as_they_were_written():
+    plr = construct(lambda x: np.abs(x).sum(axis=1), (np.zeros(18), np.ones(18)), max_leaves=5, num_samples=64)
+    again = from_bytes(plr.to_bytes())
+    x = points(100, 0, 18)
+    np.testing.assert_array_equal(again(x), plr(x))
+    assert again.to_bytes() == plr.to_bytes() and again.domain == plr.domain

@@ -11,7 +11,7 @@ from plr_jax.plr import Plane, from_bytes
 from plr_jax.plr._assembly import with_stored
 from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr.file.bits import BitWriter
-from plr_jax.plr.file.container import Container, write_tree
+from plr_jax.plr.file.container import Container, Layer, write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
 from plr_jax.plr.partition.cells import Cells
@@ -23,7 +23,8 @@ def with_body(leaf, dim, cells, write):
     body = BitWriter()
     write_tree(body, levels_of(cells)[0], dim)
     write(body)
-    return Container(Box(np.zeros(dim), np.ones(dim)), code_of_leaf(leaf_model(leaf)), len(cells), body.to_bytes())
+    layer = Layer(code_of_leaf(leaf_model(leaf)), body.to_bytes())
+    return Container(Box(np.zeros(dim), np.ones(dim)), (layer,))
 
 
 def sets(body, counts):
@@ -67,10 +68,9 @@ def test_continuous_leaves_of_a_tree_that_splits_in_another_order_are_refused():
     body = BitWriter()
     write_tree(body, quarters_in_another_order()[0], 2)
     sets(body, [0, 0])
+    layer = Layer(code_of_leaf(leaf_model("continuous")), body.to_bytes())
     with pytest.raises(ValueError, match="splits its leaves along other axes first"):
-        from_bytes(
-            Container(Box((0, 0), (1, 1)), code_of_leaf(leaf_model("continuous")), 4, body.to_bytes()).to_bytes()
-        )
+        from_bytes(Container(Box((0, 0), (1, 1)), (layer,)).to_bytes())
 
 
 @pytest.mark.parametrize(

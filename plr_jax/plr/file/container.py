@@ -11,7 +11,7 @@ Layout of version 5, with numbers as in ``fields.py``:
             one bit: is the domain kept in floats?
     ...     number of axes, if there are more than 15
     ...     the domain (see ``domain.py``)
-    ...     how points are folded, if they are (see ``plr/folding/codec.py``); leaves are then of the box of those
+    ...     how points are folded, if they are (see ``plr/file/folding.py``); leaves are then of the box of those
     ...     the label, if that bit is set: its length in bytes, and it in UTF-8; then the number of layers but the
             last one, and of each its size in bytes
     ...     layers. Each but the last one begins with
@@ -22,7 +22,7 @@ Layout of version 5, with numbers as in ``fields.py``:
               what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
                 lower half first
               what it keeps of a proof
-      u32     CRC-32 of all bytes before, from the start of the file, little-endian
+      u32     CRC-32 of all bytes before from the start of the file, but for other checksums, little-endian
 
 The last layer is the PLR. Layers before it are coarser PLRs of the same domain, each complete in itself: a file that
 is cut off behind one of them, at a *mark*, is one of that PLR. So whoever fetches a file need not fetch all of it.
@@ -40,7 +40,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.domain import domain_to_bytes, read_domain
 from plr_jax.plr.file.fields import ByteReader, varint
-from plr_jax.plr.folding.codec import folding_to_bytes, read_folding
+from plr_jax.plr.file.folding import folding_to_bytes, read_folding
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
@@ -50,10 +50,12 @@ PAIRS_CODE = 7
 MOST_LABEL_BYTES = 1000
 MOST_BYTES = 2**28
 """Bytes of the largest file."""
+MOST_AXES = 255
+"""Of a domain."""
 _MAGIC = b"P\xb5"
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of versions before
-_MOST_LAYERS = 32
-_MOST_AXES = 15  # of those that fit into four bits
+MOST_LAYERS = 32
+_MOST_IN_BITS = 15
 _FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7
 _CRC = struct.Struct("<I")
 
@@ -91,7 +93,9 @@ class Header:
     def data(self) -> bytes:
         """Its bytes."""
         dim, (domain, is_floats) = self.domain.dim, domain_to_bytes(self.domain)
-        fits, label = dim <= _MOST_AXES, self.label.encode()
+        if dim > MOST_AXES:
+            raise ValueError(f"A file has room for {MOST_AXES} axes, got a domain of {dim}.")
+        fits, label = dim <= _MOST_IN_BITS, self.label.encode()
         flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
         parts = [_MAGIC, bytes([VERSION | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
         parts += [b"" if fits else varint(dim), domain]
@@ -119,14 +123,15 @@ class Header:
         if (version := first & 15) != VERSION:
             remedy = "update plr_jax" if version > VERSION else "build it again"
             raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
-        dim = first >> 4 or reader.varint()
+        if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:
+            raise ValueError(f"it states {dim} axes, which are 1 to {MOST_AXES}")
         domain = read_domain(reader, dim, bool(second & _FLOATS))
         folding = read_folding(reader, domain) if second & _FOLDED else None
         label, sizes = "", ()
         if second & _EXTENDED:
             label = _read_label(reader)
-            if (count := reader.varint()) > _MOST_LAYERS:
-                raise ValueError(f"it states {count} layers, more than {_MOST_LAYERS}")
+            if (count := reader.varint()) > MOST_LAYERS:
+                raise ValueError(f"it states {count} layers, more than {MOST_LAYERS}")
             sizes = tuple(reader.varint() for _ in range(count))
         header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes)
         if header.data != data[: reader.at]:
@@ -169,40 +174,35 @@ class Container:
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
         *coarser, last = self.layers
-        sizes = tuple(1 + len(layer.body) + _CRC.size for layer in coarser)
+        parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in coarser), last.body]
+        sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
         data = Header(self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes).data
-        for layer in coarser:
-            data += bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body
-            data += _CRC.pack(zlib.crc32(data))
-        data += last.body
-        return data + _CRC.pack(zlib.crc32(data))
+        crc = zlib.crc32(data)
+        for part in parts:
+            crc = zlib.crc32(part, crc)
+            data += part + _CRC.pack(crc)
+        return data
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """What a file's bytes hold, cut off at a mark or not; raises ``ValueError`` saying what is wrong with them."""
-        header = Header.read(data)
+        """What a file's bytes hold, cut off at a mark or not; raises ``ValueError`` saying what is wrong."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
-        start, layers = len(header.data), []
-        for end in header.marks:
-            if end > len(data):
-                break
-            codes, body = data[start], data[start + 1 : end - _CRC.size]
-            _check(data, start + 1, end)
-            layers.append(Layer(codes & 15, body, codes >> 4))
+        header = Header.read(data)
+        start, crc, layers = len(header.data), zlib.crc32(header.data), []
+        for end in (*header.marks, len(data)):
+            if layers and start == len(data):
+                break  # cut off
+            is_last = len(layers) == len(header.sizes)
+            if not start + (not is_last) + _CRC.size <= end <= len(data):
+                raise ValueError("the data end too early")
+            part, checksum = data[start : end - _CRC.size], data[end - _CRC.size : end]
+            if (crc := zlib.crc32(part, crc)) != _CRC.unpack(checksum)[0]:
+                raise ValueError("its checksum does not match: the file is truncated or corrupt")
+            codes = (header.leaf_code, header.proof_code) if is_last else (part[0] & 15, part[0] >> 4)
+            layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
             start = end
-        if start < len(data) or not layers:
-            _check(data, start, len(data))
-            layers.append(Layer(header.leaf_code, data[start : -_CRC.size], header.proof_code))
         return Container(header.domain, tuple(layers), header.folding, header.label)
-
-
-def _check(data: bytes, start: int, end: int) -> None:
-    """Raise ``ValueError`` if a layer of these bytes has no room for a checksum, or another one."""
-    if end < start + _CRC.size:
-        raise ValueError("the data end too early")
-    if zlib.crc32(data[: end - _CRC.size]) != _CRC.unpack(data[end - _CRC.size : end])[0]:
-        raise ValueError("its checksum does not match: the file is truncated or corrupt")
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:

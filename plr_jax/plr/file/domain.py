@@ -9,7 +9,7 @@ Most maps have corners of few decimals. As bytes, with numbers as in ``fields.py
 Of each periodic axis the two ends are exchanged: the upper one comes first.
 """
 
-from decimal import Decimal
+from decimal import Context, Decimal
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from plr_jax.plr.file.fields import ByteReader, signed_varint
 
 _MOST_DECIMALS = 22  # powers of ten up to this one, and integers below the next, are exact in 64 bits
 _LARGEST = 2**53
+_EXACT = Context(prec=40, traps=[])  # whatever the caller has set: numbers have at most 17 digits
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
@@ -48,8 +49,8 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 def _decimals(numbers: list[float]) -> bytes | None:
     """The numbers as integers over one power of ten; None where that is not exact."""
     shortest = [Decimal(repr(number)) for number in numbers]
-    decimals = max(0, *(-int(number.normalize().as_tuple().exponent) for number in shortest))
-    integers = [int(number.scaleb(decimals)) for number in shortest]
+    decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
+    integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
     if decimals > _MOST_DECIMALS or max(map(abs, integers)) > _LARGEST:
         return None
     # A zero may be negative, which no integer is; a box does not tell them apart.

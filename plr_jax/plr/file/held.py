@@ -1,11 +1,13 @@
 """What answers from tables and holds the file that they were made of."""
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import jax
 import numpy as np
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded, padded_size, shortened
+from plr_jax.plr.file.container import MOST_LABEL_BYTES, Container, Header
 
 if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
@@ -30,6 +32,35 @@ class HeldFile:
     def num_bytes(self) -> int:
         """Bytes of the file."""
         return int.from_bytes(np.asarray(self.file)[-_SIZE_BYTES:].tobytes(), "little")
+
+    @property
+    def file_marks(self) -> tuple[int, ...]:
+        """Where the file may be cut off, in bytes from its start, to be one of less: see :func:`progressive`."""
+        return Header.read(self.to_bytes()).marks
+
+    @property
+    def label(self) -> str:
+        """What the file says of itself, any text: which map, which goal. Empty if it says nothing."""
+        return Header.read(self.to_bytes()).label
+
+    def with_label(self, label: str) -> Self:
+        """The same with another label.
+
+        Args:
+            label: Any text of up to 1,000 bytes in UTF-8, which the file then takes more.
+
+        Returns:
+            What answers alike, bit for bit.
+
+        Raises:
+            ValueError: If it is no text, or longer.
+        """
+        if not isinstance(label, str) or not 0 <= len(label.encode(errors="replace")) <= MOST_LABEL_BYTES:
+            raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
+        if label == self.label:
+            return self
+        data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
+        return replace(cast(Any, self), file=held(data))
 
     @property
     def resident_bytes(self) -> int:

@@ -27,6 +27,9 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+Functions: TypeAlias = tuple[Float[np.ndarray, "n dim"], Float[np.ndarray, "n dim"], Float[np.ndarray, "n terms"]]
+"""Functions of leaves: corners of their boxes, and finite coefficients."""
+
 UNIT = 2.0**-24
 """Largest relative error of rounding to 32-bit floats."""
 
@@ -172,6 +175,12 @@ class LeafModel(Protocol):
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
+        ...
+
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of functions of leaves minus those of others, over boxes, one each."""
         ...
 
     def rounding(

@@ -72,11 +72,11 @@ class Outline:
         """Whether points are in free space."""
         import shapely  # which a query does not need
 
-        shapely.prepare(self._region)
-        return shapely.intersects_xy(self._region, *x.T)
+        shapely.prepare(self.region)
+        return shapely.intersects_xy(self.region, *x.T)
 
     @cached_property
-    def _region(self) -> Any:
+    def region(self) -> Any:
         """Free space: of the faces between the walls those from which a ray crosses an odd number of walls.
 
         Rings may touch one another and themselves, so they are no polygons.

@@ -17,6 +17,7 @@ The second one is what makes queries quick. Where it was cut off, there is one l
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,6 +31,9 @@ from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer, read_tree, 
 from plr_jax.plr.pairs.outline import Outline, read_outline
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, Tree, levels_of, tree_of_levels
+
+if TYPE_CHECKING:
+    from plr_jax.geometry.workspace import Workspace
 
 MOST_CORNERS = 2**13
 WIDEST = 1e18
@@ -80,6 +84,18 @@ class Stored:
     def distances(self) -> Float[np.ndarray, "corners corners"]:
         """Shortest distances between corners; ``inf`` where there is no path."""
         return shortest_distances(self.points, self.edges)
+
+    @property
+    def workspace(self) -> "Workspace":
+        """The workspace whose free space the outline bounds, with corners on the outline's lattice."""
+        import shapely  # which a query does not need
+
+        from plr_jax.geometry.workspace import Workspace
+
+        domain = self.domain
+        walls = shapely.box(*domain.lo, *domain.hi).difference(self.outline.region)
+        squeeze = self.outline.may_squeeze
+        return Workspace(domain, [part for part in shapely.get_parts(walls) if part.area], squeeze=squeeze)
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""

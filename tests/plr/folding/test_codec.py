@@ -5,8 +5,8 @@ import pytest
 from plr_helpers import sealed
 
 from plr_jax import Box, ReedsShepp, construct, from_bytes
+from plr_jax.plr.file.folding import folding_to_bytes, read_folding
 from plr_jax.plr.folding.choice import folding_of
-from plr_jax.plr.folding.codec import folding_to_bytes, read_folding
 
 WINDOW = Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
 START = 16 + 48  # of the folding in a file: after the header and the domain

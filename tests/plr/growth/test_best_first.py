@@ -80,6 +80,6 @@ def test_bits_are_traded_for_leaves():
 
 
 def test_one_leaf_that_does_not_fit_is_refused(leaf):
-    """A header of 16 bytes, four corners of 8 and a checksum of 4 are 52 without any leaf."""
-    with pytest.raises(ValueError, match=r"max_bytes=52 is too small: one leaf takes [567]\d bytes"):
-        construct(cone, UNIT, leaf=leaf, max_bytes=52)
+    """A header of 4 bytes, the domain in 5 and a checksum of 4 are 13 without any leaf."""
+    with pytest.raises(ValueError, match=r"max_bytes=13 is too small: one leaf takes [123]\d bytes"):
+        construct(cone, UNIT, leaf=leaf, max_bytes=13)

@@ -17,7 +17,9 @@ def four_each(dim, num_leaves):
 
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
-    return check_limits(dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES), Proof.NONE)
+    return check_limits(
+        dim, least_bytes, has_deep_trees, four_each, *(given.get(name) for name in NAMES), Proof.NONE, 13
+    )
 
 
 def test_no_limit_means_512_leaves():
@@ -88,7 +90,7 @@ def test_how_often_an_axis_may_be_halved(given, expected):
 def test_limits_out_of_range_are_refused(given, message):
     arguments = [given.get(name) for name in NAMES]
     with pytest.raises(ValueError, match=message):
-        unchecked(2, 2, False, four_each, *arguments, Proof.NONE)
+        unchecked(2, 2, False, four_each, *arguments, Proof.NONE, 13)
 
 
 unchecked = getattr(check_limits, "__wrapped__", check_limits)  # by annotations, as outside of the tests

@@ -15,7 +15,7 @@ def nodes(priority, bound, axis=0, **limits):
     """The two halves of the square along x, which a plane fits badly, as nodes."""
     fit = Sampler(cone, UNIT, None, *2 * [sample_pattern(2, 32, 0.0, 0)], 14)(Cells.root(2).split(np.array([0])))
     given = (limits.get(name) for name in ("max_depth", "max_leaves", "max_bytes", "tolerance"))
-    found = check_limits(2, 2, False, lambda dim, num_leaves: 4 * num_leaves, *given, Proof.NONE)
+    found = check_limits(2, 2, False, lambda dim, num_leaves: 4 * num_leaves, *given, Proof.NONE, 13)
     coefficients = np.column_stack([fit.center, fit.half])
     return nodes_of_fit(fit, coefficients, np.array(bound), np.array(priority), np.full(2, axis), found), fit
 

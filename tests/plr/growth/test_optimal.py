@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth import optimal
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
@@ -103,6 +104,8 @@ def limits(**given):
             "max_leaves": 10**9,
             "max_bytes": np.inf,
             "tolerance": 0.0,
+            "proof": Proof.NONE,
+            "frame_bytes": 13,
             **given,
         }
     )

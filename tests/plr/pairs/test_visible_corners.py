@@ -12,7 +12,7 @@ from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.pairs.growth import grow_lists
 from plr_jax.plr.pairs.visible_corners import visible_corners
 
-LIMITS = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, 10_000, None, Proof.NONE)
+LIMITS = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, 10_000, None, Proof.NONE, 13)
 
 
 def grown(workspace, most_leaves):

@@ -14,6 +14,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
+    Functions,
     Parameters,
     Rules,
     largest_coordinates,
@@ -29,6 +30,7 @@ from plr_jax.plr.leaves.continuous.basis import (
     monomials,
     numbers_of_leaves,
     numbers_of_planes,
+    on_boxes,
 )
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
 from plr_jax.plr.leaves.continuous.evaluation import numbers_of_polynomials, polynomial
@@ -194,6 +196,14 @@ class Continuous:
         intercept = value - (slope * (first + last)).sum(axis=1) / 2
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
+
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Least and largest coefficients in the Bernstein basis of each box: exact at order 0."""
+        polynomials = (on_boxes(self.order, *functions, lo, hi) for functions in (leaves, others))
+        apart = np.subtract(*polynomials)
+        return apart.min(axis=1), apart.max(axis=1)
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]

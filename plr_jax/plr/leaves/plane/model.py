@@ -20,6 +20,7 @@ from plr_jax.plr.growth.nodes import Nodes, nodes_of_fit
 from plr_jax.plr.growth.rules import largest_error
 from plr_jax.plr.leaves.base import (
     UNIT,
+    Functions,
     Parameters,
     Rules,
     largest_coordinates,
@@ -211,6 +212,16 @@ class Plane:
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
+
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Differences at the centers of boxes, and what the slopes' differences make of half their widths."""
+        center, reach = (lo + hi) / 2, (hi - lo) / 2
+        slope, other = (2 * planes[:, 1:] / (end - start) for start, end, planes in (leaves, others))
+        apart = self.values(*leaves, center) - self.values(*others, center)
+        spread = (np.abs(slope - other) * reach).sum(axis=1)
+        return apart - spread, apart + spread
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]

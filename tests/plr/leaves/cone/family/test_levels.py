@@ -25,7 +25,7 @@ def family():
     """Levels of boxes of two goals, and which box each goal starts at."""
     first = VisibilityGraph(MAZE, (0.06, 0.07))
     oracles, start = [first, first.with_goal((0.9, 0.9))], Start.of(1.0, 13, 8)
-    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, 8, None, 10_000, None, Proof.NONE)
+    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, 8, None, 10_000, None, Proof.NONE, 13)
     lo, hi = start.lowest.boxes(MAZE.bounds)
     found, key, node_of = first.family_sources(first.shared_cells(MAZE.bounds, lo, hi), oracles)
     cells = start.lowest[np.zeros(found.num_cells, int)]

@@ -58,7 +58,7 @@ def _check(folding: Folding) -> None:
     if not (np.isfinite(folding.center).all() and np.isfinite(axes).all()):
         raise ValueError("its folding has numbers that are not finite")
     unit = np.eye(len(axes))
-    if np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
+    if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
         raise ValueError("the axes of its folding are not orthogonal, or turn a periodic one")
     if (np.array(folding.radial) & periodic).any():
         raise ValueError("its folding measures a length along a periodic axis")

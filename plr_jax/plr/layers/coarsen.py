@@ -1,0 +1,113 @@
+"""A coarser PLR of a PLR, with bounds that are proven from the two alone."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._arrays import as_bool, require_integer, shortened
+from plr_jax.plr._assembly import plr_of_leaves
+from plr_jax.plr._construct import construct, proof_of
+from plr_jax.plr._file import Contents
+from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.certificate.branch_and_bound import LeafBounds
+from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.layers.overlay import leaves_that_meet
+from plr_jax.plr.leaves.base import UNIT, Functions
+from plr_jax.plr.partition.tree import tree_of_levels
+
+_PAIRS_AT_ONCE = 1 << 12
+_MOST_TRIES = 8
+_ROUNDINGS_OF_RADIUS = 8
+_MORE = 1.001  # for what is rounded here, in 64 bits
+
+
+def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 0) -> PLR:
+    """A smaller PLR of what a PLR answers, which needs no oracle and comes with a proof.
+
+    Its leaves are of the same model, found from samples of the PLR. How far its functions can be from those of the
+    PLR is bounded over all cells that two of their leaves have in common, rounding included. So ``bounds`` and
+    ``max_error`` are proven: of the distance, if a proof of ``plr`` is; else of what ``plr`` answers.
+
+    A file does not say where obstacles are, so what a PLR answers there counts as well. Where the oracle is at hand,
+    a PLR of so many bytes that :func:`construct` builds is far better among obstacles.
+
+    Args:
+        plr: The PLR. Where it answers ``inf``, nothing is said.
+        max_bytes: Largest size of the coarser PLR's file.
+        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
+        seed: Seed of the samples' scrambling.
+
+    Returns:
+        The coarser PLR.
+
+    Raises:
+        ValueError: If it is no PLR, ``max_bytes`` is too small for one leaf with its proof, or the coarser PLR would
+            answer ``inf`` where ``plr`` does not.
+    """
+    if not isinstance(plr, PLR):
+        raise ValueError(f"Only a PLR can be coarsened, got {shortened(plr)}.")
+    require_integer("max_bytes", max_bytes, 1)
+    proof = proof_of(True, as_bool("leaf_bounds", leaf_bounds))
+    fine = plr._contents
+    unfolded = plr_of_leaves(replace(fine, folding=None, certificate=None))
+    around = len(plr_of_leaves(replace(fine, certificate=None)).to_bytes()) - unfolded.num_bytes  # by a folding
+    build = partial(construct, lambda x: np.asarray(unfolded(x)), unfolded.domain, leaf=plr.leaf.name, seed=seed)
+    room = int(max_bytes) - around - proof.num_bits(1) // 8
+    for _ in range(_MOST_TRIES):
+        found = build(max_bytes=room)._contents
+        size = len(plr_of_leaves(found).to_bytes()) + around + -(-proof.num_bits(len(found.cells)) // 8)
+        if size <= max_bytes:
+            break
+        room = min(room - 1, room * int(max_bytes) // size)
+    else:
+        raise ValueError(f"max_bytes={max_bytes:,} is too small for a coarser PLR with a proof.")
+    coarse = replace(found, folding=fine.folding)
+    return plr_of_leaves(replace(coarse, certificate=_certificate(coarse, fine, proof)))
+
+
+def _certificate(coarse: Contents, fine: Contents, proof: Proof) -> Certificate:
+    """Bounds of what the fine PLR stands for, minus what the coarse one answers."""
+    dim, domain = coarse.domain.dim, coarse.domain
+    trees = [tree_of_levels(contents.levels, dim) for contents in (coarse, fine)]
+    (of_coarse, coarse_rounding), (of_fine, fine_rounding) = _functions(coarse), _functions(fine)
+    below, above = _band(fine) + fine_rounding * np.array([[-1.0], [1.0]])
+    if np.isinf(above).any():
+        proof = Proof.OPEN_LEAVES
+    own, other, common = leaves_that_meet(*trees)
+    answers = ~np.isinf(of_fine[2][other, 0])
+    if (answers & np.isinf(of_coarse[2][own, 0])).any():
+        raise ValueError("A coarser PLR of so few bytes would answer inf where this one does not; give it more.")
+    lower, upper = np.zeros(len(coarse.cells)), np.zeros(len(coarse.cells))
+    pairs = np.flatnonzero(answers)
+    for begin in range(0, len(pairs), _PAIRS_AT_ONCE):
+        some = pairs[begin : begin + _PAIRS_AT_ONCE]
+        i, j = own[some], other[some]
+        box = common[some].grown_boxes(domain)
+        least, most = fine.leaf.differences(*box, _of(of_fine, j), _of(of_coarse, i))
+        np.minimum.at(lower, i, least + below[j])
+        np.maximum.at(upper, i, most + above[j])
+    return Certificate.of(LeafBounds(lower, upper), coarse_rounding, proof)
+
+
+def _of(functions: Functions, leaf: Int[np.ndarray, "n"]) -> Functions:
+    lo, hi, coefficients = functions
+    return lo[leaf], hi[leaf], coefficients[leaf]
+
+
+def _functions(contents: Contents) -> tuple[Functions, Float[np.ndarray, "leaves"]]:
+    """Corners and coefficients of all leaves, and what queries of them round."""
+    coefficients = filled_coefficients(contents)
+    finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
+    rounding = contents.leaf.rounding(contents.domain, contents.cells, finite)
+    if (folding := contents.folding) is not None:  # which rounds points, and the length that is added
+        farthest = np.maximum(np.abs(folding.box.lo), np.abs(folding.box.hi))
+        rounding = 2 * rounding + _ROUNDINGS_OF_RADIUS * UNIT * folding.radius(farthest)
+    return (*contents.cells.boxes(contents.domain), coefficients), _MORE * rounding
+
+
+def _band(contents: Contents) -> Float[np.ndarray, "2 leaves_or_one"]:
+    """Bounds of what a PLR stands for, minus what it answers: of its proof; else it stands for its answers."""
+    return np.zeros((2, 1)) if contents.certificate is None else contents.certificate.bounds()

@@ -1,0 +1,127 @@
+"""Parts of files on static servers, fetched by HTTP ranges, in bounded time and memory."""
+
+import re
+import threading
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from http.client import HTTPException, HTTPResponse
+
+_CHUNK = 1 << 16
+_PARTIAL, _UNSATISFIABLE = 206, 416
+_CONTENT_RANGE = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """The beginning of a file, as far as it was fetched.
+
+    Attributes:
+        data: Those bytes.
+        size: Bytes of all of it; None if the server did not say.
+        version: What tells this version of the file from others; empty if the server did not say.
+    """
+
+    data: bytes = b""
+    size: int | None = None
+    version: str = ""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether that is known to be all of it."""
+        return self.size is not None and len(self.data) == self.size
+
+
+def fetch(url: str, end: int, timeout: float, known: Fetched | None = None) -> Fetched:
+    """The first ``end`` bytes of a file, or all of a shorter one, in one request for what is not known yet.
+
+    A server that knows no ranges is not read farther either.
+
+    Raises:
+        OSError: If the server cannot be reached, takes longer than so many seconds, or answers with an error.
+        ValueError: If it answers with something else than what was asked for, or the file has changed.
+    """
+    known = Fetched() if known is None else known
+    outcome: list[Fetched | BaseException] = []
+
+    def request() -> None:
+        try:
+            outcome.append(_request(url, end, timeout, known))
+        except BaseException as error:  # to be raised where it was asked for
+            outcome.append(error)
+
+    # In a thread of its own: a server that sends a byte now and then keeps any single read from timing out.
+    thread = threading.Thread(target=request, daemon=True)
+    thread.start()
+    thread.join(timeout)
+    if not outcome:
+        raise TimeoutError(f"{url} did not send what was asked for within {timeout:g} s.")
+    if isinstance(outcome[0], BaseException):
+        raise outcome[0]
+    return outcome[0]
+
+
+def _request(url: str, end: int, timeout: float, known: Fetched) -> Fetched:
+    start = len(known.data)
+    headers = {"Range": f"bytes={start}-{end - 1}", "Accept-Encoding": "identity", "User-Agent": "plr_jax"}
+    try:
+        with _opener().open(urllib.request.Request(url, headers=headers), timeout=timeout) as response:
+            return _answer(url, response, end, known)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == _UNSATISFIABLE:
+            raise ValueError(f"{url} has no bytes beyond the first {start}.") from None
+        raise OSError(f"{url} answered {error.code} {error.reason}.") from None
+    except urllib.error.URLError as error:
+        raise OSError(f"{url} cannot be reached: {error.reason}.") from None
+    except (HTTPException, UnicodeError) as error:
+        raise OSError(f"{url} does not answer as a web server does: {type(error).__name__} {error}.") from None
+
+
+def _opener() -> urllib.request.OpenerDirector:
+    """What opens web pages and follows them where they have moved, but to nothing else, such as files."""
+    opener = urllib.request.OpenerDirector()
+    for handler in (
+        urllib.request.ProxyHandler,
+        urllib.request.UnknownHandler,
+        urllib.request.HTTPHandler,
+        urllib.request.HTTPSHandler,
+        urllib.request.HTTPDefaultErrorHandler,
+        urllib.request.HTTPRedirectHandler,
+        urllib.request.HTTPErrorProcessor,
+    ):
+        opener.add_handler(handler())
+    return opener
+
+
+def _answer(url: str, response: HTTPResponse, end: int, known: Fetched) -> Fetched:
+    """What was known, and what an answer adds to it."""
+    if (encoding := response.headers.get("Content-Encoding", "identity")) != "identity":
+        raise ValueError(f"{url} is sent as {encoding!r}; the server should send it as it is.")
+    version = response.headers.get("ETag") or response.headers.get("Last-Modified") or ""
+    start, size = 0, response.length
+    if response.status == _PARTIAL:
+        match = _CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
+        if match is None or int(match[1]) != len(known.data) or int(match[2]) >= end:
+            raise ValueError(f"{url} was asked for bytes {len(known.data)} to {end - 1}, and sent others.")
+        start, size = int(match[1]), int(match[3])
+        end = int(match[2]) + 1
+    if size is not None:
+        end = min(end, size)
+    sent = _read(response, end - start)
+    data = known.data[:start] + sent
+    is_changed = start == 0 and not data.startswith(known.data)
+    if is_changed or (known.data and (size, version) != (known.size, known.version)):
+        raise ValueError(f"{url} has changed since it was first asked for.")
+    if len(data) < end and size is not None:
+        raise OSError(f"{url} broke off after {len(data)} of {end} bytes.")
+    return Fetched(data, len(data) if size is None and len(data) < end else size, version)
+
+
+def _read(response: HTTPResponse, count: int) -> bytes:
+    """So many bytes, or what there is."""
+    parts, missing = [], count
+    while missing > 0 and (part := response.read(min(missing, _CHUNK))):
+        parts.append(part)
+        missing -= len(part)
+    return b"".join(parts)

@@ -1,0 +1,140 @@
+"""Domains in a file: read as they were written, bit for bit, in as few bytes as there is a way for."""
+
+import decimal
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from plr_jax.geometry.box import Box
+from plr_jax.plr.file.container import frame_size
+from plr_jax.plr.file.domain import domain_to_bytes, read_domain
+from plr_jax.plr.file.fields import ByteReader, signed_varint
+
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
+DECIMALS = st.builds(lambda digits, places: digits / 10**places, st.integers(-(10**7), 10**7), st.integers(0, 6))
+CORNERS = st.one_of(
+    *(st.lists(numbers, min_size=2, max_size=2, unique=True).map(sorted) for numbers in (DOUBLES, DECIMALS))
+)
+
+
+@st.composite
+def domains(draw, most=20):
+    """What boxes are made of: any numbers, most of them of few decimals, some axes periodic."""
+    dim = draw(st.integers(2 if most == 2 else 1, most))
+    corners = np.array([draw(CORNERS) for _ in range(dim)], np.float64)
+    assume((corners[:, 0] < corners[:, 1]).all())
+    return *corners.T, draw(st.lists(st.booleans(), min_size=dim, max_size=dim))
+
+
+def read(data, dim, is_floats):
+    reader = ByteReader(data)
+    domain = read_domain(reader, dim, is_floats)
+    assert reader.at == len(data)
+    return domain
+
+
+@given(domains())
+def test_a_domain_is_read_as_it_was_written(box):
+    domain = Box(*box)
+    data, is_floats = domain_to_bytes(domain)
+    assert read(data, domain.dim, is_floats) == domain
+    assert len(data) <= 16 * domain.dim
+
+
+@given(domains(most=2))
+def test_header_domain_and_checksum_take_at_most_40_bytes_in_the_plane(box):
+    assert frame_size(Box(*box)) <= 40
+
+
+@given(domains(), st.text(max_size=100))
+def test_header_domain_and_checksum_take_at_most_what_floats_would(box, label):
+    domain = Box(*box)
+    extra = domain.dim > 15
+    with_label = 2 + len(label.encode()) if label else 0  # the label's length, and that there is one layer
+    assert frame_size(domain, label=label) <= 8 + extra + 16 * domain.dim + with_label + (with_label >= 130)
+
+
+@pytest.mark.parametrize(
+    ("domain", "data"),
+    [
+        (Box((0, 0), (1, 1)), [0, 0, 0, 2, 2]),
+        (Box((-1, 0), (1, 3)), [0, 1, 0, 2, 6]),
+        (Box((0, 0), (49.5, 20.25)), [2, 0, 0, *signed_varint(4950), *signed_varint(2025)]),
+        (Box((0.3, -0.1), (0.7, 0.0)), [1, 6, 1, 14, 0]),  # 0.1 + 0.2 is another number than 0.3
+        (Box((-0.0,), (1e15,)), [0, 0, *signed_varint(10**15)]),
+        (Box((-1e-22,), (1e-22,)), [22, 1, 2]),
+        (Box((-(2.0**53),), (0,)), [0, *signed_varint(-(2**53)), 0]),
+        (Box((0, -2), (10, 3), periodic=(False, True)), [0, 0, 6, 20, 3]),
+        (
+            Box((500000, 4000000), (502000, 4002000)),
+            [0, *b"".join(map(signed_varint, (500000, 4000000, 502000, 4002000)))],
+        ),
+    ],
+)
+def test_numbers_of_few_decimals_by_hand(domain, data):
+    assert domain_to_bytes(domain) == (bytes(data), False)
+    assert read(bytes(data), domain.dim, False) == domain
+
+
+@pytest.mark.parametrize(
+    "domain",
+    [
+        Box((-np.pi,), (np.pi,)),  # 16 digits
+        Box((0.1 + 0.2,), (1,)),
+        Box((0,), (2.0**53 + 2,)),
+        Box((-1e-23,), (1e-23,)),
+        Box((0, 0), (1, 1e-30)),  # of few digits each, but of no common unit
+        Box((5e-324, -1e308), (1e-323, 1e308)),
+    ],
+)
+def test_other_numbers_are_floats(domain):
+    data, is_floats = domain_to_bytes(domain)
+    assert is_floats and data == struct.pack(f"<{2 * domain.dim}d", *domain.lo, *domain.hi)
+    assert read(data, domain.dim, True) == domain
+
+
+def test_the_shorter_way_is_taken():
+    """Two integers of 54 bits, of eight bytes each, and the byte for their decimals are longer than two floats."""
+    short, long = Box((0,), (2.0**53 - 1,)), Box((1 - 2.0**53,), (2.0**53 - 1,))
+    assert [len(domain_to_bytes(domain)[0]) for domain in (short, long)] == [1 + 1 + 8, 16]
+    assert [domain_to_bytes(domain)[1] for domain in (short, long)] == [False, True]
+
+
+def test_periodic_axes_have_their_upper_end_first_in_floats_too():
+    domain = Box((-2, -np.pi), (2, np.pi), periodic=(False, True))
+    assert domain_to_bytes(domain) == (struct.pack("<4d", -2, np.pi, 2, -np.pi), True)
+
+
+def test_the_caller_s_decimals_change_nothing():
+    domain = Box((-1234.5678,), (8765.4321,))
+    expected = domain_to_bytes(domain)
+    with decimal.localcontext(decimal.Context(prec=3, traps=[decimal.Inexact, decimal.Rounded])):
+        assert domain_to_bytes(domain) == expected
+    assert not expected[1]
+
+
+@pytest.mark.parametrize(
+    ("data", "is_floats", "message"),
+    [
+        (b"", False, "end too early"),
+        (b"\x00\x00", False, "end too early"),
+        (b"\x17\x00\x02", False, "numbers of 23 decimals, more than 22"),
+        (b"\xff\x00\x02", False, "numbers of 255 decimals, more than 22"),
+        (b"\x00\x00" + signed_varint(2**53 + 1), False, "numbers that are too large"),
+        (b"\x00" + signed_varint(-(2**60)) + b"\x00", False, "numbers that are too large"),
+        (b"\x00\x02\x02", False, "positive width along every axis, got lo=1 and hi=1 on axis 0"),
+        (b"\x00" + b"\xff" * 11, False, "a number that is too large"),
+        (bytes(15), True, "end too early"),
+        (bytes(16), True, "positive width"),
+        (struct.pack("<2d", np.nan, 1), True, "finite"),
+        (struct.pack("<2d", 0, np.nan), True, "finite"),
+        (struct.pack("<2d", 0, np.inf), True, "finite"),
+        (struct.pack("<2d", np.inf, 0), True, "finite"),
+    ],
+)
+def test_what_is_no_domain_is_refused(data, is_floats, message):
+    with pytest.raises(ValueError, match=message):
+        read_domain(ByteReader(data), 1, is_floats)
