@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int, UInt32
+from jaxtyping import Integer, UInt32
 
 from plr_jax.plr.portable.program import Nodes
 from plr_jax.plr.query.grid import FRACTION_BITS, spread_bits
@@ -25,8 +25,8 @@ class Descent:
 
     nodes: Nodes
     bits: tuple[int, ...]
-    table: np.ndarray
-    children: np.ndarray
+    table: Integer[np.ndarray, "cells"]
+    children: Integer[np.ndarray, "children"]
 
     @staticmethod
     def of(nodes: Nodes) -> "Descent":
@@ -89,7 +89,7 @@ class Descent:
             code = self._child_codes[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - self._depth[node])) & 1)]
         return code >> kind_bits
 
-    def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Int[np.ndarray, "n"] | UInt32[np.ndarray, "n"]:
+    def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
         """The row of numbers for each place."""
         index = places[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(places[1:], self.bits[1:], strict=True):

@@ -137,7 +137,7 @@ class Program:
         else:
             center, rest = folding.center, np.zeros(self.dim)
             lo, hi = np.where(folding.domain.periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
-        return Fold(center, rest, list(axes) if folding.is_turned else None, mirrors, lo, hi)
+        return Fold(list(center), list(rest), list(axes) if folding.is_turned else None, mirrors, list(lo), list(hi))
 
     @cached_property
     def radial(self) -> list[int]:
@@ -187,7 +187,7 @@ class Program:
         return [grid.place(do, along) for grid, along in zip(self.grids, above, strict=True)]
 
     def value(
-        self, do: Operations, x: Point, above: Point, numbers: Sequence[Value], cell: list[tuple[Value, Value]]
+        self, do: Operations, x: Point, above: Point, numbers: Sequence[Value], cell: Sequence[tuple[Value, Value]]
     ) -> Value:
         """The value at a placed point of a leaf of given numbers and, if it is of cells, how many and which it is."""
         place = above
