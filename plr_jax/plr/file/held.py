@@ -1,7 +1,7 @@
 """What answers from tables and holds the file that they were made of."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import jax
 import numpy as np
@@ -11,6 +11,8 @@ from plr_jax.plr.file.container import MOST_LABEL_BYTES, Container, Header
 
 if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
+
+Held = TypeVar("Held", bound="HeldFile")
 
 _SIZE_BYTES = 4
 
@@ -43,7 +45,7 @@ class HeldFile:
         """What the file says of itself, any text: which map, which goal. Empty if it says nothing."""
         return Header.read(self.to_bytes()).label
 
-    def with_label(self, label: str) -> Self:
+    def with_label(self: Held, label: str) -> Held:
         """The same with another label.
 
         Args:
