@@ -155,13 +155,10 @@ class _Search:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _expected_leaves(self, tree: _Tree) -> float:
-        """How many leaves the limits may allow, going by the bytes that a tree leaves; at first with sources."""
+        """How many leaves the limits may allow, going by the bytes that a tree leaves."""
         bits = (self._limits.max_bytes - tree.num_bytes) * 8
-        more = bits / _BITS_A_LEAF
-        if len(tree) == 1:  # either all sources are named in the end, or each leaf brings one along
-            more = max(
-                (bits - _BITS_A_SOURCE * self._num_sources) / _BITS_A_LEAF, bits / (_BITS_A_LEAF + _BITS_A_SOURCE)
-            )
+        is_crowded = len(tree) == 1 and self._num_sources * _BITS_A_SOURCE > bits
+        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
         return float(min(self._limits.max_leaves, len(tree) + more))
 
     def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
