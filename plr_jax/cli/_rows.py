@@ -1,16 +1,16 @@
 """Tables of points, read and answered chunk by chunk: any number of rows in little memory."""
 
 import io
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import BinaryIO
 
 import numpy as np
 import typer
 from jaxtyping import Float
 
-_CHUNK_BYTES = 1 << 20
+_CHUNK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
 
 
@@ -34,7 +34,7 @@ class PointTable:
     num_bad: int = field(default=0, init=False)
     _error: str | None = field(default=None, init=False)
 
-    def chunks(self, file: BinaryIO) -> Iterator[Float[np.ndarray, "n dim"]]:
+    def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
         """The points, some at a time.
 
         Raises:
@@ -57,7 +57,7 @@ class PointTable:
     def _expected(self) -> str:
         return f"{self.dim} comma-separated numbers"
 
-    def _blocks(self, file: BinaryIO) -> Iterator[bytes]:
+    def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
         """Whole lines, without the header and blank lines at the end, as they come."""
         rest, is_start = b"", True
         while data := file.read1(_CHUNK_BYTES):
@@ -69,8 +69,8 @@ class PointTable:
             if filled and end and not is_start:
                 yield rest[:end]
                 rest = rest[end:]
-            if len(rest) > _CHUNK_BYTES:
-                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_CHUNK_BYTES:,} bytes.")
+            if len(rest) > _MOST_LINE_BYTES:
+                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_MOST_LINE_BYTES:,} bytes.")
         if is_start:
             rest = self._without_header(self._without_mark(rest))
         if rest.strip():
@@ -122,7 +122,7 @@ class PointTable:
         return points
 
 
-def open_table(source: str) -> tuple[str, BinaryIO]:
+def open_table(source: str) -> tuple[str, io.BufferedIOBase]:
     """Name and bytes of a file, or of standard input for ``-``."""
     if source != "-":
         return source, open(source, "rb")
@@ -147,10 +147,9 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
 
 def _is_header(line: bytes) -> bool:
     """Whether a line is one of names: each begins with a letter, and none is a number, as ``nan`` is."""
-    fields = [field.strip(" \t\r\"'#") for field in line.decode(errors="replace").split(",")]
-    return all(field[:1].isalpha() or field[:1] == "_" for field in fields) and not any(
-        _numbers(field.encode()) for field in fields
-    )
+    names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
+    begin = all(name[0].isalpha() or name[0] == "_" for name in names)
+    return bool(names) and begin and not any(_numbers(name.encode()) for name in names)
 
 
 def _numbers(line: bytes) -> list[float]:
