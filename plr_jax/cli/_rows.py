@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -92,12 +93,14 @@ class PointTable:
     def _parsed(self, block: bytes) -> Float[np.ndarray, "n dim"]:
         num_lines = block.count(b"\n")
         try:
-            points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that lines are blank, which are told below
+                points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
             is_plain = points.shape == (num_lines, self.dim)
         except ValueError:
             is_plain = False
         if not is_plain:
-            points = self._parsed_line_by_line(block.splitlines())
+            points = self._parsed_line_by_line(block.removesuffix(b"\n").split(b"\n"))
         self.num_lines += num_lines
         return points
 
@@ -108,7 +111,7 @@ class PointTable:
             if len(numbers) == self.dim:
                 points[index] = numbers
                 continue
-            text = line.decode(errors="replace")
+            text = line.rstrip(b"\r").decode(errors="replace")
             text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
             message = f"{self.name}, line {self.num_lines + index + 1}: expected {self._expected}, got {text!r}"
             if self.strict:
