@@ -13,27 +13,57 @@ import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command
+from plr_jax.cli._app import command, saying
 from plr_jax.cli._build import BEST, build_proven, prepared_oracle
 from plr_jax.cli._inputs import (
     DEFAULT_BYTES,
     PICTURES,
     SCENES,
-    map_and_goal,
     require_writable,
 )
+from plr_jax.cli._maps import NamedMap, say_vertices
 from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
 
 _ERROR_POINTS = 20_000
-
+_READING = "How MAP is read"
 
 _Map = Annotated[
     str,
     typer.Argument(
         metavar="MAP",
-        help=f"A scene ({', '.join(SCENES)}), a scene file (.json), a Moving AI grid (.map), "
-        "or polygons with holes (.json).",
+        help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml), "
+        "GeoJSON (.geojson, .json), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
         show_default=False,
+    ),
+]
+_Resolution = Annotated[
+    float | None,
+    typer.Option(
+        help="Side of a pixel of a picture, in workspace units.", show_default="1", rich_help_panel=_READING
+    ),
+]
+_Threshold = Annotated[
+    float | None,
+    typer.Option(
+        help="Lightness above which a pixel of a picture is free: 0 is black, 1 white.",
+        show_default="0.5",
+        rich_help_panel=_READING,
+    ),
+]
+_DropSpecks = Annotated[
+    int | None,
+    typer.Option(
+        help="Drop obstacles, and places to be, of at most so many pixels.",
+        show_default="0",
+        rich_help_panel=_READING,
+    ),
+]
+_Polygons = Annotated[
+    str | None,
+    typer.Option(
+        help="What polygons of GeoJSON are: 'obstacles' or 'free'.",
+        show_default="obstacles",
+        rich_help_panel=_READING,
     ),
 ]
 _File = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
@@ -49,6 +79,7 @@ _Goal = Annotated[
     "plr-jax build maze -o maze.plr --max-bytes 2048",
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build arena.map --goal 10.5,30 --oracle arena.npz",
+    "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4",
 )
 def build(
     map: _Map,
@@ -92,6 +123,10 @@ def build(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
+    resolution: _Resolution = None,
+    threshold: _Threshold = None,
+    drop_specks: _DropSpecks = None,
+    polygons: _Polygons = None,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
@@ -104,14 +139,19 @@ def build(
         leaf_model(leaf)
     require_writable(output)
     require_writable(oracle)
-    workspace, goal_point = map_and_goal(map, goal)
+    named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons)
+    with saying(f"reading {map}"):
+        workspace, goal_point = named.read()
     if goal_point is None:
         raise ValueError(
             f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
         )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
-    exact = prepared_oracle(workspace, goal_point, oracle)
+    if named.has_pixels:
+        say_vertices(workspace)
+    with saying("finding what corners see"):
+        exact = prepared_oracle(workspace, goal_point, oracle)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
     plr, errors, interrupted = build_proven(exact, workspace.bounds, leaf, leaf_bounds, seed=seed, **limits)
     save(plr, output)
@@ -253,6 +293,10 @@ def plot(
         typer.Option("--map", metavar="MAP", help="Draw this map's obstacles.", show_default=False),
     ] = None,
     goal: _Goal = None,
+    resolution: _Resolution = None,
+    threshold: _Threshold = None,
+    drop_specks: _DropSpecks = None,
+    polygons: _Polygons = None,
     kind: Annotated[
         Picture,
         typer.Option(help="Colors and contours; the partition; a surface; the error (needs --map)."),
@@ -266,7 +310,9 @@ def plot(
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES)
     plr = load(file)
-    workspace, goal_point = (None, None) if map is None else map_and_goal(map, goal)
+    workspace = goal_point = None
+    if map is not None:
+        workspace, goal_point = NamedMap(map, goal, resolution, threshold, drop_specks, polygons).read()
     from plr_jax import metrics
     from plr_jax import plot as draw
 

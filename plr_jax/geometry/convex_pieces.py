@@ -129,13 +129,16 @@ def cut_parts(
 
 def clip_to_box(
     pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "2 kept room"]:
-    """What of the pieces lies in a box, in their order, but nothing without area."""
+) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
+    """What of the pieces lies in a box, in their order, but nothing without area; and which pieces these are."""
+    rows = np.arange(pieces.shape[1])
     for axis in range(2):
         for sign, bound in ((1, lo[axis]), (-1, hi[axis])):
-            pieces = pieces[:, (sign * (pieces[axis] - bound) > 0).any(axis=1)]
+            reaches = (sign * (pieces[axis] - bound) > 0).any(axis=1)
+            pieces, rows = pieces[:, reaches], rows[reaches]
             pieces = clip(pieces, sign * (pieces[axis] - bound))
-    return pieces[:, areas(pieces) > 0]
+    some = areas(pieces) > 0
+    return pieces[:, some], rows[some]
 
 
 def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
