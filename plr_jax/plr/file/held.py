@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
 
 Held = TypeVar("Held", bound="HeldFile")
-
 _SIZE_BYTES = 4
 
 
@@ -57,7 +56,7 @@ class HeldFile:
         Raises:
             ValueError: If it is no text, or longer.
         """
-        if not isinstance(label, str) or not 0 <= len(label.encode(errors="replace")) <= MOST_LABEL_BYTES:
+        if not isinstance(label, str) or not _fits(label):
             raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
         if label == self.label:
             return self
@@ -68,6 +67,13 @@ class HeldFile:
     def resident_bytes(self) -> int:
         """Bytes of the tables that a query reads."""
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
+
+
+def _fits(label: str) -> bool:
+    try:
+        return len(label.encode()) <= MOST_LABEL_BYTES
+    except UnicodeEncodeError:  # half a surrogate pair
+        return False
 
 
 def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":
