@@ -1,4 +1,4 @@
-"""Coefficients of all leaves of a file: what is stored, and for leaves without a function that of a neighbor."""
+"""All leaves of a file: what is stored, and for leaves without a function that of a neighbor; and their tables."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,7 +6,24 @@ from jaxtyping import Float
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.contacts import neighbor_of_largest_contact
-from plr_jax.plr.query.frame import LARGEST
+from plr_jax.plr.query.frame import LARGEST, table_corners
+from plr_jax.plr.query.tables import Tables, build_tables
+
+
+def tables_of_file(contents: Contents, num_bytes: int, origin: Float[np.ndarray, "dim"] | None = None) -> Tables:
+    """The tables of a file of so many bytes, for points counted from an origin, if one is given.
+
+    Then they hold nothing that is coarser the farther the domain is from that of coordinates.
+    """
+    domain, cells, leaf, folding = contents.domain, contents.cells, contents.leaf, contents.folding
+    corner = table_corners(domain)[0]
+    if origin is not None and folding is None:
+        domain, corner = domain.moved(-origin), origin + table_corners(domain.moved(-origin))[0]
+    numbers = leaf.numbers(contents.domain, cells, filled_coefficients(contents), corner)
+    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
+        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    tables = build_tables(domain, cells, numbers, leaf, num_bytes)
+    return tables.of_folding(folding, np.zeros(domain.dim) if origin is None else origin)
 
 
 def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:

@@ -14,18 +14,20 @@ from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells
-from plr_jax.plr._filled import filled_coefficients, planes_of_leaves
+from plr_jax.plr._filled import filled_coefficients, planes_of_leaves, tables_of_file
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.frame import Outside, as_outside
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
     PointPlacement,
     as_array,
     bound_points,
-    corner_if_far,
     evaluate_points,
+    evaluate_points_anywhere,
+    is_far,
     waypoints_of_points,
 )
 from plr_jax.plr.query.stack import TableStack
@@ -59,9 +61,12 @@ class PLR(HeldFile):
         vars(self).update(vars(vars(self)["_deferred"]()))
         return vars(self)[name]
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+    def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        return evaluate_points(*self._placed(x))
+        tables, placed = self._placed(x)
+        if outside == "inf":
+            return evaluate_points(tables, placed)
+        return evaluate_points_anywhere(tables, placed, as_outside(outside))
 
     def _placed(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         """Tables to ask and points to ask them for."""
@@ -288,7 +293,7 @@ class PLR(HeldFile):
 
     @property
     def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
-        """The rounded lower corner of a domain so far from the origin that points are counted from there.
+        """The lower corner of a domain so far from the origin that points are counted from there.
 
         On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
         """
@@ -299,16 +304,14 @@ class PLR(HeldFile):
     def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
         if isinstance(self.tables.frame, Tracer):
             return None
-        folding = self.tables.folding
-        return corner_if_far((self.tables if folding is None else folding).frame)
+        return self.domain.lo if is_far(self.domain) else None
 
     @property
     def _placement(self) -> PointPlacement | None:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
-        folding = None if corner is None else self.container.folding
-        return None if domain is None and corner is None else PointPlacement(domain, corner, folding)
+        return None if domain is None and corner is None else PointPlacement(domain, corner)
 
     @property
     def _placed_tables(self) -> Tables:
@@ -317,6 +320,4 @@ class PLR(HeldFile):
 
     @cached_property
     def _tables_from_corner(self) -> Tables:
-        if self.tables.folding is not None:
-            return self.tables.of_folded_points()
-        return self.tables.from_corner(self.domain)
+        return tables_of_file(self._contents, self.num_bytes, self.domain.lo)

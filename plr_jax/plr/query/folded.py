@@ -21,7 +21,7 @@ class FoldedWindow:
     Attributes:
         frame: The domain, as ``Tables.frame`` is one.
         center: The center in 32-bit floats, and what they leave of it.
-        corners: Of the box of folded points; infinite along periodic axes.
+        corners: Of the box of folded points, rounded inward; infinite along periodic axes.
         axes: The axes of folded coordinates, one a row; None if they are those of the domain.
         mirrors: For each mirror its pivot, and the axes that it reverses.
         periodic: The periodic axes.
@@ -40,16 +40,20 @@ class FoldedWindow:
         return self.frame.shape[1]
 
     @staticmethod
-    def of(folding: Folding) -> "FoldedWindow":
-        """The same folding, for queries."""
+    def of(folding: Folding, origin: Float[np.ndarray, "dim"]) -> "FoldedWindow":
+        """The same folding, for queries of points counted from an origin."""
         periodic = np.array(folding.domain.periodic)
         reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
-        center = folding.center.astype(np.float32)
-        corners = np.stack([folding.box.lo, folding.box.hi])
+        exact = folding.center - origin
+        center = exact.astype(np.float32)
+        ends = np.where(periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
+        corners = ends.astype(np.float32)  # rounded inward, or what is clipped to them would still be outside
+        inward = np.where([corners[0] < ends[0], corners[1] > ends[1]], np.float32([[np.inf], [-np.inf]]), corners)
+        corners = np.nextafter(corners, inward)
         return FoldedWindow(
-            frame=jnp.asarray(frame_of(folding.domain, np.zeros(folding.domain.dim))),
-            center=jnp.asarray(np.stack([center, folding.center - center]).astype(np.float32)),
-            corners=jnp.asarray(np.where(periodic, [[-np.inf], [np.inf]], corners).astype(np.float32)),
+            frame=jnp.asarray(frame_of(folding.domain.moved(-origin))),
+            center=jnp.asarray(np.stack([center, exact - center]).astype(np.float32)),
+            corners=jnp.asarray(corners),
             axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
             mirrors=tuple(zip(folding.pivots, reversed_axes, strict=True)),
             periodic=tuple(map(int, np.flatnonzero(periodic))),

@@ -1,14 +1,33 @@
 """A box as queries know it: in 32-bit floats."""
 
 from enum import IntEnum
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.query.grid import FRACTION_BITS
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
+
+
+Corner: TypeAlias = Float[np.ndarray, "dim"]
+"""From where coordinates are counted."""
+
+Outside: TypeAlias = Literal["inf", "clamp", "nan"]
+"""What a query answers outside the domain.
+
+``"clamp"`` is the value at the nearest point of the domain, and how far that is.
+"""
+
+
+def as_outside(outside: str) -> Outside:
+    """One of them, or ``ValueError``."""
+    if outside not in get_args(Outside):
+        raise ValueError(f"outside must be 'inf', 'clamp' or 'nan', got {shortened(outside)}.")
+    return cast(Outside, outside)
 
 
 class Frame(IntEnum):
@@ -43,13 +62,13 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     )
 
 
-def frame_of(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "7 dim"]:
-    """The domain in 32-bit floats, for points counted from an origin."""
+def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
+    """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)
     # Rounded toward zero, so that the corners themselves stay inside.
     rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
     frame = np.empty((len(Frame), domain.dim), np.float32)
-    frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
+    frame[Frame.LO], frame[Frame.HI] = lo, hi
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)

@@ -23,8 +23,8 @@ from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Frame, table_corners
-from plr_jax.plr.query.lookup import number_of_leaf
+from plr_jax.plr.query.frame import Corner, Frame, table_corners
+from plr_jax.plr.query.lookup import number_of_leaf, zero_if_differentiated
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
@@ -122,10 +122,10 @@ class Cone:
         return self.values(lo, hi, coefficients, center), half
 
     def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
-        """The offset, and the source from the domain's rounded lower corner."""
-        return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - table_corners(domain)[0]])
+        """The offset, and the source from the corner."""
+        return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
     def below_cones(
         self,
@@ -143,7 +143,7 @@ class Cone:
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Of the numbers, of the point, of differences, squares, sums and the root; and of squares that underflow."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
         along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
         length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
@@ -161,7 +161,7 @@ class Cone:
         square = jnp.zeros(x.shape[:-1], x.dtype)
         for axis in range(tables.dim):
             source = number_of_leaf(tables, leaf, 1 + axis, terms).astype(x.dtype)
-            square += jnp.square((x[..., axis] - corner[axis]) - source)
+            square += jnp.square(zero_if_differentiated((x[..., axis] - corner[axis]) - source, outside))
         return number_of_leaf(tables, leaf, 0, terms).astype(x.dtype) + _root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from plr_jax.plr.leaves.continuous.basis import POWERS, monomials
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Frame
-from plr_jax.plr.query.lookup import number_of_leaf
+from plr_jax.plr.query.lookup import number_of_leaf, zero_if_differentiated
 from plr_jax.plr.query.tables import Tables
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
@@ -41,21 +41,9 @@ def evaluate_polynomial(
     for axis in range(tables.dim):
         u = (x[..., axis] - frame[Frame.LO, axis]) * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
         along = _coordinate_in_cell(u, number_of_leaf(tables, leaf, axis, count))
-        t.append(_zero_if_differentiated(along, outside))
+        t.append(zero_if_differentiated(along, outside))
     coefficients = [number_of_leaf(tables, leaf, which, count) for which in range(tables.dim, count)]
     return jnp.asarray(_polynomial(POWERS[order], coefficients, t))
-
-
-@jax.custom_jvp
-def _zero_if_differentiated(t: Float[Array, "*batch"], outside: Bool[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """The coordinates, but zero outside the domain where differentiated: zero times a gradient at inf is NaN."""
-    return t
-
-
-@_zero_if_differentiated.defjvp
-def _zero_with_tangent(primals, tangents):
-    t, outside = primals
-    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
 def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
