@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from plr_jax.plr.folding.folding import Folding
-from plr_jax.plr.query.frame import frame_of
+from plr_jax.plr.query.frame import frame_of, inner_corners
 from plr_jax.plr.query.picked import Picked
 
 
@@ -46,14 +46,11 @@ class FoldedWindow:
         reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
         exact = folding.center - origin
         center = exact.astype(np.float32)
-        ends = np.where(periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
-        corners = ends.astype(np.float32)  # rounded inward, or what is clipped to them would still be outside
-        inward = np.where([corners[0] < ends[0], corners[1] > ends[1]], np.float32([[np.inf], [-np.inf]]), corners)
-        corners = np.nextafter(corners, inward)
+        corners = inner_corners(folding.box)  # what is clipped to others would still be outside
         return FoldedWindow(
             frame=jnp.asarray(frame_of(folding.domain.moved(-origin))),
             center=jnp.asarray(np.stack([center, exact - center]).astype(np.float32)),
-            corners=jnp.asarray(corners),
+            corners=jnp.asarray(np.where(periodic, np.array([[-np.inf], [np.inf]], np.float32), corners)),
             axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
             mirrors=tuple(zip(folding.pivots, reversed_axes, strict=True)),
             periodic=tuple(map(int, np.flatnonzero(periodic))),

@@ -62,6 +62,13 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     )
 
 
+def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
+    """Corners of a box as 32-bit floats, rounded inward."""
+    lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
+    lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
+    return np.stack([lo, np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)])
+
+
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
     """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)

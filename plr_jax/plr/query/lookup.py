@@ -151,10 +151,10 @@ def _ends_inside(window: Tables | FoldedWindow, axis: int, dtype: Any) -> tuple[
     return lo, hi
 
 
-def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*batch"] | float:
+def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
     """Length of vectors of any finite numbers, given axis by axis; of slope 0 at 0."""
     if not along:
-        return 0.0
+        return jnp.zeros(())
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)
     square = reduce(jnp.add, (jnp.square(each / scale) for each in along))
