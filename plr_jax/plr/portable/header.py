@@ -145,7 +145,8 @@ class _Header:
         if not is_distance:
             outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
         do.statements += [f"if (!({inside})) {{", *(f"    {line}" for line in outside), "}"]
-        x = program.placed(do, given if program.corner is None else program.wrapped_wide(do, given))
+        x = program.counted(do, given if program.corner is None else program.wrapped_wide(do, given))
+        x = program.placed(do, x)
         above = program.above(do, x)
         places, of_cells = program.places(do, above), program.leaf.is_of_cells
         cells: list[tuple[Text, Text]] = []
