@@ -102,7 +102,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Grid:
+class PartitionedAxis:
     """The domain that leaves partition, along one axis, in 32-bit numbers: see :class:`Frame`."""
 
     lo: np.float32

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import PythonWriter
 
@@ -29,7 +29,7 @@ class _Rows(dict):
 
 
 def point_query(
-    program: Program, descent: Descent, numbers: Float[np.ndarray, "leaves count"]
+    program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
 ) -> Callable[..., np.float32 | None]:
     """The value at a point, given by its coordinates; None unless it is plainly inside the domain.
 
@@ -48,7 +48,7 @@ def point_query(
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
     x = program.placed(do, program.counted(do, x))
     above = program.above(do, x)
-    index = descent.index_text([str(do.let("place", place)) for place in program.places(do, above)])
+    index = table.index_text([str(do.let("place", place)) for place in program.places(do, above)])
     do.statements.append(f"leaf = {index}")
     names = [f"n{i}" for i in range(numbers.shape[1])]
     do.statements.append(f"{', '.join(names)}, = rows[leaf]")
@@ -61,8 +61,8 @@ def point_query(
     names_in_source: dict[str, Any] = {
         **do.constants,
         "rows": _Rows(numbers),
-        "descend": descent.row,
-        "codes": descent.codes,
+        "descend": table.row,
+        "codes": table.codes,
         "floor": floor,
         "sqrt": sqrt,
         "float32": np.float32,

@@ -9,7 +9,7 @@ import pytest
 from portable_helpers import CASES, SlowReader, case, hard_points, is_far
 
 from plr_jax import Box, construct, load_numpy, save
-from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.leaf_table import LeafTable
 
 
 @pytest.fixture(params=CASES)
@@ -103,11 +103,11 @@ def test_chunks_do_not_show(monkeypatch):
 
 @pytest.mark.parametrize("bits", [0, 1, 5])
 def test_the_table_may_be_as_small_as_one_likes(bits, monkeypatch):
-    monkeypatch.setattr("plr_jax.plr.portable.descent._MOST_BITS", bits)
+    monkeypatch.setattr("plr_jax.plr.portable.leaf_table._MOST_BITS", bits)
     for name in ("deep", "random planes", "maze of values"):
         plr, x = case(name), hard_points(case(name), 100)
         f = plr.numpy()
-        assert not f._descent.is_flat
+        assert not f._table.is_flat
         assert same_bits(f(x), SlowReader(plr)(x)) and same_bits([f(tuple(p)) for p in x.tolist()], f(x))
 
 
@@ -208,7 +208,7 @@ def test_files_that_are_none_are_refused(tmp_path):
         load_numpy(tmp_path / "b.plr")
 
 
-def test_descents_of_one_leaf_ask_nothing():
+def test_tables_of_one_leaf_ask_nothing():
     f = case("one leaf").numpy()
-    assert isinstance(f._descent, Descent) and f._descent.is_flat and len(f._descent.table) == 1
+    assert isinstance(f._table, LeafTable) and f._table.is_flat and len(f._table.table) == 1
     assert not is_far(case("one leaf"))
