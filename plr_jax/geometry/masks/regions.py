@@ -59,7 +59,7 @@ def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
     return mask
 
 
-def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float) -> Any:
+def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | int) -> Any:
     """The free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest.
 
     Args:

@@ -41,7 +41,7 @@ class _Stations:
     end: Int[np.ndarray, "n"]
 
 
-def simplified(outlines: PixelRings, tolerance: float) -> PixelRings:
+def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     """The outlines with links that differ by less than a tolerance, in pixels, from what they replace."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
@@ -144,7 +144,7 @@ def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.
     return kept[:-1][joined], kept[1:][joined]
 
 
-def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float) -> Bool[np.ndarray, "m"]:
+def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
     """Which links are no stretch of the exact outline, and meet or come near another one or surround a ring."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
