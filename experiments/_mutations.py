@@ -1,5 +1,6 @@
 """Valid files of every reader, and their mutations: the same for the same seed and number."""
 
+import io
 import json
 import re
 import struct
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
@@ -54,6 +56,19 @@ result:
 _CRC = struct.Struct("<I")
 _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
+
+
+_GEOJSON = {
+    "type": "FeatureCollection",
+    "bbox": [-1, -1, 9, 9],
+    "features": [
+        {
+            "type": "Feature",
+            "properties": None,
+            "geometry": {"type": "Polygon", "coordinates": [[*_SQUARE, _SQUARE[0]]]},
+        }
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -120,6 +135,29 @@ def _pairs_files() -> list[bytes]:
     return [pairs, pairs[: Header.read(pairs).marks[0]]]  # with lists, and cut off before them
 
 
+def _picture_files() -> list[bytes]:
+    gray = np.full((12, 16), 255, np.uint8)
+    gray[3:5, 4:] = gray[8:, 6] = 0
+    files = []
+    for mode, kind in (("L", "PNG"), ("RGBA", "PNG"), ("P", "GIF"), ("1", "PPM"), ("L", "PPM"), ("RGB", "BMP")):
+        buffer = io.BytesIO()
+        Image.fromarray(gray).convert(mode).save(buffer, format=kind)
+        files.append(buffer.getvalue())
+    return files
+
+
+def _with_checksums(data: bytes) -> bytes:
+    """A picture, of whose chunks the checksums are right if it is a PNG."""
+    result, rest = data[:8], data[8:]
+    if result != b"\x89PNG\r\n\x1a\n":
+        return data
+    while len(rest) >= 12:
+        size = min(int.from_bytes(rest[:4], "big"), len(rest) - 12)
+        chunk, rest = rest[4 : 8 + size], rest[12 + size :]
+        result += struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return result
+
+
 def _with_checksum(data: bytes) -> bytes:
     """A PLR file whose layers have checksums that are right, as far as its header says where they end."""
     try:
@@ -143,6 +181,8 @@ READERS = {
     "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
+    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
 }

@@ -137,5 +137,5 @@ def say_vertices(workspace: "Workspace") -> None:
     specks = ""
     if len(small):
         of_them = int(np.sum(shapely.get_num_coordinates(small) - 1))
-        specks = f", {of_them:,} of them of {len(small):,} specks (--drop-specks N drops those of N pixels or fewer)"
+        specks = f", {of_them:,} of them of specks ({len(small):,}; --drop-specks N drops those of at most N pixels)"
     typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{specks}")

@@ -114,7 +114,7 @@ def _ring(ring: Any, where: str) -> Float[np.ndarray, "n 2"]:
         points = np.array([point[:2] for point in ring], dtype=np.float64)
     except (TypeError, ValueError, KeyError):
         points = np.empty(0)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
+    if points.ndim != 2 or points.shape[-1] != 2 or len(points) < 3 or not np.isfinite(points).all():
         raise ValueError(f"{where}: expected a ring of at least 3 finite points [x, y], got {shortened(ring)}.")
     return points
 

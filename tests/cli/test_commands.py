@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import plr_jax
@@ -69,6 +70,33 @@ def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
     assert 0 < mean < largest <= plr.max_error
     for word in ("% of the largest distance", "s to build"):
         assert word in result.stdout
+
+
+def test_a_picture_is_built_and_drawn_and_its_specks_are_told(tmp_path):
+    gray = np.full((400, 400), 255, np.uint8)
+    gray[50:60, :150], gray[100, 100] = 0, 0
+    Image.fromarray(gray).save(tmp_path / "scan.png")
+    path, options = tmp_path / "scan.plr", ["--goal", "1,1", "--resolution", 0.05]
+    result = run("build", tmp_path / "scan.png", *options, "-o", path, "--max-leaves", 40, "--leaf", "plane")
+    assert result.exit_code == 0, result.output
+    assert "map     12 vertices, 4 of them of specks (1; --drop-specks N drops" in result.stdout
+    assert result.stderr == ""
+    np.testing.assert_allclose(load(path).domain.hi, 20)
+    result = run("plot", path, "--map", tmp_path / "scan.png", *options, "-o", tmp_path / "scan.svg")
+    assert result.exit_code == 0, result.output
+    dropped = run("build", tmp_path / "scan.png", *options, "--drop-specks", 1, "-o", path, "--max-leaves", 8)
+    assert "map     8 vertices\n" in dropped.stdout
+
+
+def test_a_budget_that_cannot_name_the_corners_is_not_tried_with_leaves_that_do(tmp_path):
+    gray = np.full((60, 60), 255, np.uint8)
+    gray[3::6, 3::6] = 0
+    Image.fromarray(gray).save(tmp_path / "dots.png")
+    for max_bytes, is_tried in ((300, False), (2000, True)):
+        options = ["--goal", "1,1", "-o", tmp_path / "dots.plr", "--max-bytes", max_bytes]
+        result = run("build", tmp_path / "dots.png", *options)
+        assert result.exit_code == 0, result.output
+        assert ("cone" in result.stdout) == is_tried
 
 
 def test_build_takes_every_kind_of_map(tmp_path):

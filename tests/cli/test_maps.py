@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from plr_jax import scenes
 from plr_jax.cli._maps import NamedMap
@@ -59,3 +60,14 @@ def test_scenes_and_grids_have_no_options_of_pictures(tmp_path):
     for name in ("maze", str(tmp_path / "a.map")):
         with pytest.raises(ValueError, match="resolution"):
             NamedMap(name, resolution=2.0).read()
+
+
+def test_a_picture_is_read_as_the_options_say(tmp_path):
+    gray = np.full((4, 6), 200, np.uint8)
+    gray[1, 2] = 0
+    Image.fromarray(gray).save(tmp_path / "a.png")
+    workspace, goal = NamedMap(str(tmp_path / "a.png"), "1,2", resolution=0.5, drop_specks=1).read()
+    np.testing.assert_array_equal([workspace.bounds.hi, goal], [(3, 2), (1, 2)])
+    assert workspace.free_space.area == 6
+    with pytest.raises(ValueError, match="No pixel"):
+        NamedMap(str(tmp_path / "a.png"), threshold=0.9).read()

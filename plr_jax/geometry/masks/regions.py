@@ -4,7 +4,6 @@ import math
 from typing import Any
 
 import numpy as np
-import scipy.ndimage
 import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
@@ -60,7 +59,7 @@ def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
     return mask
 
 
-def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float) -> Any:
+def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | int) -> Any:
     """The free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest.
 
     Args:
@@ -87,21 +86,32 @@ def without_specks(free: Bool[np.ndarray, "rows columns"], num_pixels: int) -> B
     return free & ~_is_small(free, num_pixels, None)
 
 
-def _is_small(pixels: Bool[np.ndarray, "rows columns"], num_pixels: int, structure: Any) -> Bool[np.ndarray, "..."]:
-    label, _ = scipy.ndimage.label(pixels, structure)
-    size = np.bincount(label.ravel())
-    is_small = size <= num_pixels
+def _is_small(
+    pixels: Bool[np.ndarray, "rows columns"], num_pixels: int, structure: Bool[np.ndarray, "3 3"] | None
+) -> Bool[np.ndarray, "rows columns"]:
+    label = _labels(pixels, structure)
+    is_small = np.bincount(label.ravel()) <= num_pixels
     is_small[0] = False
     return is_small[label]
 
 
-def _components(free: Bool[np.ndarray, "rows columns"], outlines: PixelRings) -> Int[np.ndarray, "rings"]:
+def _labels(
+    pixels: Bool[np.ndarray, "rows columns"], structure: Bool[np.ndarray, "3 3"] | None = None
+) -> Int[np.ndarray, "rows columns"]:
+    """The number of each pixel's connected component, from 1, and 0 for the other pixels."""
+    import scipy.ndimage  # which takes longer to import than most workspaces need
+
+    found: Any = scipy.ndimage.label(pixels, structure)
+    return found[0]
+
+
+def _components(free: Bool[np.ndarray, "rows columns"], rings: PixelRings) -> Int[np.ndarray, "rings"]:
     """The number of the connected free pixels on the left of each ring."""
-    begin = outlines.points[outlines.start[:-1]].astype(int)
-    ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
+    begin = rings.points[rings.start[:-1]].astype(int)
+    ahead = np.sign(rings.points[rings.start[:-1] + 1].astype(int) - begin)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     column, row = (begin + (ahead + left - 1) // 2).T
-    return scipy.ndimage.label(free)[0][row, column]
+    return _labels(free)[row, column]
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:

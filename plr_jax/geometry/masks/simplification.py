@@ -1,7 +1,7 @@
 """PixelRings with fewer corners, none of which has moved by more than a tolerance, and nothing of which has met.
 
-A simplified outline is a chain of links between points of the exact one: its corners, and the middles of its straight
-runs, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within the
+A simplified outline is a chain of links between points of the exact one: its corners, and the middles of the steps of
+staircases, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within the
 tolerance of it, and it of that stretch. The longest are taken, one after the other. Links that would meet others, or
 come near them, or go around another outline, are undone: there the outline is exact, so that what is connected stays
 so, and what is apart.
@@ -19,6 +19,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.masks.tracing import PixelRings
+from plr_jax.geometry.vectors import cross_product
 
 CLEARANCE = 0.25
 """Pixels that links keep from one another, where they do not share an end."""
@@ -26,7 +27,7 @@ CLEARANCE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Where links may begin and end, ring after ring: corners and middles of runs in turns, the first corner twice.
+    """Where links may begin and end, ring after ring: corners, middles of steps, and the first corner again.
 
     Attributes:
         points: The stations, ``(n, 2)``.
@@ -41,7 +42,7 @@ class _Stations:
     end: Int[np.ndarray, "n"]
 
 
-def simplified(outlines: PixelRings, tolerance: float) -> PixelRings:
+def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     """The outlines with links that differ by less than a tolerance, in pixels, from what they replace."""
     if tolerance == 0 or not len(outlines.points):
         return outlines
@@ -84,8 +85,16 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
     ends = np.flatnonzero(is_end)
     end = ends[np.minimum(np.searchsorted(ends, np.arange(len(source)), side="right"), len(ends) - 1)]
     end[last] = last
+    # An inclined wall is a staircase; a run that turns the same way at both ends is the end of a wall, or a bay.
+    along = outlines.points[following] - outlines.points[corner]
+    ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])
+    turn = np.empty(len(ring))
+    turn[ahead] = np.sign(cross_product(along, along[ahead]))  # at the end of each run
+    kept = np.ones(len(source), dtype=bool)
+    kept[at + 1] = turn != turn[ahead]
+    number = np.cumsum(kept) - 1
     ring_of = np.repeat(np.arange(num_rings), 2 * size + 1)
-    return _Stations(points, ring_of, is_corner, end), is_contact
+    return _Stations(points[kept], ring_of[kept], is_corner[kept], number[end[kept]]), is_contact[kept]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
@@ -144,7 +153,7 @@ def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.
     return kept[:-1][joined], kept[1:][joined]
 
 
-def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float) -> Bool[np.ndarray, "m"]:
+def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
     """Which links are no stretch of the exact outline, and meet or come near another one or surround a ring."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
