@@ -44,6 +44,7 @@ from .plr import CellFit as CellFit
 from .plr import ConstructionInterrupted as ConstructionInterrupted
 from .plr import GridPairs as GridPairs
 from .plr import MetricPairs as MetricPairs
+from .plr import NumpyPLR as NumpyPLR
 from .plr import PairPLR as PairPLR
 from .plr import PLRStack as PLRStack
 from .plr import Refinement as Refinement
@@ -64,6 +65,7 @@ from .plr import from_bytes as from_bytes
 from .plr import largest_error as largest_error
 from .plr import least_squares as least_squares
 from .plr import load as load
+from .plr import load_numpy as load_numpy
 from .plr import load_pairs as load_pairs
 from .plr import maximum_depth as maximum_depth
 from .plr import midrange as midrange

@@ -6,9 +6,8 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
-import click
 import typer
 from typer.core import TyperCommand
 
@@ -72,15 +71,11 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 class _Command(TyperCommand):
     """A command that says what is wrong with a goal of two arguments."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        given = list(args)
-        try:
-            return super().parse_args(ctx, args)
-        except click.UsageError:
-            for option, x, y in zip(given, given[1:], given[2:], strict=False):
-                if option in ("--goal", "-g") and _is_number(x) and _is_number(y):
-                    raise click.UsageError(f"{option} is one argument X,Y: write {option} {x},{y}.", ctx) from None
-            raise
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for option, x, y in zip(args, args[1:], args[2:], strict=False):
+            if option in ("--goal", "-g") and _is_number(x) and _is_number(y):
+                raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {x},{y}.", ctx)
+        return super().parse_args(ctx, args)
 
 
 def _is_number(text: str) -> bool:

@@ -1,6 +1,7 @@
 """What ``plr-jax build`` builds: a PLR with a proof, of the model asked for or of the least error; and from what."""
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from plr_jax.plr import PLR
 
 BEST = "best"
+_EXTENSION_BYTES, _MARK_BYTES = 4, 4
+"""Of a header with a label, and at the most of each mark."""
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -33,6 +36,40 @@ def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: 
     if not same or oracle.workspace.squeeze != workspace.squeeze:
         raise ValueError(f"{file} was prepared for another map; name another file, or remove it.")
     return oracle.with_goal(goal)
+
+
+def build_file(
+    oracle: "VisibilityGraph",
+    label: str,
+    prefixes: Sequence[int],
+    leaf: str,
+    leaf_bounds: bool,
+    *,
+    seed: int,
+    max_bytes: int | None,
+    **limits: int | float | None,
+) -> tuple["PLR", dict[str, float], bool]:
+    """A PLR with its proof and a label, in a file that begins with coarser ones, and what :func:`build_proven` says.
+
+    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer.
+    """
+    from plr_jax.plr import progressive
+
+    if sorted(set(prefixes)) != list(prefixes) or (max_bytes is not None and prefixes and prefixes[-1] >= max_bytes):
+        raise ValueError(f"Prefixes must rise, up to less than --max-bytes, got {', '.join(map(str, prefixes))}.")
+    extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
+    plrs: list[PLR] = []
+    for size in (*prefixes, max_bytes):
+        of_file = {} if len(plrs) < len(prefixes) else limits
+        if size is not None:
+            size = max(1, size - extension - sum(plr.num_bytes for plr in plrs))
+        plr, errors, interrupted = build_proven(
+            oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=size, **of_file
+        )
+        plrs.append(plr)
+        if interrupted:
+            break
+    return progressive(plrs).with_label(label), errors, interrupted
 
 
 def build_proven(

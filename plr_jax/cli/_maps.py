@@ -1,7 +1,7 @@
 """The MAP of a command: what is read, how, and which goal is in it."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,10 @@ class NamedMap:
         except (ValueError, TypeError):
             raise ValueError(f"expected a map and options of it, got {text!r}.") from None
 
+    def to(self, goal: Float[np.ndarray, "2"]) -> "NamedMap":
+        """The same with its goal said."""
+        return replace(self, goal=",".join(repr(float(along)) for along in goal))
+
     @property
     def _reading(self) -> dict[str, Any]:
         """The options of the reader."""
@@ -102,6 +106,26 @@ class NamedMap:
         if Path(self.name).suffix == ".json" and scenes.is_scene(self.name):
             return scenes.load(self.name)
         return None
+
+
+def map_of_label(
+    label: str, file: Path, goal: str | None
+) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
+    """The map and the goal that the label of a PLR's file names, or another goal; None where it names none.
+
+    A map's own file is looked for as it was named, and beside the PLR's.
+    """
+    try:
+        named = NamedMap.of(label)
+    except ValueError:
+        if goal is not None:
+            raise ValueError(f"{file} does not say of which map it is: --goal needs --map.") from None
+        return None, None
+    named = named if goal is None else replace(named, goal=goal)
+    beside = file.parent / Path(named.name).name
+    if named.name not in SCENES and not Path(named.name).exists() and beside.exists():
+        named = replace(named, name=str(beside))
+    return named.read()
 
 
 def say_vertices(workspace: "Workspace") -> None:

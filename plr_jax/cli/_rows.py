@@ -1,16 +1,17 @@
 """Tables of points, read and answered chunk by chunk: any number of rows in little memory."""
 
 import io
+import re
 import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import BinaryIO
 
 import numpy as np
 import typer
 from jaxtyping import Float
 
-_CHUNK_BYTES = 1 << 20
+_CHUNK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
 
 
@@ -34,7 +35,7 @@ class PointTable:
     num_bad: int = field(default=0, init=False)
     _error: str | None = field(default=None, init=False)
 
-    def chunks(self, file: BinaryIO) -> Iterator[Float[np.ndarray, "n dim"]]:
+    def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
         """The points, some at a time.
 
         Raises:
@@ -57,7 +58,7 @@ class PointTable:
     def _expected(self) -> str:
         return f"{self.dim} comma-separated numbers"
 
-    def _blocks(self, file: BinaryIO) -> Iterator[bytes]:
+    def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
         """Whole lines, without the header and blank lines at the end, as they come."""
         rest, is_start = b"", True
         while data := file.read1(_CHUNK_BYTES):
@@ -69,8 +70,8 @@ class PointTable:
             if filled and end and not is_start:
                 yield rest[:end]
                 rest = rest[end:]
-            if len(rest) > _CHUNK_BYTES:
-                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_CHUNK_BYTES:,} bytes.")
+            if len(rest) > _MOST_LINE_BYTES:
+                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_MOST_LINE_BYTES:,} bytes.")
         if is_start:
             rest = self._without_header(self._without_mark(rest))
         if rest.strip():
@@ -92,12 +93,14 @@ class PointTable:
     def _parsed(self, block: bytes) -> Float[np.ndarray, "n dim"]:
         num_lines = block.count(b"\n")
         try:
-            points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that lines are blank, which are told below
+                points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
             is_plain = points.shape == (num_lines, self.dim)
         except ValueError:
             is_plain = False
         if not is_plain:
-            points = self._parsed_line_by_line(block.splitlines())
+            points = self._parsed_line_by_line(block.removesuffix(b"\n").split(b"\n"))
         self.num_lines += num_lines
         return points
 
@@ -108,7 +111,7 @@ class PointTable:
             if len(numbers) == self.dim:
                 points[index] = numbers
                 continue
-            text = line.decode(errors="replace")
+            text = line.rstrip(b"\r").decode(errors="replace")
             text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
             message = f"{self.name}, line {self.num_lines + index + 1}: expected {self._expected}, got {text!r}"
             if self.strict:
@@ -122,7 +125,7 @@ class PointTable:
         return points
 
 
-def open_table(source: str) -> tuple[str, BinaryIO]:
+def open_table(source: str) -> tuple[str, io.BufferedIOBase]:
     """Name and bytes of a file, or of standard input for ``-``."""
     if source != "-":
         return source, open(source, "rb")
@@ -147,10 +150,9 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
 
 def _is_header(line: bytes) -> bool:
     """Whether a line is one of names: each begins with a letter, and none is a number, as ``nan`` is."""
-    fields = [field.strip(" \t\r\"'#") for field in line.decode(errors="replace").split(",")]
-    return all(field[:1].isalpha() or field[:1] == "_" for field in fields) and not any(
-        _numbers(field.encode()) for field in fields
-    )
+    names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
+    begin = all(name[0].isalpha() or name[0] == "_" for name in names)
+    return bool(names) and begin and not any(_numbers(name.encode()) for name in names)
 
 
 def _numbers(line: bytes) -> list[float]:

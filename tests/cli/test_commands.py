@@ -151,7 +151,8 @@ def test_query_prints_what_the_plr_answers(maze, tmp_path):
     (tmp_path / "points.csv").write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in points.tolist()))
     result = run("query", maze, tmp_path / "points.csv")
     assert result.exit_code == 0, result.output
-    np.testing.assert_allclose([float(line) for line in result.stdout.splitlines()], load(maze)(points), rtol=1e-8)
+    answers = np.array(result.stdout.split(), np.float32)  # nine digits tell 32-bit floats apart
+    np.testing.assert_array_equal(answers, load(maze).numpy()(points))
 
 
 def test_query_reads_standard_input_and_prints_gradients(maze):
@@ -166,10 +167,19 @@ def test_query_reads_standard_input_and_prints_gradients(maze):
     assert outside[0] == np.inf
 
 
+def test_one_bad_row_is_one_bad_row(plane):
+    result = run("query", plane, input="0.1,0.2\na,b\nnan,1\n0.3,0.4\n")
+    assert result.exit_code == 0
+    first, bad, unknown, last = result.stdout.splitlines()
+    assert (bad, unknown) == ("nan", "nan") and np.isfinite([float(first), float(last)]).all()
+    said = "stdin, line 2: expected 2 comma-separated numbers, got 'a,b'"
+    assert result.stderr == f"Warning: {said}; the answer is nan.\n"
+    strict = run("query", plane, "--strict", input="0.1,0.2\na,b\n0.3,0.4\n")
+    assert (strict.exit_code, strict.stdout) == (2, first + "\n")
+    assert strict.stderr == f"Error: {said}.\n"
+
+
 def test_query_explains_mistakes(plane, tmp_path):
-    assert "stdin, line 2: expected 2 comma-separated finite numbers, got 'a,b'" in mistake(
-        "query", plane, input="0.1,0.2\na,b\n"
-    )
     assert "stdin has no points" in mistake("query", plane, input="")
     assert "No such file" in mistake("query", plane, tmp_path / "none.csv")
     assert "No such file" in mistake("query", tmp_path / "none.plr", input="0,0\n")
@@ -178,6 +188,25 @@ def test_query_explains_mistakes(plane, tmp_path):
     (tmp_path / "points.csv").write_bytes(b"\xff\xfe\x00")
     assert "points.csv is not a text file" in mistake("query", plane, tmp_path / "points.csv")
     assert "is a directory" in mistake("query", plane, tmp_path).lower()
+
+
+def test_export_writes_a_header(plane, tmp_path):
+    result = run("export", plane, "--c", "-o", tmp_path / "level_1.h")
+    assert result.exit_code == 0, result.output
+    text = (tmp_path / "level_1.h").read_text()
+    assert text == load(plane).c_header("level_1")
+    assert run("export", plane, "--c", "-o", tmp_path / "b.h", "--name", "level_1").exit_code == 0
+    assert (tmp_path / "b.h").read_text() == text
+    assert "identifier of C" in mistake("export", plane, "--c", "-o", tmp_path / "1.h")
+    assert "--c is for a header of C99" in mistake("export", plane, "-o", tmp_path / "a.h")
+    assert "must end in .h" in mistake("export", plane, "--c", "-o", tmp_path / "a.txt")
+    assert "No such folder" in mistake("export", tmp_path / "none.plr", "--c", "-o", tmp_path / "none" / "a.h")
+
+
+@pytest.mark.parametrize("goal", [("3", "28"), ("3,", "28"), ("-3", "2.5")])
+def test_a_goal_of_two_arguments_is_told_how_to_be_one(goal):
+    result = run("build", "maze", "--goal", *goal)
+    assert result.exit_code == 2 and "a goal is one argument X,Y" in result.output.replace("\n", " ")
 
 
 def test_info_says_what_is_in_the_file(maze):
@@ -328,7 +357,7 @@ def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatc
     assert not (tmp_path / "out.plr").exists()
 
 
-@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["info"], ["plot"], ["plan"], ["demo"]])
+@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["export"], ["info"], ["plot"], ["plan"], ["demo"]])
 def test_help_has_an_example(command):
     result = run(*command, "--help")
     assert result.exit_code == 0

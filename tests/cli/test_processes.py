@@ -1,10 +1,13 @@
 """The command line in a process of its own: how it starts, and what is left when it is ended."""
 
+import contextlib
 import os
 import subprocess
 import sys
 
 import pytest
+
+from plr_jax import VisibilityGraph, construct, save, scenes
 
 
 def script(code, *arguments, **environment):
@@ -82,3 +85,71 @@ def test_help_loads_nothing_heavy():
     )
     done = script(code)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def maze(tmp_path_factory):
+    problem = scenes.maze()
+    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+    path = tmp_path_factory.mktemp("maze") / "maze.plr"
+    save(construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=300, certified=True), path)
+    return path
+
+
+def test_query_imports_no_heavy_library(maze, tmp_path):
+    (tmp_path / "points.csv").write_text("0.1,0.2\n")
+    code = (
+        "import sys; from plr_jax.cli import load_app\n"
+        "try: load_app()(['query', *sys.argv[1:], '--bounds'])\n"
+        "except SystemExit: pass\n"
+        "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
+    )
+    done = script(code, maze, tmp_path / "points.csv")
+    assert done.returncode == 0 and len(done.stdout.split(",")) == 3, done.stderr
+
+
+def test_a_reader_that_has_seen_enough_ends_query_quietly(maze):
+    query = [sys.executable, "-m", "plr_jax", "query", str(maze)]
+    with subprocess.Popen(query, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdin.write(b"0.1,0.2\n")
+        process.stdin.flush()
+        assert float(process.stdout.readline()) > 0  # answered before the table ends
+        process.stdout.close()
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(b"0.1,0.2\n" * 100_000)
+            process.stdin.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 141)
+
+
+@pytest.mark.parametrize(
+    ("closed", "message"), [(">&-", "Standard output is closed"), ("<&-", "Standard input is closed")]
+)
+def test_what_is_closed_is_told(maze, closed, message):
+    command = f'"{sys.executable}" -m plr_jax query "{maze}" {closed}'
+    done = subprocess.run(["sh", "-c", command], check=False, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith(f"Error: {message}") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only where there is a device that is full")
+def test_what_cannot_be_written_is_told(maze):
+    command = f'echo 0.1,0.2 | "{sys.executable}" -m plr_jax query "{maze}" > /dev/full'
+    done = subprocess.run(["sh", "-c", command], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, "Error: No space left on device\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read as Linux tells it")
+def test_query_takes_little_memory_whatever_the_table(maze, tmp_path):
+    code = """
+import pathlib, re, sys
+from plr_jax.cli import load_app
+try: load_app()(['query', *sys.argv[1:]])
+except SystemExit: pass
+print(re.search(r"VmHWM:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1], file=sys.stderr)
+"""
+    taken = []
+    for rows in (1_000, 500_000):
+        (tmp_path / "points.csv").write_text("0.123456,0.654321\n" * rows)
+        done = script(code, maze, tmp_path / "points.csv")
+        assert done.stdout.count("\n") == rows
+        taken.append(int(done.stderr) / 1024)
+    assert taken[1] < min(taken[0] + 40, 200)

@@ -4,11 +4,12 @@ Everything here takes *operations* and coordinates, one value an axis, and combi
 package). A value is whatever the operations are for: an array of NumPy, one of its scalars, or a piece of C.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 
 Value: TypeAlias = Any
 """Numbers that add, multiply and compare, or the text of such."""
@@ -17,6 +18,7 @@ Point: TypeAlias = list[Value]
 """A point, one value an axis."""
 
 
+@runtime_checkable
 class Operations(Protocol):
     """What is done with values other than to add, multiply and compare them."""
 
@@ -79,7 +81,7 @@ class Fold:
 
     center: Sequence[Any]
     rest: Sequence[Any]
-    axes: Sequence[Sequence[Any]] | None
+    axes: list[Float[np.ndarray, "dim"]] | None
     mirrors: tuple[tuple[int, tuple[int, ...]], ...]
     lo: Sequence[Any]
     hi: Sequence[Any]
@@ -100,7 +102,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Grid:
+class PartitionedAxis:
     """The domain that leaves partition, along one axis, in 32-bit numbers: see :class:`Frame`."""
 
     lo: np.float32
@@ -160,7 +162,3 @@ def all_of(conditions: Sequence[Value]) -> Value:
     for other in others:
         holds = holds & other
     return holds
-
-
-ValueOfLeaf: TypeAlias = Callable[[Sequence[Value], Sequence[Value], Callable[[Value], Value]], Value]
-"""``LeafModel.value``: of a leaf's numbers, a place and the root."""

@@ -13,8 +13,8 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.container import MOST_BYTES
 from plr_jax.plr.leaves.base import as_sourced
-from plr_jax.plr.portable.descent import Descent
 from plr_jax.plr.portable.header import c_header
+from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.point import point_query
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.query.grid import FRACTION_BITS
@@ -58,7 +58,7 @@ class NumpyPLR:
         """Of the bytes of a file; raises ``ValueError`` saying what is wrong with them."""
         self._program = program = Program.of_file(data)
         num_leaves = len(program.cells)
-        self._descent = Descent.of(program.nodes(np.arange(num_leaves)))
+        self._table = LeafTable.of(program.coded_tree(np.arange(num_leaves)))
         self._numbers = program.numbers[:, program.dim * program.leaf.is_of_cells :]
         self._columns = np.ascontiguousarray(self._numbers.T)
         self._cells = np.zeros((num_leaves, 0, 2), np.float32)  # how many cells span the domain, and which it is
@@ -140,7 +140,7 @@ class NumpyPLR:
     @cached_property
     def _point_query(self) -> Callable[..., np.float32 | None]:
         cells = self._cells.reshape(len(self._numbers), -1)
-        return point_query(self._program, self._descent, np.concatenate([cells, self._numbers], axis=1))
+        return point_query(self._program, self._table, np.concatenate([cells, self._numbers], axis=1))
 
     def _at_point(self, x: ArrayLike) -> np.float32 | None:
         """The value at a single point inside the domain; None if it is not one."""
@@ -185,7 +185,7 @@ class NumpyPLR:
             ]
         x = program.placed(_OfArrays, x)
         above = program.above(_OfArrays, x)
-        answers[...] = answer(x, above, self._descent.rows(program.places(_OfArrays, above)))
+        answers[...] = answer(x, above, self._table.rows(program.places(_OfArrays, above)))
         if not is_inside:
             is_nan = np.isnan(points[~inside]).any(axis=1)
             outside = np.nan if answer == self._waypoints else np.where(is_nan, np.nan, np.inf)

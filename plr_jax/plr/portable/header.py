@@ -37,7 +37,7 @@ class _Header:
     def __init__(self, program: Program, name: str):
         self.program, self.name = program, name
         self.rows, row_of_leaf = program.rows
-        self.nodes = program.nodes(row_of_leaf)
+        self.tree = program.coded_tree(row_of_leaf)
         self.type = "float" if program.corner is None else "double"
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
         self.helpers: set[str] = set()
@@ -78,15 +78,15 @@ class _Header:
 
     def tables(self) -> list[str]:
         """The tree, and the numbers of the leaves."""
-        name, nodes, count = self.name, self.nodes, self.rows.shape[1]
+        name, tree, count = self.name, self.tree, self.rows.shape[1]
         lines = []
-        if len(nodes.children):
-            code_type = "uint16_t" if max(nodes.root, nodes.children.max()) < 2**16 else "uint32_t"
+        if len(tree.children):
+            code_type = "uint16_t" if max(tree.root, tree.children.max()) < 2**16 else "uint32_t"
             lines += [
                 "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
-                f"   here times {1 << nodes.kind_bits} plus its axis; of a leaf, of its numbers plus {nodes.dim}. */",
-                f"static const {code_type} {name}_tree[{len(nodes.children)}][2] = {{",
-                *_filled(f"{{{lower}, {upper}}}" for lower, upper in nodes.children.tolist()),
+                f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}. */",
+                f"static const {code_type} {name}_tree[{len(tree.children)}][2] = {{",
+                *_filled(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
                 "};",
                 "",
             ]
@@ -101,8 +101,8 @@ class _Header:
 
     def functions(self) -> list[str]:
         """The functions."""
-        distance = self._query("distance")
-        waypoint = self._query("waypoint") if self.is_sourced else []
+        distance = self._distance()
+        waypoint = self._waypoint() if self.is_sourced else []
         return [*self._floors(), *self._descent(), *distance, *waypoint]  # which floors, their bodies say
 
     def end(self) -> list[str]:
@@ -111,70 +111,78 @@ class _Header:
 
     def _descent(self) -> list[str]:
         """From places to the leaf's row."""
-        nodes, name, dim = self.nodes, self.name, self.program.dim
-        if not len(nodes.children):
+        tree, name, dim = self.tree, self.name, self.program.dim
+        if not len(tree.children):
             return []
         of_cells = self.program.leaf.is_of_cells
-        mask = (1 << nodes.kind_bits) - 1
+        mask = (1 << tree.kind_bits) - 1
         return [
             "/* Down the tree: each split takes the next bit of the place along its axis. */",
             f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
             "{",
-            f"    uint32_t code = {nodes.root}u;",
+            f"    uint32_t code = {tree.root}u;",
             f"    while ((code & {mask}u) != {dim}u) {{",
             f"        const uint32_t axis = code & {mask}u;",
             "        const uint32_t upper = place[axis] >> 31;",
             "        place[axis] <<= 1;",
             *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
-            f"        code = {name}_tree[code >> {nodes.kind_bits}][upper];",
+            f"        code = {name}_tree[code >> {tree.kind_bits}][upper];",
             "    }",
-            f"    return code >> {nodes.kind_bits};",
+            f"    return code >> {tree.kind_bits};",
             "}",
             "",
         ]
 
-    def _query(self, what: str) -> list[str]:
-        """A function of a point."""
-        program, name, dim, do = self.program, self.name, self.program.dim, CWriter(self.name)
-        given = [do.atom(f"x[{axis}]", self.type) for axis in range(dim)]
-        is_distance = what == "distance"
-        result, out = ("float", "") if is_distance else ("void", f", {self.type} waypoint[{dim}]")
-        inside = program.contains(do, given)
-        is_nan = " || ".join(f"{x} != {x}" for x in given)
-        outside = [f"return {is_nan} ? NAN : INFINITY;"]
-        if not is_distance:
-            outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
-        do.statements += [f"if (!({inside})) {{", *(f"    {line}" for line in outside), "}"]
-        x = program.placed(do, given if program.corner is None else program.wrapped_wide(do, given))
-        above = program.above(do, x)
-        places, of_cells = program.places(do, above), program.leaf.is_of_cells
+    def _distance(self) -> list[str]:
+        """The function that answers a distance."""
+        program, do = self.program, CWriter(self.name)
+        given = self._given(do)
+        do.statements += self._unless_inside(do, given, [f"return {_any_nan(given)} ? NAN : INFINITY;"])
+        x, above, numbers = self._found(do, given)
         cells: list[tuple[Text, Text]] = []
-        row = "0"
-        if len(self.nodes.children):
-            do.statements.append(f"uint32_t place[{dim}] = {{{', '.join(map(str, places))}}};")
-            if of_cells:
+        if program.leaf.is_of_cells:
+            is_split = len(self.tree.children) > 0
+            for axis in range(program.dim):
+                count, position = (f"(float)cell[{axis}][{i}]" if is_split else f"{1 - i}.0f" for i in range(2))
+                cells.append((do.atom(count), do.atom(position)))
+        do.statements.append(f"return {program.value(do, x, above, numbers, cells)};")
+        return self._function(do, f"float {self.name}_distance(const {self.type} x[{program.dim}])")
+
+    def _waypoint(self) -> list[str]:
+        """The function that gives a waypoint."""
+        program, dim, do = self.program, self.program.dim, CWriter(self.name)
+        given = self._given(do)
+        nowhere = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
+        do.statements += self._unless_inside(do, given, nowhere)
+        *_, numbers = self._found(do, given)
+        do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
+        return self._function(
+            do, f"void {self.name}_waypoint(const {self.type} x[{dim}], {self.type} waypoint[{dim}])"
+        )
+
+    def _given(self, do: CWriter) -> list[Text]:
+        return [do.atom(f"x[{axis}]", self.type) for axis in range(self.program.dim)]
+
+    def _unless_inside(self, do: CWriter, given: list[Text], outside: list[str]) -> list[str]:
+        return [f"if (!({self.program.contains(do, given)})) {{", *_indented(outside), "}"]
+
+    def _found(self, do: CWriter, given: list[Text]) -> tuple[list[Text], list[Text], list[Text]]:
+        """A placed point, how far it is above the lower corner, and its leaf's numbers."""
+        program, name, dim = self.program, self.name, self.program.dim
+        x = program.placed(do, given if program.corner is None else program.wrapped_wide(do, given))
+        above, row = program.above(do, x), "0"
+        if len(self.tree.children):
+            places = ", ".join(map(str, program.places(do, above)))
+            do.statements.append(f"uint32_t place[{dim}] = {{{places}}};")
+            if program.leaf.is_of_cells:  # how many cells there are, and which it is
                 do.statements.append(f"uint32_t cell[{dim}][2] = {{{', '.join(['{1, 0}'] * dim)}}};")
-            row = f"{name}_leaf(place{', cell' * of_cells})"
+            row = f"{name}_leaf(place{', cell' * program.leaf.is_of_cells})"
         do.statements.append(f"const float *const n = {name}_numbers[{row}];")
-        if of_cells:
-            is_split = len(self.nodes.children) > 0
-            texts = [(f"(float)cell[{axis}][0]", f"(float)cell[{axis}][1]") for axis in range(dim)]
-            texts = texts if is_split else [("1.0f", "0.0f")] * dim
-            cells = [(do.atom(count), do.atom(position)) for count, position in texts]
-        numbers = [do.atom(f"n[{i}]") for i in range(self.rows.shape[1])]
-        if is_distance:
-            do.statements.append(f"return {program.value(do, x, above, numbers, cells)};")
-        else:
-            do.statements += [f"waypoint[{axis}] = {to};" for axis, to in enumerate(program.waypoint(numbers))]
-        body = do.used_statements()
+        return x, above, [do.atom(f"n[{i}]") for i in range(self.rows.shape[1])]
+
+    def _function(self, do: CWriter, signature: str) -> list[str]:
         self.helpers |= do.floors
-        return [
-            f"static inline {result} {name}_{what}(const {self.type} x[{dim}]{out})",
-            "{",
-            *(f"    {line}" for line in body),
-            "}",
-            "",
-        ]
+        return [f"static inline {signature}", "{", *_indented(do.used_statements()), "}", ""]
 
     def _floors(self) -> list[str]:
         """The floor of each type that is needed: beyond the bits of a mantissa every number is whole."""
@@ -193,6 +201,14 @@ class _Header:
                     "",
                 ]
         return lines
+
+
+def _any_nan(x: Iterable[Text]) -> str:
+    return " || ".join(f"{along} != {along}" for along in x)
+
+
+def _indented(lines: Iterable[str]) -> list[str]:
+    return [f"    {line}" for line in lines]
 
 
 def _filled(entries: Iterable[str]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.plr.portable.descent import Descent
+from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import PythonWriter
 
@@ -27,7 +27,7 @@ class _Rows(dict):
 
 
 def point_query(
-    program: Program, descent: Descent, numbers: Float[np.ndarray, "leaves count"]
+    program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
 ) -> Callable[..., np.float32 | None]:
     """The value at a point, given by its coordinates; None unless it is plainly inside the domain.
 
@@ -46,7 +46,7 @@ def point_query(
     of_type = "float" if precision == "float32" else "double"
     x = program.placed(do, [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given])
     above = program.above(do, x)
-    index = descent.index_text([str(do.let("place", place)) for place in program.places(do, above)])
+    index = table.index_text([str(do.let("place", place)) for place in program.places(do, above)])
     do.statements.append(f"leaf = {index}")
     names = [f"n{i}" for i in range(numbers.shape[1])]
     do.statements.append(f"{', '.join(names)}, = rows[leaf]")
@@ -59,8 +59,8 @@ def point_query(
     names_in_source: dict[str, Any] = {
         **do.constants,
         "rows": _Rows(numbers),
-        "descend": descent.row,
-        "codes": descent.codes,
+        "descend": table.row,
+        "codes": table.codes,
         "floor": floor,
         "sqrt": sqrt,
         "float32": np.float32,

@@ -13,7 +13,17 @@ from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import tree_of_levels
-from plr_jax.plr.portable.arithmetic import Fold, Grid, Operations, Period, Point, Value, Window, all_of, length
+from plr_jax.plr.portable.arithmetic import (
+    Fold,
+    Operations,
+    PartitionedAxis,
+    Period,
+    Point,
+    Value,
+    Window,
+    all_of,
+    length,
+)
 from plr_jax.plr.query.frame import (
     LARGEST,
     Frame,
@@ -86,10 +96,10 @@ class Program:
         return frame_of(domain, table_corners(domain)[0] if self._is_counted_from_corner else np.zeros(domain.dim))
 
     @cached_property
-    def grids(self) -> list[Grid]:
+    def axes(self) -> list[PartitionedAxis]:
         """The domain that the leaves partition, axis by axis."""
         rows = (Frame.LO, Frame.SCALE, Frame.START, Frame.TOP)
-        return [Grid(*self.frame[list(rows), axis]) for axis in range(self.dim)]
+        return [PartitionedAxis(*self.frame[list(rows), axis]) for axis in range(self.dim)]
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -137,7 +147,7 @@ class Program:
         else:
             center, rest = folding.center, np.zeros(self.dim)
             lo, hi = np.where(folding.domain.periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
-        return Fold(center, rest, list(axes) if folding.is_turned else None, mirrors, lo, hi)
+        return Fold(list(center), list(rest), list(axes) if folding.is_turned else None, mirrors, list(lo), list(hi))
 
     @cached_property
     def radial(self) -> list[int]:
@@ -180,19 +190,19 @@ class Program:
 
     def above(self, do: Operations, x: Point) -> Point:
         """How far a placed point is from the domain's rounded lower corner."""
-        return [do.let("above", grid.above(along)) for grid, along in zip(self.grids, x, strict=True)]
+        return [do.let("above", grid.above(along)) for grid, along in zip(self.axes, x, strict=True)]
 
     def places(self, do: Operations, above: Point) -> list[Value]:
         """Place along each axis."""
-        return [grid.place(do, along) for grid, along in zip(self.grids, above, strict=True)]
+        return [grid.place(do, along) for grid, along in zip(self.axes, above, strict=True)]
 
     def value(
-        self, do: Operations, x: Point, above: Point, numbers: Sequence[Value], cell: list[tuple[Value, Value]]
+        self, do: Operations, x: Point, above: Point, numbers: Sequence[Value], cell: Sequence[tuple[Value, Value]]
     ) -> Value:
         """The value at a placed point of a leaf of given numbers and, if it is of cells, how many and which it is."""
         place = above
         if self.leaf.is_of_cells:
-            along = zip(self.grids, above, cell, strict=True)
+            along = zip(self.axes, above, cell, strict=True)
             place = [grid.in_cell(do, a, count, position) for grid, a, (count, position) in along]
         value = self.leaf.value(numbers, place, do.root)
         return value + length(do, x, self.radial) if self.radial else value
@@ -210,7 +220,7 @@ class Program:
         rank = np.argsort(np.argsort(first))
         return numbers[np.sort(first)], rank[row.ravel()]
 
-    def nodes(self, row_of_leaf: Int[np.ndarray, "leaves"]) -> "Nodes":
+    def coded_tree(self, row_of_leaf: Int[np.ndarray, "leaves"]) -> "CodedTree":
         """The tree, whose leaves are rows of a table."""
         tree = tree_of_levels(self.contents.levels, self.dim)
         inner = np.flatnonzero(tree.child >= 0)
@@ -220,11 +230,13 @@ class Program:
         kind = np.where(tree.child >= 0, tree.axis, self.dim)
         code = (index << self.dim.bit_length()) | kind
         children = code[tree.child[inner][:, None] + np.arange(2)]
-        return Nodes(self.dim, int(code[0]), children, tree.axis[inner], tree.cells.depth[inner, tree.axis[inner]])
+        return CodedTree(
+            self.dim, int(code[0]), children, tree.axis[inner], tree.cells.depth[inner, tree.axis[inner]]
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class CodedTree:
     """The nodes of a tree as codes: ``index << bits | kind``, of ``kind_bits`` bits.
 
     A split node's kind is the axis of its split and its index one of ``children``; a leaf's kind is the number of

@@ -85,5 +85,6 @@ class PointPlacement:
             x = self.domain.wrapped(x)
         if self.folding is not None:
             inside = self.folding.domain.contains(x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
-            return np.where(inside[..., None], self.folding(x), np.where(np.isnan(x), np.nan, np.inf))
+            folded = self.folding(np.where(inside[..., None], x, self.folding.center))
+            return np.where(inside[..., None], folded, np.where(np.isnan(x), np.nan, np.inf))
         return x if self.corner is None else x - self.corner

@@ -205,7 +205,8 @@ def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tup
     def size_with_room(leaves: ConeLeaves) -> int:
         return num_bytes_of(*stored(leaves), domain, limits) * (_ROOM + 1) // _ROOM
 
-    best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
+    root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
+    best = best_partition(root, limits, size_with_room, num_sources)
 
     def fits(source: Int[np.ndarray, "leaves"]) -> bool:
         return num_bytes_of(*stored(replace(best, source=source)), domain, limits) <= limits.max_bytes

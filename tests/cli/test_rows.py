@@ -1,0 +1,133 @@
+"""Tables of points, chunk by chunk: what is a header, what is no point, and that chunks do not show."""
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plr_jax.cli import _rows
+from plr_jax.cli._rows import PointTable, open_table
+
+
+def read(data, dim=2, strict=False):
+    data = data if isinstance(data, bytes) else data.encode()
+    chunks = list(PointTable("p", dim, strict).chunks(io.BytesIO(data)))
+    return np.concatenate(chunks)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,2\n3,4",
+        "1,2\n3,4\n",
+        "x,y\n1,2\n3,4\n\n",
+        " 1 , 2 \r\n3,4\r\n",
+        '"x","y"\n1,2\n3,4\n',
+        "# x y\n1,2\n3,4",
+        "x;y\n+1,2e0\n3.,4\n \n\n",
+        "\ufeff1,2\n3,4",
+        "\ufeffx,y\n1,2\n3,4",
+    ],
+)
+def test_points_come_with_or_without_a_header(text):
+    np.testing.assert_array_equal(read(text), [[1, 2], [3, 4]])
+    np.testing.assert_array_equal(read(text, strict=True), [[1, 2], [3, 4]])
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "got"),
+    [
+        ("1,2\n\n3,4\n", 2, "''"),
+        ("1,2\n3\n3,4", 2, "'3'"),
+        ("1,2\n1,2,3\n3,4", 2, "'1,2,3'"),
+        ("1,2\n1,b\n3,4", 2, "'1,b'"),
+        ("1,2\n1;2\n3,4", 2, "'1;2'"),
+        ("x,y\n1,2\nx,y\n3,4", 3, "'x,y'"),
+        ("x,y\n1,2\n" + "9" * 400 + "\n3,4", 3, "9..."),
+    ],
+)
+def test_a_bad_row_is_one_bad_row(text, line, got, capsys):
+    np.testing.assert_array_equal(read(text), [[1, 2], [np.nan, np.nan], [3, 4]])
+    said = capsys.readouterr().err
+    assert said.startswith(f"Warning: p, line {line}: expected 2 comma-separated numbers, got ") and got in said
+    assert said.endswith("; the answer is nan.\n") and said.count("\n") == 1 and len(said) < 250
+    with pytest.raises(ValueError, match=f"p, line {line}: expected 2 comma-separated numbers"):
+        read(text, strict=True)
+
+
+@pytest.mark.parametrize("first", ["0.5;0.5", "1,b", "1 2", "", "nan;nan"])
+def test_a_first_row_that_is_no_line_of_names_is_no_header(first, capsys):
+    np.testing.assert_array_equal(read(first + "\n1,2\n"), [[np.nan, np.nan], [1, 2]])
+    assert "p, line 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["nan,1\n1,2", "NaN,1\n1,2", "inf,-inf\n1,2"])
+def test_numbers_that_are_not_finite_are_numbers(text, capsys):
+    x = read(text, strict=True)
+    assert len(x) == 2 and not np.isfinite(x[0]).all()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "x,y\n", "x,y", " \r\n"])
+def test_a_table_has_points(text):
+    with pytest.raises(ValueError, match="p has no points: expected 2 comma-separated numbers a line"):
+        read(text)
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe1\x00,\x002\x00", b"\x00\x01\n1,2\n"])
+def test_a_table_is_text(data):
+    with pytest.raises(ValueError, match="p is not a text file"):
+        read(data)
+
+
+def test_of_many_bad_rows_few_are_told(capsys):
+    read("x\n" * 2 + "1,2\n" + "0\n" * 100)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 12 and lines[-1] == "Warning: p has 101 rows that are no points."
+
+
+def test_a_row_has_an_end(monkeypatch):
+    monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 100)
+    with pytest.raises(ValueError, match="p, line 2: longer than 100 bytes"):
+        read("1,2\n" + "1" * 250)
+
+
+@settings(max_examples=100)
+@given(
+    st.lists(
+        st.sampled_from(["1,2", "-3.5e-1, 7", "", "a,b", "1", "nan,0", "\r", "1e400,2", "1_0,2", "é,é"]), min_size=1
+    ),
+    st.integers(9, 40),
+    st.sampled_from(["\n", "\r\n"]),
+    st.booleans(),
+)
+def test_chunks_do_not_show(rows, chunk, newline, ends):
+    """Line by line, as Python reads numbers."""
+    rows = ["0,0", *rows]
+    while not rows[-1].strip():
+        rows.pop()
+    expected = []
+    for row in rows:
+        try:
+            numbers = [float(part) for part in row.split(",")]
+        except ValueError:
+            numbers = []
+        expected.append(numbers if len(numbers) == 2 else [np.nan, np.nan])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_rows, "_CHUNK_BYTES", chunk)
+        np.testing.assert_array_equal(read(newline.join(rows) + newline * ends), expected)
+
+
+def test_tables_come_from_a_file_or_from_standard_input(tmp_path, monkeypatch):
+    (tmp_path / "a.csv").write_bytes(b"1,2\n")
+    name, file = open_table(str(tmp_path / "a.csv"))
+    with file:
+        assert (name, file.read()) == (str(tmp_path / "a.csv"), b"1,2\n")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"3,4\n")))
+    name, file = open_table("-")
+    assert (name, file.read()) == ("stdin", b"3,4\n")
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(ValueError, match="Standard input is closed"):
+        open_table("-")

@@ -1,0 +1,164 @@
+"""Answers of ``plr.numpy()``, against a slow reader that follows the words of the format, and against ``plr(x)``."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from portable_helpers import CASES, SlowReader, case, hard_points, is_far
+
+from plr_jax import Box, construct, load_numpy, save
+from plr_jax.plr.portable.leaf_table import LeafTable
+
+
+@pytest.fixture(params=CASES)
+def plr(request):
+    return case(request.param)
+
+
+def same_bits(a, b):
+    """Whether arrays are equal to the bit, any NaN like any other."""
+    a, b = np.asarray(a), np.asarray(b)
+    assert a.dtype == b.dtype == np.float32 and a.shape == b.shape
+    a, b = (np.where(np.isnan(each), np.float32(np.nan), each).view(np.uint32) for each in (a, b))
+    return np.array_equal(a, b)
+
+
+def test_answers_are_those_of_the_words(plr):
+    x = hard_points(plr, 80)
+    assert same_bits(plr.numpy()(x), SlowReader(plr)(x))
+    wide = hard_points(plr, 30, seed=1).astype(np.float64) * (1 + 1e-12)
+    assert same_bits(plr.numpy()(wide), SlowReader(plr)(wide))
+
+
+def test_single_points_are_answered_as_in_batches(plr):
+    f, x = plr.numpy(), hard_points(plr, 40).astype(np.float64)
+    batch = f(x)
+    for given in (map(tuple, x.tolist()), x.tolist(), x):
+        assert same_bits([f(point) for point in given], batch)
+    assert isinstance(f(tuple(x[0].tolist())), np.float32)
+
+
+def test_answers_are_near_those_of_jax(plr):
+    """Within what two roundings of the largest term come to, but where a rounding puts a point into another leaf."""
+    x = hard_points(plr, 4000, seed=2)[:4000]
+    answer, f = np.asarray(plr(x)), plr.numpy()(x)
+    assert np.array_equal(np.isfinite(answer), np.isfinite(f)) and np.array_equal(np.isnan(answer), np.isnan(f))
+    finite = np.isfinite(f)
+    numbers = plr.leaf.numbers(plr._contents.domain, plr.cells, plr._coefficients)
+    largest = np.abs(numbers[np.isfinite(numbers)]).max() + plr.domain.width.max() * np.abs(numbers[:, 1:]).max()
+    assert np.abs(answer[finite].astype(float) - f[finite]).max() <= 4 * np.spacing(np.float32(largest))
+
+
+def test_bounds_and_waypoints_are_those_of_the_plr():
+    plr = case("maze of cones")
+    x, f = hard_points(plr, 500), plr.numpy()
+    x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
+    np.testing.assert_array_equal(f.waypoint(x), plr.waypoint(x))
+    for mine, theirs in zip(f.bounds(x), plr.bounds(x), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=3e-7)
+    far = case("far cones")
+    x = hard_points(far, 100)
+    assert f.max_error == plr.max_error and far.numpy().max_error is None
+    assert f.domain == plr.domain and f.dim == 2
+    np.testing.assert_array_equal(far.numpy().waypoint(x), far.waypoint(x))
+    assert far.numpy().waypoint(x).dtype == np.float64
+
+
+def test_what_a_plr_has_not_is_refused():
+    f = case("around").numpy()
+    with pytest.raises(ValueError, match="Nothing is proven"):
+        f.bounds([[0.0, 1.2]])
+    with pytest.raises(ValueError, match="have no sources"):
+        f.waypoint([[0.0, 1.2]])
+
+
+NO_POINTS = [0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], "ab", ["a", "b"], [1j, 0], [[1], [2, 3]], [None, 1]]
+
+
+@pytest.mark.parametrize("x", NO_POINTS)
+def test_points_of_another_kind_are_refused(x):
+    with pytest.raises(ValueError, match="Points must"):
+        case("maze of planes").numpy()(x)
+
+
+def test_points_come_in_any_shape_and_type():
+    f = case("maze of planes").numpy()
+    x = np.random.default_rng(0).random((3, 4, 2))
+    assert f(x).shape == (3, 4) and f(x[:0]).shape == (0, 4)
+    assert same_bits(f(np.asfortranarray(x)), f(x)) and same_bits(f(x[::-1, ::2]), f(x)[::-1, ::2])
+    assert same_bits(f(x.astype(np.float16)), f(x.astype(np.float16).astype(np.float32)))
+    assert f([0, 1]) == f(np.array([0, 1])) == f((0.0, 1.0))
+    assert np.isnan(f(np.ma.masked_array([[0.5, 0.5]], [[True, False]]))).all()
+
+
+def test_chunks_do_not_show(monkeypatch):
+    plr = case("around")
+    x = hard_points(plr, 300)
+    whole = plr.numpy()(x)
+    monkeypatch.setattr("plr_jax.plr.portable.evaluator._CHUNK", 7)
+    assert same_bits(plr.numpy()(x), whole)
+
+
+@pytest.mark.parametrize("bits", [0, 1, 5])
+def test_the_table_may_be_as_small_as_one_likes(bits, monkeypatch):
+    monkeypatch.setattr("plr_jax.plr.portable.leaf_table._MOST_BITS", bits)
+    for name in ("deep", "random planes", "maze of values"):
+        plr, x = case(name), hard_points(case(name), 100)
+        f = plr.numpy()
+        assert not f._table.is_flat
+        assert same_bits(f(x), SlowReader(plr)(x)) and same_bits([f(tuple(p)) for p in x.tolist()], f(x))
+
+
+def test_a_point_that_rounding_puts_below_the_domain_has_the_leaf_beside_it():
+    """As 32-bit floats resolve 6e-5 there, the lower end is rounded to one below it."""
+    domain = Box((1000.1, 0), (1003.1, 1))
+    plr = construct(lambda x: np.where(x[:, 0] < 1001, 1.0, 50.0), domain, max_leaves=30)
+    lowest = np.array([[np.float32(1000.1), 0.5]], np.float32)
+    assert float(lowest[0, 0]) < 1000.1
+    assert plr(lowest)[0] == pytest.approx(1) and plr.numpy()(lowest)[0] == pytest.approx(1)
+
+
+def test_a_file_is_read_without_jax(tmp_path):
+    save(case("maze of cones"), tmp_path / "maze.plr")
+    code = f"""
+import sys
+import plr_jax
+f = plr_jax.load_numpy({str(tmp_path / "maze.plr")!r})
+print(f((0.93, 0.95)), f.waypoint([0.93, 0.95]), f.bounds([[0.93, 0.95]]))
+heavy = {{"jax", "scipy", "shapely", "networkx", "matplotlib", "typer"}} & set(sys.modules)
+sys.exit(str(heavy) if heavy else 0)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ), check=False
+    )
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert float(done.stdout.split()[0]) == pytest.approx(float(case("maze of cones")([0.93, 0.95])), rel=1e-6)
+
+
+def test_every_kind_of_leaf_is_read_without_jax(tmp_path):
+    names = ["maze of planes", "maze of values", "maze of gradients", "car"]
+    for name in names:
+        save(case(name), tmp_path / f"{name}.plr")
+    code = f"""
+import sys, pathlib, plr_jax
+for path in sorted(pathlib.Path({str(tmp_path)!r}).iterdir()):
+    plr_jax.load_numpy(path)
+sys.exit("jax" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", code], env=dict(os.environ), check=False).returncode == 0
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    (tmp_path / "a.plr").write_bytes(b"no PLR")
+    with pytest.raises(ValueError, match=r"a\.plr cannot be read as a PLR"):
+        load_numpy(tmp_path / "a.plr")
+    with pytest.raises(FileNotFoundError):
+        load_numpy(tmp_path / "b.plr")
+
+
+def test_tables_of_one_leaf_ask_nothing():
+    f = case("one leaf").numpy()
+    assert isinstance(f._table, LeafTable) and f._table.is_flat and len(f._table.table) == 1
+    assert not is_far(case("one leaf"))

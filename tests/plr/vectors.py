@@ -1,0 +1,65 @@
+"""Writes ``tests/plr/vectors``: small PLR files, points, and what the slow reader answers there.
+
+Run it where the format or its arithmetic changed on purpose:
+
+    PYTHONPATH=tests:tests/plr python tests/plr/vectors.py
+
+Of a file NAME.plr there is a table NAME.json: ``type`` of the points, float32 or float64; ``points``, whose
+coordinates are hexadecimal floats; ``distances``, the patterns of 32-bit floats in hexadecimal; of cones
+``waypoints``, as points.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+FOLDER = Path(__file__).parent / "vectors"
+_CHOSEN = (
+    "maze of planes",
+    "maze of values",
+    "maze of gradients",
+    "maze of cones",
+    "random planes",
+    "random values",
+    "deep",
+    "around",
+    "car",
+    "car of planes",
+    "far cones",
+    "far car",
+)
+_POINTS = 40
+
+
+def vector_names() -> list[str]:
+    """Names of the files."""
+    return sorted(path.stem for path in FOLDER.glob("*.plr"))
+
+
+def write() -> None:
+    """Write all of them anew."""
+    from portable_helpers import SlowReader, case, hard_points
+
+    from plr_jax import save
+
+    FOLDER.mkdir(exist_ok=True)
+    for path in FOLDER.iterdir():
+        path.unlink()
+    for name in _CHOSEN:
+        plr, file = case(name), name.replace(" ", "_")
+        every = hard_points(plr, 60)
+        x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]
+        save(plr, FOLDER / f"{file}.plr")
+        table = {
+            "type": x.dtype.name,
+            "points": [[float(along).hex() for along in point] for point in x],
+            "distances": [f"{bits:08x}" for bits in SlowReader(plr)(x).view(np.uint32)],
+        }
+        if name in ("maze of cones", "far cones"):
+            table["waypoints"] = [[float(along).hex() for along in point] for point in plr.numpy().waypoint(x)]
+        (FOLDER / f"{file}.json").write_text(json.dumps(table, indent=0) + "\n")
+
+
+if __name__ == "__main__":
+    write()
