@@ -67,7 +67,8 @@ def build(
         typer.Option(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
             "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' builds "
-            "all of them and keeps the one whose proven error is least."
+            "all of them (cones only if they can name a quarter of the corners), and keeps the one of the least proven "
+            "error."
         ),
     ] = BEST,
     leaf_bounds: Annotated[
