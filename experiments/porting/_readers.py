@@ -62,9 +62,8 @@ def _measured(plr: PLR, folder: Path, num_points: int, num_calls: int, seed: int
         expected = f(x).view(np.uint32)
         in_c_equal += int(np.count_nonzero(in_c(x).view(np.uint32) == expected))
         jax_equal += int(np.count_nonzero(np.asarray(plr(x)).view(np.uint32) == expected))
-    inside = [
-        tuple(point) for point in (plr.domain.lo + plr.domain.width * rng.random((num_calls, plr.dim))).tolist()
-    ]
+    inside = plr.domain.lo + plr.domain.width * rng.random((num_calls, plr.dim))
+    points = list(map(tuple, inside.tolist()))
     return {
         **section_bytes(plr, folder),
         "c_equal": in_c_equal / num_points,
