@@ -1,6 +1,6 @@
-"""What runs at the other end: readers in C and NumPy, tables at the command line, a heuristic of cars; see ``porting``.
+"""What runs at the other end: readers in C and NumPy, tables at the command line, a heuristic of cars.
 
-A C compiler called ``cc`` and ``size`` are needed.
+See ``porting``. A C compiler called ``cc`` and ``size`` are needed.
 """
 
 from experiments._sections import run_sections

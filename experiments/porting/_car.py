@@ -1,8 +1,8 @@
-"""A heuristic of cars in C: lengths of Reeds and Shepp's shortest paths, in a header or in a table of three dimensions.
+"""A heuristic of cars in C: lengths of Reeds and Shepp's shortest paths, in a header or in a 3-D table.
 
-Both cover poses up to 12.5 turning radii from the goal along x and y, at any heading. The table is what planners keep:
-401 x 201 poses of the half with y of 0 and more, of which the other half is the mirror image, at 72 headings, each the
-length at the nearest of its poses. Errors are in turning radii, over random poses.
+Both cover poses up to 12.5 turning radii from the goal along x and y, at any heading. The table is what planners
+keep: lengths at 401 x 201 places of the half with y of 0 and more, of which the other half is the mirror image, and
+72 headings. It answers with that of the nearest pose. Errors are in turning radii, over random poses.
 """
 
 import ctypes

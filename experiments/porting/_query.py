@@ -19,7 +19,8 @@ import pathlib, re, sys
 from plr_jax.cli import load_app
 try: load_app()(["query", *sys.argv[1:]])
 except SystemExit: pass
-print(*re.findall(r"VmHWM:\s+(\d+)", pathlib.Path("/proc/self/status").read_text()), "jax" in sys.modules, file=sys.stderr)
+kilobytes = re.findall(r"VmHWM:\s+(\d+)", pathlib.Path("/proc/self/status").read_text())
+print(*kilobytes, "jax" in sys.modules, file=sys.stderr)
 """
 
 

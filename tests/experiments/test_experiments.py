@@ -33,6 +33,7 @@ SMOKED = [
         "families",
         "scale",
         "pair_bounds",
+        "portable",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}

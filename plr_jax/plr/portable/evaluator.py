@@ -47,9 +47,9 @@ class NumpyPLR:
     """A PLR that is queried in NumPy, without JAX: by :func:`load_numpy`, or ``plr.numpy()``.
 
     ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats by the arithmetic that is part of the format
-    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. It is NaN where a
-    coordinate is, and outside the closed domain ``inf``, or what is asked for. ``plr(x)`` differs by what a compiler
-    rounds at once.
+    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. So does ``plr(x)`` on a
+    CPU, but for numbers below 1e-38. It is NaN where a coordinate is, and outside the closed domain ``inf``, or what
+    is asked for.
 
     A single point, as a tuple, a list or an array, takes a few microseconds, a batch some nanoseconds a point.
     Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far

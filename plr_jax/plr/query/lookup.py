@@ -1,5 +1,6 @@
 """A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
 
+from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
 from plr_jax.plr.query.blocks import Blocks
-from plr_jax.plr.query.folded import FoldedWindow, radius
+from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
 from plr_jax.plr.query.frame import Frame, Outside
 from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
@@ -183,7 +184,7 @@ def _between_ends(tables: Tables, x: Float[Array, "*batch"], axis: int) -> Float
     lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
     turns = jnp.floor((x - lo) * frame[Frame.SCALE])
     is_end = jnp.abs(x - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
-    inside = jnp.where(is_end, lo, jnp.clip(x - turns * (hi - lo), lo, hi))
+    inside = jnp.where(is_end, lo, jnp.clip(x - rounded(turns * (hi - lo)), lo, hi))
     return jnp.where(jnp.isfinite(x), inside, x)
 
 
@@ -206,10 +207,27 @@ def _value(
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_of_cells:
-            u = along * frame[Frame.SCALE, axis] + (frame[Frame.START, axis] - 1)
+            u = rounded(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
             along = _coordinate_in_cell(u, numbers[axis])
-        place.append(_zero_if_differentiated(along, outside))
-    return tables.leaf.value(numbers[tables.dim * tables.leaf.is_of_cells :], place, _root)
+        place.append(_Unfused(_zero_if_differentiated(along, outside)))
+    of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_of_cells :]]
+    return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
+
+
+@dataclass(frozen=True)
+class _Unfused:
+    """Numbers whose products are rounded before they are added, as the format says."""
+
+    value: Float[Array, "*batch"]
+
+    def __add__(self, other: "_Unfused") -> "_Unfused":
+        return _Unfused(self.value + other.value)
+
+    def __sub__(self, other: "_Unfused") -> "_Unfused":
+        return _Unfused(self.value - other.value)
+
+    def __mul__(self, other: "_Unfused") -> "_Unfused":
+        return _Unfused(rounded(self.value * other.value))
 
 
 def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: Any) -> list[Float[Array, "*batch"]]:

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 from portable_helpers import CASES, SlowReader, case, hard_points, is_far
@@ -40,15 +41,15 @@ def test_single_points_are_answered_as_in_batches(plr):
     assert isinstance(f(tuple(x[0].tolist())), np.float32)
 
 
-def test_answers_are_near_those_of_jax(plr):
-    """Within what two roundings of the largest term come to, but where a rounding puts a point into another leaf."""
-    x = hard_points(plr, 4000, seed=2)[:4000]
-    answer, f = np.asarray(plr(x)), plr.numpy()(x)
-    assert np.array_equal(np.isfinite(answer), np.isfinite(f)) and np.array_equal(np.isnan(answer), np.isnan(f))
-    finite = np.isfinite(f)
-    numbers = plr.leaf.numbers(plr.folded_domain, plr.cells, plr._coefficients, plr.folded_domain.lo)
-    largest = np.abs(numbers[np.isfinite(numbers)]).max() + plr.domain.width.max() * np.abs(numbers[:, 1:]).max()
-    assert np.abs(answer[finite].astype(float) - f[finite]).max() <= 4 * np.spacing(np.float32(largest))
+def test_answers_are_those_of_jax_bit_for_bit(plr):
+    x = hard_points(plr, 4000, seed=2)
+    x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
+    x = x[(np.abs(x) < 1e9).all(axis=1)]  # in 64 bits, host code wraps by an exact remainder
+    answer, expected = np.asarray(plr(x)), plr.numpy()(x)
+    np.testing.assert_array_equal(answer, expected)  # but for the sign of zero
+    assert same_bits(answer[expected != 0], expected[expected != 0])
+    inside = jax.jit(lambda x: 2 * plr(x))(x) if not is_far(plr) else 2 * answer
+    np.testing.assert_array_equal(inside, 2 * expected)
 
 
 def test_bounds_and_waypoints_are_those_of_the_plr():
