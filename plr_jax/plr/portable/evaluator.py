@@ -32,7 +32,17 @@ class _OfArrays:
     def let(name: str, value: Any) -> Any:
         return value
 
-    where, floor, root = staticmethod(np.where), staticmethod(np.floor), staticmethod(np.sqrt)
+    @staticmethod
+    def where(condition: Any, yes: Any, no: Any) -> Any:
+        return np.where(condition, yes, no)
+
+    @staticmethod
+    def floor(x: Any) -> Any:
+        return np.floor(x)
+
+    @staticmethod
+    def root(x: Any) -> Any:
+        return np.sqrt(x)
 
     @staticmethod
     def rounded(x: Any) -> Any:
