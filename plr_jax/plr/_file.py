@@ -59,8 +59,8 @@ def decode(data: bytes) -> Contents:
     cells = tree_of_levels(levels, dim).leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"a cell is split {deepest} times along one axis; a query resolves {FRACTION_BITS}")
-    if container.folding is not None and (isinstance(leaf, SourcedLeafModel) or layer.proof_code != Proof.NONE):
-        raise ValueError("its points are folded, but its leaves have sources or a proof, which are not")
+    if container.folding is not None and isinstance(leaf, SourcedLeafModel):
+        raise ValueError("its points are folded, but its leaves have sources, which are not")
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"it has a proof of kind {layer.proof_code}, this release knows kinds 0 to {max(Proof)}")

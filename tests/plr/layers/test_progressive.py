@@ -7,7 +7,7 @@ from plr_jax.plr.file.container import MOST_LAYERS, Header
 
 FIELDS = [
     plr_jax.construct(cone, UNIT, leaf=leaf, max_bytes=size)
-    for leaf, size in (("plane", 60), ("cone", 120), ("smooth", 400), ("continuous", 900))
+    for leaf, size in (("cone", 60), ("plane", 120), ("smooth", 400), ("continuous", 900))
 ]
 X = points(500, 0)
 
