@@ -131,7 +131,9 @@ def open_table(source: str) -> tuple[str, io.BufferedIOBase]:
         return source, open(source, "rb")
     if sys.stdin is None:
         raise ValueError("Standard input is closed: name a file of points.")
-    return "stdin", sys.stdin.buffer
+    file = sys.stdin.buffer
+    assert isinstance(file, io.BufferedIOBase), "standard input is read through a buffer"
+    return "stdin", file
 
 
 def require_standard_output() -> None:

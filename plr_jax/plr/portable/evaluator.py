@@ -27,19 +27,26 @@ _FRACTION = np.uint32((1 << FRACTION_BITS) - 1)
 class _OfArrays:
     """Operations of arrays."""
 
-    @staticmethod
-    def let(name: str, value: Any) -> Any:
+    def let(self, name: str, value: Any) -> Any:
         return value
 
-    where, floor, root = staticmethod(np.where), staticmethod(np.floor), staticmethod(np.sqrt)
+    def where(self, condition: Any, yes: Any, no: Any) -> Any:
+        return np.where(condition, yes, no)
 
-    @staticmethod
-    def rounded(x: Any) -> Any:
+    def floor(self, x: Any) -> Any:
+        return np.floor(x)
+
+    def root(self, x: Any) -> Any:
+        return np.sqrt(x)
+
+    def rounded(self, x: Any) -> Any:
         return x.astype(np.float32)
 
-    @staticmethod
-    def fraction(x: Any) -> Any:
+    def fraction(self, x: Any) -> Any:
         return x.view(np.uint32) & _FRACTION
+
+
+_ARRAYS = _OfArrays()
 
 
 class NumpyPLR:
@@ -176,16 +183,16 @@ class NumpyPLR:
             points = points.astype(np.float64)
         x = list(np.ascontiguousarray(points.T))
         if points.dtype == np.float64:
-            x = program.wrapped_wide(_OfArrays, x)
+            x = program.wrapped_wide(_ARRAYS, x)
         x = [along.astype(program.precision, copy=False) for along in x]
-        inside = program.contains(_OfArrays, x)
+        inside = program.contains(_ARRAYS, x)
         if not (is_inside := inside.all()):
             x = [
                 np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
             ]
-        x = program.placed(_OfArrays, x)
-        above = program.above(_OfArrays, x)
-        answers[...] = answer(x, above, self._table.rows(program.places(_OfArrays, above)))
+        x = program.placed(_ARRAYS, x)
+        above = program.above(_ARRAYS, x)
+        answers[...] = answer(x, above, self._table.rows(program.places(_ARRAYS, above)))
         if not is_inside:
             is_nan = np.isnan(points[~inside]).any(axis=1)
             outside = np.nan if answer == self._waypoints else np.where(is_nan, np.nan, np.inf)
@@ -194,7 +201,7 @@ class NumpyPLR:
     def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         numbers = [column[leaf] for column in self._columns]
         cells = [(count[leaf], position[leaf]) for count, position in self._cell_columns]
-        return self._program.value(_OfArrays, x, above, numbers, cells)
+        return self._program.value(_ARRAYS, x, above, numbers, cells)
 
     def _waypoints(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)

@@ -34,7 +34,7 @@ class LeafTable:
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)
-        cell = np.indices(1 << bits).reshape(tree.dim, -1)
+        cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
         code = np.full(cell.shape[1], tree.root)
         moving = np.arange(len(code))
         while len(moving):
@@ -61,15 +61,15 @@ class LeafTable:
     @cached_property
     def codes(self) -> memoryview:
         """The table, whose entries are then integers of Python."""
-        return memoryview(self.table)
+        return self.table.data
 
     @cached_property
     def _child_codes(self) -> memoryview:
-        return memoryview(self.children)
+        return self.children.data
 
     @cached_property
     def _depth(self) -> memoryview:
-        return memoryview(self.tree.depth)
+        return self.tree.depth.data
 
     def index_text(self, places: list[str]) -> str:
         """The row of numbers for places, of 23 bits each, as text of Python."""

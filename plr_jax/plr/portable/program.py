@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode
 from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr.leaves.base import LeafModel
+from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import tree_of_levels
 from plr_jax.plr.portable.arithmetic import (
@@ -210,7 +210,7 @@ class Program:
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
         """The source of a leaf of given numbers."""
         corner = self.frame[Frame.LO] if self.corner is None else self.corner
-        return [lo + along for lo, along in zip(corner, self.leaf.source_of(numbers), strict=True)]
+        return [lo + along for lo, along in zip(corner, as_sourced(self.leaf).source_of(numbers), strict=True)]
 
     @cached_property
     def rows(self) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:

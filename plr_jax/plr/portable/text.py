@@ -193,7 +193,7 @@ class CWriter(Writer):
         number = value if isinstance(value, np.floating) else np.float32(value)
         if np.isinf(number):
             return "INFINITY" if number > 0 else "-INFINITY"
-        return str(number) + ("f" if isinstance(number, np.float32) else "")
+        return str(number) + ("f" if number.dtype == np.float32 else "")
 
     def definition(self, name: str, value: Text) -> str:
         """A constant."""
