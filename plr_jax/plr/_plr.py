@@ -19,7 +19,7 @@ from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Outside, as_outside
+from plr_jax.plr.query.frame import Outside, as_outside, is_far
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
     PointPlacement,
@@ -27,7 +27,6 @@ from plr_jax.plr.query.points import (
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
-    is_far,
     waypoints_of_points,
 )
 from plr_jax.plr.query.stack import TableStack
@@ -316,8 +315,9 @@ class PLR(HeldFile):
     @property
     def _placed_tables(self) -> Tables:
         """The tables for points that are placed."""
-        return self.tables if self._far_corner is None else self._tables_from_corner
+        return self.tables if self._far_corner is None else self.tables_from_corner
 
     @cached_property
-    def _tables_from_corner(self) -> Tables:
+    def tables_from_corner(self) -> Tables:
+        """The tables for points counted from the domain's lower corner."""
         return tables_of_file(self._contents, self.num_bytes, self.domain.lo)

@@ -32,6 +32,7 @@ SMOKED = [
         "families",
         "scale",
         "pair_bounds",
+        "edges",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}

@@ -10,6 +10,8 @@ from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.query.grid import FRACTION_BITS
 
+_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
+_FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}  # that 32-bit floats tell apart in a domain, or tables are wrong
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 
 
@@ -60,6 +62,33 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
         np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
         np.where(hi < domain.hi, np.nextafter(hi, np.float32(np.inf)), hi),
     )
+
+
+def is_far(domain: Box) -> bool:
+    """Whether a domain is far from the origin, along some axis."""
+    return bool((_largest_coordinates(domain) > _FAR * domain.width).any())
+
+
+def unresolved_types(domain: Box) -> tuple[str, ...]:
+    """Types of points that tables of a domain cannot answer, as it is too far from the origin."""
+    apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
+    places = (domain.width / apart).min()
+    return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
+
+
+def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
+    """Raises ``ValueError`` for points of a type that is not resolved."""
+    if str(dtype) in unresolved:
+        also = " or enable jax_enable_x64," if unresolved == ("float32",) else ""
+        raise ValueError(
+            f"The domain is so far from the origin that {dtype} points, or 32-bit tables, cannot tell places in it "
+            f"apart. Give NumPy's float64 points, outside of compiled functions,{also} or build it in coordinates "
+            "whose origin is near."
+        )
+
+
+def _largest_coordinates(domain: Box) -> Corner:
+    return np.maximum(np.abs(domain.lo), np.abs(domain.hi))
 
 
 def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:

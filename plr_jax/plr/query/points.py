@@ -14,8 +14,6 @@ from plr_jax.plr.query.frame import Outside
 from plr_jax.plr.query.lookup import bounds_of_tables, evaluate_tables, lookup, waypoints_in_tables
 from plr_jax.plr.query.tables import Tables
 
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
-
 find_leaves = jax.jit(lookup)
 """The leaf of each point, as its index."""
 
@@ -73,11 +71,6 @@ def _check_points(tables: Tables, x: Array) -> None:
 def _require_real(x: Array | np.ndarray) -> None:
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
-
-
-def is_far(domain: Box) -> bool:
-    """Whether a domain is far from the origin, along some axis."""
-    return bool((np.maximum(np.abs(domain.lo), np.abs(domain.hi)) > _FAR * domain.width).any())
 
 
 @dataclass(frozen=True, eq=False)
