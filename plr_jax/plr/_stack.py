@@ -15,7 +15,7 @@ from plr_jax._arrays import mixed, padded, padded_size, shortened, size_in_eight
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Outside, as_outside, is_far, require_resolved, unresolved_types
+from plr_jax.plr.query.frame import Outside, as_outside, in_parts, is_far, require_resolved, unresolved_types
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.points import as_array
@@ -229,7 +229,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         groups.append(alike)
     group, place = np.array(places, np.uint32).T
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
-    arrays = jnp.asarray(group), jnp.asarray(place), _in_parts(np.array(corners))
+    arrays = jnp.asarray(group), jnp.asarray(place), None if not np.any(corners) else in_parts(np.array(corners))
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
 
 
@@ -238,15 +238,6 @@ def _from_near(plr: PLR) -> tuple[Tables, Float[np.ndarray, "dim"]]:
     if is_far(plr.domain):
         return plr.tables_from_corner, plr.domain.lo
     return plr.tables, np.zeros(plr.dim)
-
-
-def _in_parts(corners: Float[np.ndarray, "plrs dim"]) -> Float[Array, "plrs 3 dim"] | None:
-    """Numbers of 64 bits as sums of three of 32; None if all are 0."""
-    if not corners.any():
-        return None
-    first = corners.astype(np.float32)
-    second = (corners - first).astype(np.float32)
-    return jnp.asarray(np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1))
 
 
 def _groups(plrs: Sequence[PLR], tables: Sequence[Tables]) -> Iterator[tuple[list[int], _Alike]]:
@@ -326,11 +317,19 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
+    ``jax.export`` makes of a query, of batches of any size, what runs without this package; it takes some hundred
+    kilobytes, as tables are padded, and the package ``flatbuffers``. Close over the PLR, do not pass it::
+
+        n, dim = jax.export.symbolic_shape("n, 2")
+        exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
+        distances = jax.export.deserialize(exported.serialize()).call(x)
+
     Args:
         plr: The PLR, of any leaf model.
         x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
-            least 32 bits; coefficients are 32-bit floats. NumPy's 64-bit points are placed in 64 bits where the
-            domain is far from the origin.
+            least 32 bits; coefficients are 32-bit floats. Where the domain is far from the origin, as in UTM
+            coordinates, NumPy's 64-bit points are placed in 64 bits and answered as near it; JAX's 32-bit ones, and
+            all under ``jax.jit``, are answered where rounding has put them.
         outside: What points outside the domain get: ``"inf"``; ``"clamp"``, the value at the nearest point of the
             domain plus the straight-line distance to it in coordinates, ``inf`` if a coordinate is infinite; or
             ``"nan"``. It changes no answer inside. Along a periodic axis no finite coordinate is outside.
@@ -345,6 +344,6 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, its numbers are not real, or ``outside`` is none of
-            the three.
+            the three; or if fewer than 64 places along an axis of the domain are told apart by 32-bit points there.
     """
     return plr(x, outside=outside)

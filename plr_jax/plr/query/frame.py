@@ -3,8 +3,9 @@
 from enum import IntEnum
 from typing import Literal, TypeAlias, cast, get_args
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
@@ -89,6 +90,13 @@ def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
 
 def _largest_coordinates(domain: Box) -> Corner:
     return np.maximum(np.abs(domain.lo), np.abs(domain.hi))
+
+
+def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[Array, "n 3 dim"]:
+    """Numbers of 64 bits as sums of three of 32."""
+    first = corners.astype(np.float32)
+    second = (corners - first).astype(np.float32)
+    return jnp.asarray(np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1))
 
 
 def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
