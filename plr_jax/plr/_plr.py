@@ -336,10 +336,11 @@ class PLR(HeldFile):
     @property
     def _placed_tables(self) -> Tables:
         """The tables for points that are placed."""
-        return self.tables if self._far_corner is None else self._tables_from_corner
+        return self.tables if self._far_corner is None else self.tables_from_corner
 
     @cached_property
-    def _tables_from_corner(self) -> Tables:
+    def tables_from_corner(self) -> Tables:
+        """The tables for points counted from the domain's lower corner."""
         return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
 
 

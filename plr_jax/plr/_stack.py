@@ -2,19 +2,20 @@
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from math import prod
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
 from plr_jax._arrays import mixed, padded, padded_size, shortened, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import Outside, as_outside
+from plr_jax.plr.query.frame import Outside, as_outside, in_parts, is_far, require_resolved, unresolved_types
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.points import as_array
@@ -143,13 +144,18 @@ class PLRStack:
         groups: The tables of PLRs that are alike.
         group: The group of each PLR.
         place: Its place there.
+        corners: The corner that the tables of each PLR count points from, in three parts that add up to it; None if
+            all count from the origin.
         dim: Number of axes.
+        unresolved: Types of points that cannot be answered, as some domain is too far from the origin.
     """
 
     groups: tuple[_Alike, ...]
     group: UInt32[Array, "plrs"]
     place: UInt32[Array, "plrs"]
+    corners: Float[Array, "plrs 3 dim"] | None
     dim: int = field(metadata={"static": True})
+    unresolved: tuple[str, ...] = field(metadata={"static": True})
 
     def __len__(self) -> int:
         return self.group.shape[0]
@@ -159,14 +165,13 @@ class PLRStack:
 
         Args:
             index: Indices of PLRs, integers of any shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. NumPy's 64-bit points are rounded as JAX rounds them: in a
-                domain far from the origin, a PLR alone places them better.
+            x: Points, ``(..., dim)``, NumPy or JAX. NumPy's are placed in 64 bits, as for
+                :func:`evaluate`, if ``index`` is NumPy's too.
             outside: What points outside the domain of their PLR get, as for :func:`evaluate`.
 
         Returns:
-            Distances, of the shape to which index and batch broadcast: what the PLR of the index answers, up
-            to rounding. NaN where
-            the index is not that of a PLR; negative ones do not count from the end.
+            Distances, of the shape to which index and batch broadcast: what the PLR of the index answers, up to
+            rounding. NaN where the index is not that of a PLR; negative ones do not count from the end.
 
         Raises:
             ValueError: If ``x`` has another last axis than ``dim``, ``index`` holds no integers, or ``outside`` is
@@ -178,7 +183,16 @@ class PLRStack:
             raise ValueError(f"index must hold integers, numbers of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:
             raise ValueError(f"Points must have shape (..., {self.dim}), got {x.shape}.")
-        return _evaluate(self, index, x, as_outside(outside))
+        corners, outside = self.corners, as_outside(outside)
+        if corners is None or isinstance(corners, Tracer) or isinstance(index, jax.Array) or isinstance(x, jax.Array):
+            require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
+            return _evaluate(self, index, x, outside)
+        from_corner = x - self._exact_corners[np.where((index >= 0) & (index < len(self)), index, 0)]
+        return _evaluate(replace(self, corners=None), index, from_corner, outside)
+
+    @cached_property
+    def _exact_corners(self) -> Float[np.ndarray, "plrs dim"]:
+        return np.asarray(self.corners, np.float64).sum(axis=1)
 
 
 def stack(plrs: Sequence[PLR]) -> PLRStack:
@@ -206,29 +220,39 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         raise ValueError(
             f"A stack needs PLRs of one number of dimensions, at least one, got those of {sorted(dims)}."
         )
+    tables, corners = zip(*map(_from_near, plrs), strict=True)
     places: list[tuple[int, int]] = [(0, 0)] * len(plrs)
     groups = []
-    for members, alike in _groups(plrs):
+    for members, alike in _groups(plrs, tables):
         for place, number in enumerate(members):
             places[number] = len(groups), place
         groups.append(alike)
     group, place = np.array(places, np.uint32).T
-    return PLRStack(tuple(groups), jnp.asarray(group), jnp.asarray(place), *dims)
+    unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
+    arrays = jnp.asarray(group), jnp.asarray(place), None if not np.any(corners) else jnp.asarray(in_parts(np.array(corners)))
+    return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
 
 
-def _groups(plrs: Sequence[PLR]) -> Iterator[tuple[list[int], _Alike]]:
+def _from_near(plr: PLR) -> tuple[Tables, Float[np.ndarray, "dim"]]:
+    """Tables, and where they count points from: the corner of a domain that is far from the origin."""
+    if is_far(plr.domain):
+        return plr.tables_from_corner, plr.domain.lo
+    return plr.tables, np.zeros(plr.dim)
+
+
+def _groups(plrs: Sequence[PLR], tables: Sequence[Tables]) -> Iterator[tuple[list[int], _Alike]]:
     """PLRs, by number, in groups of such as are alike: in a trie where they can be, else with tables of their own."""
-    frames = {i: _without_leaves(plr.tables) for i, plr in enumerate(plrs) if plr.tables.numbers.ndim == 2}
+    frames = {i: _without_leaves(each) for i, each in enumerate(tables) if each.numbers.ndim == 2}
     apart = set(range(len(plrs))) - set(frames)
     for members in _kinds(frames):
         levels = trie_levels(np.max([plrs[i].cells.depth.max(axis=0) for i in members], axis=0))
         inside = [i for i in members if can_be_in_trie(plrs[i].cells, levels)]
         apart |= set(members) - set(inside)
         if inside:
-            numbers = [_numbers_of_leaves(plrs[i]) for i in inside]
+            numbers = [_numbers_of_leaves(tables[i], plrs[i].num_leaves) for i in inside]
             in_trie = _InTrie.of([plrs[i].cells for i in inside], numbers, levels)
             yield inside, _Alike.of([frames[i] for i in inside], in_trie)
-    own = {i: _side_by_side(plrs[i].tables) for i in sorted(apart)}
+    own = {i: _side_by_side(tables[i]) for i in sorted(apart)}
     for members in _kinds(own):
         yield members, _Alike.of([own[i] for i in members], None)
 
@@ -256,9 +280,9 @@ def _side_by_side(tables: Tables) -> Tables:
     return replace(tables, numbers=jnp.asarray(np.asarray(tables.numbers).T.ravel()))
 
 
-def _numbers_of_leaves(plr: PLR) -> Float[np.ndarray, "leaves count"]:
+def _numbers_of_leaves(tables: Tables, num_leaves: int) -> Float[np.ndarray, "leaves count"]:
     """What the leaf model reads of each leaf; the first slots of pages are the leaves, one each."""
-    return np.asarray(plr.tables.numbers)[:, : plr.num_leaves].T
+    return np.asarray(tables.numbers)[:, :num_leaves].T
 
 
 @partial(jax.jit, static_argnames="outside")
@@ -267,6 +291,10 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside) -> Fl
     index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
     known = jnp.where(is_one, index, 0).astype(jnp.uint32)
+    if stacked.corners is not None:
+        x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
+        for part in jnp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
+            x = x - part
     has_kinds = len(stacked.groups) > 1
     place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
     value = None
@@ -289,11 +317,19 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
+    ``jax.export`` makes of a query, of batches of any size, what runs without this package; it takes some hundred
+    kilobytes, as tables are padded, and the package ``flatbuffers``. Close over the PLR, do not pass it::
+
+        n, dim = jax.export.symbolic_shape("n, 2")
+        exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
+        distances = jax.export.deserialize(exported.serialize()).call(x)
+
     Args:
         plr: The PLR, of any leaf model.
         x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
-            least 32 bits; coefficients are 32-bit floats. NumPy's 64-bit points are placed in 64 bits where the
-            domain is far from the origin.
+            least 32 bits; coefficients are 32-bit floats. Where the domain is far from the origin, as in UTM
+            coordinates, NumPy's 64-bit points are placed in 64 bits and answered as near it; JAX's 32-bit ones, and
+            all under ``jax.jit``, are answered where rounding has put them.
         outside: What points outside the domain get: ``"inf"``; ``"clamp"``, the value at the nearest point of the
             domain plus the straight-line distance to it in coordinates, ``inf`` if a coordinate is infinite; or
             ``"nan"``. It changes no answer inside. Along a periodic axis no finite coordinate is outside.
@@ -308,6 +344,6 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, its numbers are not real, or ``outside`` is none of
-            the three.
+            the three; or if fewer than 64 places along an axis of the domain are told apart by 32-bit points there.
     """
     return plr(x, outside=outside)

@@ -34,6 +34,7 @@ SMOKED = [
         "scale",
         "pair_bounds",
         "portable",
+        "edges",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}

@@ -17,7 +17,7 @@ from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.partition.tree import Level, Tree
-from plr_jax.plr.query.frame import Corner
+from plr_jax.plr.query.frame import Corner, is_far
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 
@@ -317,7 +317,7 @@ def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
 
     Where the domain is far from the origin, points are counted from a corner before.
     """
-    return np.maximum(np.maximum(np.abs(domain.lo), np.abs(domain.hi)), domain.width)
+    return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)
 
 
 def rounded_down(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

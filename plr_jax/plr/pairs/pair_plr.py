@@ -20,7 +20,7 @@ from plr_jax.plr.pairs.one_goal import plr_to
 from plr_jax.plr.pairs.query import is_inside, shortest_ways
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.pairs.tables import PairTables, build_pair_tables
-from plr_jax.plr.query.frame import Outside, as_outside
+from plr_jax.plr.query.frame import Outside, as_outside, require_resolved
 from plr_jax.plr.query.lookup import length_of
 from plr_jax.plr.query.points import as_array
 
@@ -117,16 +117,20 @@ class PairPLR(HeldFile):
 
     def _placed(self, x: ArrayLike, y: ArrayLike) -> tuple[ArrayLike, ...]:
         """Points counted from the middle of the domain: those of NumPy in their own precision."""
-        middle = self.tables.middle if isinstance(self.file, Tracer) else self._middle
-        return tuple(self._from_middle(name, p, middle) for name, p in (("x", x), ("y", y)))
+        return tuple(self._from_middle(name, p) for name, p in (("x", x), ("y", y)))
 
-    def _from_middle(self, name: str, x: ArrayLike, middle: ArrayLike) -> ArrayLike:
+    def _from_middle(self, name: str, x: ArrayLike) -> ArrayLike:
         x = x if isinstance(x, jax.Array) else as_array(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
-        return x - (self.tables.middle if isinstance(x, jax.Array) else middle)
+        if isinstance(x, np.ndarray) and not isinstance(self.file, Tracer):
+            return x - self._middle
+        x = jnp.asarray(x)
+        require_resolved(x.dtype, self.tables.unresolved)
+        first, rest = self.tables.middle
+        return (x - first) - rest
 
     @cached_property
     def _middle(self) -> Float[np.ndarray, "2"]:
@@ -217,7 +221,7 @@ def _clamped(
 
 def _far(tables: PairTables) -> Float[Array, ""]:
     """The largest coordinate of the domain."""
-    return (jnp.abs(tables.middle) + tables.half).max()
+    return (jnp.abs(tables.middle[0]) + tables.half).max()
 
 
 def _checked(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 
 from plr_jax.plr.pairs.tables import PairTables
@@ -111,8 +112,8 @@ def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n
 
 
 def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    size = len(x)
-    if size <= _GROUP:
+    size = x.shape[0]
+    if is_symbolic_dim(size) or size <= _GROUP:
         return _ways(tables, x, y)
     at_once = min(_AT_ONCE, -(-size // _GROUP) * _GROUP)
     parts = -(-size // at_once)
@@ -135,7 +136,7 @@ def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) ->
 def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Search:
     """The search before its first round: pairs that see one another are done."""
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
-    words = jnp.zeros((len(x), -(-tables.x.shape[1] // 32)), jnp.uint32)
+    words = jnp.zeros((x.shape[0], -(-tables.x.shape[1] // 32)), jnp.uint32)
     leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
     return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
 
@@ -145,9 +146,10 @@ def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: S
 
     It ends, as each round strikes a corner off one of an open pair's two lists.
     """
-    size = len(at_least)
-    few = size // _FEWER if size > _FEWEST else 0
-    one = _round_of_all if size <= _GROUP else _round_of_open
+    size = at_least.shape[0]
+    all_at_once = is_symbolic_dim(size) or size <= _GROUP
+    few = 0 if is_symbolic_dim(size) or size <= _FEWEST else size // _FEWER
+    one = _round_of_all if all_at_once else _round_of_open
 
     def more(search: Search) -> Bool[Array, ""]:
         return search.is_open.sum() > few
@@ -321,7 +323,7 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
             hidden |= (beside_p * beside_q < 0) & (a_is_left != b_is_left)
         return hidden, None
 
-    return jax.lax.scan(meets, jnp.zeros(len(x), bool), tables.walls)[0]
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), tables.walls)[0]
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
@@ -335,4 +337,4 @@ def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
             turns -= ((by <= py) & (py < ay) & (beside < 0)).astype(int)
         return turns, None
 
-    return jax.lax.scan(winds, jnp.zeros(len(x), int), tables.walls)[0] == 1
+    return jax.lax.scan(winds, jnp.zeros(x.shape[0], int), tables.walls)[0] == 1

@@ -1,6 +1,6 @@
 """What a query of pairs reads: walls, corners, distances between them, and the list of corners of each leaf."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
 from plr_jax.plr.pairs.stored import Stored
+from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
 
 RECEDING = 32 * float(np.finfo(np.float32).eps)
@@ -45,12 +46,13 @@ class PairTables:
         onward: Two numbers in one, about the ways from each corner, by a corner of a leaf's list, to anywhere in the
             leaf's box: in the last bits the corner of the list by which the shortest goes; in the other bits, as a
             float, a lower bound of the length of all ways by other corners of the list.
-        middle: The middle of the domain.
+        middle: The middle of the domain, in 32 bits, and what they leave of it.
         half: Half its width, along each axis.
         proud_walls: Ends of the walls moved into free space instead.
         proud_corners: The corners moved into it twice as far.
         rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
             that of distances by way of the proud corners, which is larger.
+        unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
     """
 
     partition: Tables
@@ -62,11 +64,12 @@ class PairTables:
     distances: Float[Array, "size size"]
     onward: UInt32[Array, "leaves size"]
     corners: Float[Array, "size 2"]
-    middle: Float[Array, "2"]
+    middle: Float[Array, "2 2"]
     half: Float[Array, "2"]
     proud_walls: Float[Array, "groups 16 7"]
     proud_corners: Float[Array, "size 2"]
     rounding: Float[Array, "2"]
+    unresolved: tuple[str, ...] = field(metadata={"static": True})
 
     @property
     def in_free_space(self) -> "PairTables":
@@ -106,11 +109,12 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         distances=jnp.asarray(distances),
         onward=_ways_to_leaves(distances, listed, _beside(points[listed], *boxes)),
         corners=_in_32_bits(padded(points, size, np.inf)),
-        middle=_in_32_bits(middle),
+        middle=_in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=_in_32_bits(stored.domain.width / 2),
         proud_walls=_groups_of_walls(stored.outline.moved_walls(-receding) - np.tile(middle, 2)),
         proud_corners=_in_32_bits(padded(proud, size, np.inf)),
         rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
+        unresolved=unresolved_types(stored.domain),
     )
 
 

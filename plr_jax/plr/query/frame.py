@@ -11,8 +11,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.grid import FRACTION_BITS
 
-LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 _FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
+_FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}  # that 32-bit floats tell apart in a domain, or tables are wrong
+LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 
 Corner: TypeAlias = Float[np.ndarray, "dim"]
 """From where coordinates are counted."""
@@ -63,6 +64,40 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     )
 
 
+def is_far(domain: Box) -> bool:
+    """Whether a domain is far from the origin, along some axis."""
+    return bool((_largest_coordinates(domain) > _FAR * domain.width).any())
+
+
+def unresolved_types(domain: Box) -> tuple[str, ...]:
+    """Types of points that tables of a domain cannot answer, as it is too far from the origin."""
+    apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
+    places = (domain.width / apart).min()
+    return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
+
+
+def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
+    """Raises ``ValueError`` for points of a type that is not resolved."""
+    if str(dtype) in unresolved:
+        also = " or enable jax_enable_x64," if unresolved == ("float32",) else ""
+        raise ValueError(
+            f"The domain is so far from the origin that {dtype} points, or 32-bit tables, cannot tell places in it "
+            f"apart. Give NumPy's float64 points, outside of compiled functions,{also} or build it in coordinates "
+            "whose origin is near."
+        )
+
+
+def _largest_coordinates(domain: Box) -> Corner:
+    return np.maximum(np.abs(domain.lo), np.abs(domain.hi))
+
+
+def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"]:
+    """Numbers of 64 bits as sums of three of 32."""
+    first = corners.astype(np.float32)
+    second = (corners - first).astype(np.float32)
+    return np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1)
+
+
 def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
     """Corners of a box as 32-bit floats, rounded inward."""
     lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
@@ -87,8 +122,7 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 def corner_if_far(domain: Box) -> Corner | None:
     """The lower corner of a domain that is far from the origin along some axis; else None."""
-    is_far = np.maximum(np.abs(domain.lo), np.abs(domain.hi)) > _FAR * domain.width
-    return domain.lo if is_far.any() else None
+    return domain.lo if is_far(domain) else None
 
 
 def folding_numbers(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
 from plr_jax.plr.query.blocks import Blocks
 from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
-from plr_jax.plr.query.frame import Frame, Outside
+from plr_jax.plr.query.frame import Frame, Outside, require_resolved
 from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
 from plr_jax.plr.query.picked import Picked
@@ -26,7 +26,7 @@ _ENDS_IN_DOUBLE = (
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outside = "inf") -> Float[Array, "*batch"]:
     """Value of the leaf's function at each point; outside the closed domain what is asked for, NaN for NaN."""
-    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    x = _in_floats(tables, x)
     if outside == "clamp":
         nearest, way = _clamped(tables if tables.folding is None else tables.folding, x)
         return evaluate_tables(tables, nearest) + way
@@ -41,6 +41,13 @@ def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outsid
         if tables.radial:
             value += radius(x, tables.radial, is_outside)
     return jnp.where(is_outside, jnp.full_like(answer, jnp.nan) if outside == "nan" else answer, value)
+
+
+def _in_floats(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
+    """Points in 32 or 64 bits, which must resolve the domain."""
+    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    require_resolved(x.dtype, tables.unresolved)
+    return x
 
 
 def bounds_of_tables(
@@ -74,7 +81,7 @@ def _next_number_with_tangent(toward, primals, tangents):
 
 def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
     """The source of the leaf that holds each point; NaN outside the closed domain, and for NaN."""
-    x = jax.lax.stop_gradient(x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32))
+    x = jax.lax.stop_gradient(_in_floats(tables, x))
     outside, answer = outside_domain(tables, x)
     numbers = _numbers(tables, find_row(tables, x), x.dtype)
     source = tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(tables.leaf.source_of(numbers), axis=-1)

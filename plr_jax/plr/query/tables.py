@@ -34,7 +34,7 @@ from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
 from plr_jax.plr.query.folded import FoldedWindow
-from plr_jax.plr.query.frame import frame_of
+from plr_jax.plr.query.frame import frame_of, unresolved_types
 from plr_jax.plr.query.grid import (
     FRACTION_BITS,
     MAX_FLAT_BITS,
@@ -78,6 +78,7 @@ class Tables:
         folding: How points are folded before all this; None if they are not.
         trie: What leads from a point's place to a row of the numbers, in stacks of many PLRs; then none of the others
             is read.
+        unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
     """
 
     frame: Float[Array, "7 dim"] | Picked
@@ -91,6 +92,7 @@ class Tables:
     radial: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedWindow | None = None
     trie: Trie | None = None
+    unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())
 
     @property
     def dim(self) -> int:
@@ -102,7 +104,8 @@ class Tables:
         if folding is None:
             return self
         radial = tuple(map(int, np.flatnonzero(folding.radial)))
-        return replace(self, radial=radial, folding=FoldedWindow.of(folding, origin))
+        unresolved = unresolved_types(folding.domain.moved(-origin))
+        return replace(self, radial=radial, folding=FoldedWindow.of(folding, origin), unresolved=unresolved)
 
     def of_folded_points(self) -> "Tables":
         """The same for points that are folded already."""
@@ -150,6 +153,7 @@ def _tables_by_leaf(
         numbers=jnp.asarray(laid_out(table)),
         leaf=leaf,
         periodic=_periodic_axes(domain),
+        unresolved=unresolved_types(domain),
     )
 
 
@@ -167,6 +171,7 @@ def _paged_tables(
         numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
         leaf=leaf,
         periodic=_periodic_axes(domain),
+        unresolved=unresolved_types(domain),
     )
 
 

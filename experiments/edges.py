@@ -1,0 +1,9 @@
+"""What happens at the edges of what PLRs are made for; a section a file in ``edge_sections/``."""
+
+from experiments._sections import Section, run_sections
+from experiments.edge_sections import _utm
+
+SECTIONS: dict[str, Section] = {"utm": _utm}
+
+if __name__ == "__main__":
+    run_sections("edges", __doc__, SECTIONS)

@@ -1,0 +1,191 @@
+"""Free space for compiled functions: what is free, and how far it is to a wall, read from tables."""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from plr_jax._arrays import padded, size_in_eighths
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.free_space.cells import near_edges, slots_of_cells
+
+_FEWEST_BITS, _MOST_BITS, _FINER = 4, 9, 3  # of blocks along an axis; of slots in a block
+_TOLERANCE = 1e-6  # of the longer side of the bounds
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """Free space as tables, for functions that JAX compiles; made by ``workspace.tables``.
+
+    A pytree of arrays: a jitted function can close over it or take it as an argument. A cell of a square around the
+    bounds lists the edges that can be the nearest to some point of it.
+
+    Attributes:
+        origin: The middle of the bounds, in 32 bits, and what they leave of it; all coordinates count from there.
+        half: Half the side of the square.
+        tolerance: How far outside free space a point still counts as free.
+        blocks: For each block of a coarse grid, row by row, its first slot and how finely it is divided into slots.
+        slots: The cell of each slot.
+        first: Where the list of each cell begins.
+        edge: The edges of all lists.
+        ends: First and last point of each edge, of which free space is on the left.
+        bits: How often the square is halved to blocks, along each axis.
+    """
+
+    origin: Float[Array, "2 2"]
+    half: Float[Array, ""]
+    tolerance: Float[Array, ""]
+    blocks: UInt32[Array, "blocks"]
+    slots: UInt32[Array, "slots"]
+    first: UInt32[Array, "cells"]
+    edge: UInt32[Array, "entries"]
+    ends: Float[Array, "edges 4"]
+    bits: int = field(metadata={"static": True})
+
+    def is_free(self, x: ArrayLike) -> Bool[Array, "*batch"]:
+        """Whether points lie in closed free space.
+
+        Args:
+            x: Points, ``(..., 2)``.
+
+        Returns:
+            True where free, walls included, and within ``tolerance``, 1e-6 of the longer side of the bounds, of free
+            space; False for points twice as far outside, and such as are not finite. In between it may be either.
+
+        Raises:
+            ValueError: If ``x`` has another last axis.
+        """
+        return self.clearance(x) >= -self.tolerance
+
+    def clearance(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Signed distance to the nearest obstacle or bound.
+
+        Its gradient is a unit vector: away from the nearest point of a wall in free space, and toward it elsewhere.
+
+        Args:
+            x: Points, ``(..., 2)``.
+
+        Returns:
+            Distance to the boundary of free space, to 1e-6 of the longer side of the bounds: positive in free space,
+            negative in an obstacle or outside the bounds; NaN for points that are not finite. Farther outside the
+            bounds than half their longer side it is minus the way to a point nearer by, and on from there: a little
+            longer than the distance.
+
+        Raises:
+            ValueError: If ``x`` has another last axis.
+        """
+        x = jnp.asarray(x)
+        if x.ndim == 0 or x.shape[-1] != 2:
+            raise ValueError(f"x must be points of shape (..., 2), got {x.shape}.")
+        return _clearance(self, x)
+
+
+@jax.jit
+def _clearance(space: FreeSpace, x: Array) -> Float[Array, "*batch"]:
+    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    first, rest = space.origin.astype(x.dtype)
+    is_finite = jnp.isfinite(x).all(axis=-1)
+    x = jnp.where(is_finite[..., None], (x - first) - rest, 0)
+    half = space.half.astype(x.dtype)
+    inside = jnp.clip(x, -half, half)
+    ends = space.ends[_nearest_edge(space, jax.lax.stop_gradient(inside))].astype(x.dtype)
+    way = _norm(x[..., 0] - inside[..., 0], x[..., 1] - inside[..., 1])
+    return jnp.where(is_finite, _signed_distance(inside, ends) - way, jnp.nan)
+
+
+def _nearest_edge(space: FreeSpace, x: Float[Array, "*batch 2"]) -> UInt32[Array, "*batch"]:
+    """The edge nearest to each point. Of those that end in the nearest point, the one most across the way there.
+
+    Only that one tells on which side of the boundary the point is.
+    """
+    cell = _cell(space, x)
+    begin, last = space.first[cell], space.first[cell + 1] - 1
+
+    def look(number, best):
+        best_edge, best_square, best_across = best
+        edge = space.edge[jnp.minimum(begin + number.astype(jnp.uint32), last)]
+        (wx, wy), across, length, _ = _to_edge(x, space.ends[edge].astype(x.dtype))
+        square = wx * wx + wy * wy
+        across = jnp.abs(across) / length
+        is_better = (square < best_square) | ((square == best_square) & (across > best_across))
+        new = edge, square, across
+        return tuple(jnp.where(is_better, a, b) for a, b in zip(new, best, strict=True))
+
+    nowhere = jnp.full(x.shape[:-1], jnp.inf, x.dtype)
+    none = jnp.zeros(x.shape[:-1], jnp.uint32), nowhere, -nowhere
+    longest = (last - begin + 1).max(initial=1).astype(jnp.int32)
+    return jax.lax.fori_loop(0, longest, look, none)[0]
+
+
+def _cell(space: FreeSpace, x: Float[Array, "*batch 2"]) -> UInt32[Array, "*batch"]:
+    """The cell of each point of the square."""
+    finest = space.bits + _FINER
+    share = (x + space.half.astype(x.dtype)) / (2 * space.half.astype(x.dtype))
+    column, row = jnp.moveaxis(jnp.clip(share * 2**finest, 0, 2**finest - 1).astype(jnp.uint32), -1, 0)
+    block = space.blocks[(row >> _FINER << space.bits) + (column >> _FINER)]
+    bits = block & 15
+    mask = (jnp.uint32(1) << bits) - 1
+    row, column = (along >> (_FINER - bits) & mask for along in (row, column))
+    return space.slots[(block >> 4) + (row << bits) + column]
+
+
+def _to_edge(
+    x: Float[Array, "*batch 2"], ends: Float[Array, "*batch 4"]
+) -> tuple[tuple[Array, Array], Float[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
+    """The way from the nearest point of each edge, its length times the distance of its line, its length, and
+
+    whether that point is none of its ends.
+    """
+    ax, ay, bx, by = jnp.moveaxis(ends, -1, 0)
+    dx, dy, ux, uy = bx - ax, by - ay, x[..., 0] - ax, x[..., 1] - ay
+    square = dx * dx + dy * dy
+    is_point = square == 0
+    square = jnp.where(is_point, 1, square)
+    t = (ux * dx + uy * dy) / square
+    is_before, is_behind = t <= 0, t >= 1
+    wx = jnp.where(is_before, ux, jnp.where(is_behind, x[..., 0] - bx, ux - t * dx))
+    wy = jnp.where(is_before, uy, jnp.where(is_behind, x[..., 1] - by, uy - t * dy))
+    return (wx, wy), dx * uy - dy * ux, jnp.sqrt(square), ~(is_before | is_behind)
+
+
+def _signed_distance(x: Float[Array, "*batch 2"], ends: Float[Array, "*batch 4"]) -> Float[Array, "*batch"]:
+    """Distance to edges, positive on their left."""
+    way, across, length, is_between = _to_edge(x, ends)
+    return jnp.where(is_between, across / length, jnp.where(across >= 0, 1, -1) * _norm(*way))
+
+
+def _norm(x: Float[Array, "*batch"], y: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Length, of slope 0 at 0."""
+    square = x * x + y * y
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+
+
+def free_space_of(boundary: Boundary, bounds: Box) -> FreeSpace:
+    """The tables of free space with that boundary, in bounds."""
+    middle, width = (bounds.lo + bounds.hi) / 2, float(bounds.width.max())
+    segments = boundary.segments - middle
+    bits = int(np.clip(np.ceil(np.log2(4 * len(segments)) / 2), _FEWEST_BITS, _MOST_BITS))
+    cells = near_edges(segments, np.full(2, -width), 2 * width, bits + _FINER)
+    blocks, slots = slots_of_cells(cells, bits)
+    single = partial(jnp.asarray, dtype=jnp.float32)
+    return FreeSpace(
+        origin=single(np.stack([middle, middle - middle.astype(np.float32)])),
+        half=single(width),
+        tolerance=single(_TOLERANCE * width),
+        blocks=_indices(blocks),
+        slots=_indices(slots),
+        first=_indices(cells.first),
+        edge=_indices(cells.edge),
+        ends=single(padded(segments.reshape(-1, 4), size_in_eighths(len(segments)))),
+        bits=bits,
+    )
+
+
+def _indices(values: np.ndarray) -> UInt32[Array, "padded"]:
+    return jnp.asarray(padded(values.astype(np.uint32), size_in_eighths(len(values))))
