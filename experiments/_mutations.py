@@ -1,5 +1,6 @@
 """Valid files of every reader, and their mutations: the same for the same seed and number."""
 
+import io
 import json
 import re
 import struct
@@ -11,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import plr_jax
-from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, construct, scenes
+from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
+from plr_jax.plr.file.container import Header
 
 _GRID = """type octile
 height 8
@@ -50,8 +53,22 @@ result:
   - [1.0e-3, 2]
 - states: [[6, 7, 8, 9]]
 """
+_CRC = struct.Struct("<I")
 _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
+
+
+_GEOJSON = {
+    "type": "FeatureCollection",
+    "bbox": [-1, -1, 9, 9],
+    "features": [
+        {
+            "type": "Feature",
+            "properties": None,
+            "geometry": {"type": "Polygon", "coordinates": [[*_SQUARE, _SQUARE[0]]]},
+        }
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -107,15 +124,53 @@ def _plr_files() -> list[bytes]:
         (2, {"leaf": "continuous", "max_leaves": 20}),
         (1, {"leaf": "smooth", "max_leaves": 10}),
     ]
-    return [construct(distance, Box([0.0] * dim, [1.0] * dim), **options).to_bytes() for dim, options in kinds]
+    plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
+    turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
+    plrs += [plr_jax.progressive([plrs[2], plrs[0]]).with_label("room"), construct(*turned, max_leaves=6)]
+    return [plr.to_bytes() for plr in plrs]
+
+
+def _pairs_files() -> list[bytes]:
+    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600).to_bytes()
+    return [pairs, pairs[: Header.read(pairs).marks[0]]]  # with lists, and cut off before them
+
+
+def _picture_files() -> list[bytes]:
+    gray = np.full((12, 16), 255, np.uint8)
+    gray[3:5, 4:] = gray[8:, 6] = 0
+    files = []
+    for mode, kind in (("L", "PNG"), ("RGBA", "PNG"), ("P", "GIF"), ("1", "PPM"), ("L", "PPM"), ("RGB", "BMP")):
+        buffer = io.BytesIO()
+        Image.fromarray(gray).convert(mode).save(buffer, format=kind)
+        files.append(buffer.getvalue())
+    return files
+
+
+def _with_checksums(data: bytes) -> bytes:
+    """A picture, of whose chunks the checksums are right if it is a PNG."""
+    result, rest = data[:8], data[8:]
+    if result != b"\x89PNG\r\n\x1a\n":
+        return data
+    while len(rest) >= 12:
+        size = min(int.from_bytes(rest[:4], "big"), len(rest) - 12)
+        chunk, rest = rest[4 : 8 + size], rest[12 + size :]
+        result += struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return result
 
 
 def _with_checksum(data: bytes) -> bytes:
-    """A PLR file whose header states its size, and whose last four bytes are its checksum."""
-    if len(data) < 20:
+    """A PLR file whose layers have checksums that are right, as far as its header says where they end."""
+    try:
+        header = Header.read(data)
+    except ValueError:
         return data
-    data = data[:12] + struct.pack("<I", len(data)) + data[16:-4]
-    return data + struct.pack("<I", zlib.crc32(data))
+    start, crc = len(header.data), zlib.crc32(header.data)
+    for end in (*(mark for mark in header.marks if mark < len(data)), len(data)):
+        crc = zlib.crc32(data[start : max(start, end - _CRC.size)], crc)
+        if start + _CRC.size <= end:
+            data = data[: end - _CRC.size] + _CRC.pack(crc) + data[end:]
+        start = end
+    return data
 
 
 READERS = {
@@ -126,7 +181,10 @@ READERS = {
     "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
+    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
+    "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
 }
 
 _NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")

@@ -48,12 +48,18 @@ def speed(results: dict[str, Any]) -> str:
     return markdown(table, numbers=len(table[0]) - 1)
 
 
+_IN_BETWEEN = "four rooms 3", "cross 2", "crowd 25"
+"""Scenes whose smaller and larger siblings say as much; they are in the tables of all results."""
+
+
 def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     """Seconds and costs of ``bl_plan``, the paper's seconds, and those of the best of OMPL."""
     table = [["scene", "paper s", "s", "cost / bound", "best of OMPL s"]]
     rows = {row["scene"]: row for row in results["rows"] if row["heuristic"] == "lattice"}
     for total in race["summary"]:
         name, same = total["scene"], total["same_cost"]
+        if name in _IN_BETWEEN:
+            continue
         row = rows.get(name) or _row_of(race, name)
         cells = [f"{results['paper'].get(name, {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
         table.append([name, *cells, spread(row["cost_over_bound"], ".3f"), at_least(same, "best")])

@@ -52,7 +52,7 @@ def folder(tmp_path_factory):
 
 def test_the_readme_is_short_and_has_code():
     assert len(README.encode()) <= 9_500
-    assert len(PYTHON) == 5 and len(COMMANDS) == 5
+    assert len(PYTHON) == 5 and len(COMMANDS) == 6
 
 
 def test_demo_and_tests_are_one_line_each():
@@ -68,7 +68,9 @@ def test_python_blocks_run(code, tmp_path, monkeypatch):
 
 
 def test_commands_write_what_they_say(folder):
-    assert (folder / "maze.plr").stat().st_size <= 2048
+    assert (folder / "maze.plr").stat().st_size <= 8192
+    assert plr_jax.load(folder / "maze.plr").file_marks[0] <= 1024
+    assert "maze_distance(" in (folder / "maze.h").read_text()
     assert (folder / "maze.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((folder / "path.json").read_text())["status"] == "SOLVED"
 

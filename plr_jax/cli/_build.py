@@ -1,6 +1,7 @@
 """What ``plr-jax build`` builds: a PLR with a proof, of the model asked for or of the least error; and from what."""
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
     from plr_jax.plr import PLR
 
 BEST = "best"
+_EXTENSION_BYTES, _MARK_BYTES = 4, 4
+"""Of a header with a label, and at the most of each mark."""
+_CROWDED, _BYTES_A_SOURCE = 4, 7
+"""Times the budget that all corners would take, and bytes of one: beyond, leaves that name corners are not tried."""
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -35,20 +40,54 @@ def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: 
     return oracle.with_goal(goal)
 
 
+def build_file(
+    oracle: "VisibilityGraph",
+    label: str,
+    prefixes: Sequence[int],
+    leaf: str,
+    leaf_bounds: bool,
+    *,
+    seed: int,
+    max_bytes: int | None,
+    **limits: int | float | None,
+) -> tuple["PLR", dict[str, float], bool]:
+    """A PLR with its proof and a label, in a file that begins with coarser ones, and what :func:`build_proven` says.
+
+    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer.
+    """
+    from plr_jax.plr import progressive
+
+    if sorted(set(prefixes)) != list(prefixes) or (max_bytes is not None and prefixes and prefixes[-1] >= max_bytes):
+        raise ValueError(f"Prefixes must rise, up to less than --max-bytes, got {', '.join(map(str, prefixes))}.")
+    extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
+    plrs: list[PLR] = []
+    for size in (*prefixes, max_bytes):
+        of_file = {} if len(plrs) < len(prefixes) else limits
+        if size is not None:
+            size = max(1, size - extension - sum(plr.num_bytes for plr in plrs))
+        plr, errors, interrupted = build_proven(
+            oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=size, **of_file
+        )
+        plrs.append(plr)
+        if interrupted:
+            break
+    return progressive(plrs).with_label(label), errors, interrupted
+
+
 def build_proven(
     oracle: "VisibilityGraph", domain: "Box", leaf: str, leaf_bounds: bool, *, seed: int, **limits: int | float | None
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
-    Of several, those that cannot be built are left out; ``ValueError`` if none can. An interrupt (Ctrl-C) ends what
+    Of several, those that cannot be built are left out, and those that name corners where these would take several
+    times the budget; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what
     is being built and leaves the rest untried.
     """
     from plr_jax.plr import ConstructionInterrupted, construct
-    from plr_jax.plr.leaves import leaf_names
 
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
     best, errors, refused, interrupted = None, {}, None, False
-    for name in leaf_names() if leaf == BEST else [leaf]:
+    for name in _tried(oracle, limits.get("max_bytes")) if leaf == BEST else [leaf]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ConstructionInterrupted)
             try:
@@ -70,3 +109,13 @@ def build_proven(
         assert refused is not None, "there are leaf models"
         raise refused
     return best, errors, interrupted
+
+
+def _tried(oracle: "VisibilityGraph", max_bytes: int | float | None) -> list[str]:
+    """The leaf models among which is the one of the least proven error, going by the budget."""
+    from plr_jax.plr.leaves import leaf_model, leaf_names
+    from plr_jax.plr.leaves.base import SourcedLeafModel
+
+    of_corners = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(oracle.sources.distances))
+    is_crowded = max_bytes is not None and of_corners > _CROWDED * max_bytes
+    return [name for name in leaf_names() if not (is_crowded and isinstance(leaf_model(name), SourcedLeafModel))]

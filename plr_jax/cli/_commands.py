@@ -13,46 +13,38 @@ import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command
-from plr_jax.cli._build import BEST, build_proven, prepared_oracle
+from plr_jax.cli._app import command, saying
+from plr_jax.cli._build import BEST, build_file, prepared_oracle
 from plr_jax.cli._inputs import (
     DEFAULT_BYTES,
     PICTURES,
-    SCENES,
-    map_and_goal,
     require_writable,
+)
+from plr_jax.cli._maps import NamedMap, map_of_label, say_vertices
+from plr_jax.cli._options import (
+    DropSpecksOption,
+    FileArgument,
+    GoalOption,
+    MapArgument,
+    PolygonsOption,
+    ResolutionOption,
+    ThresholdOption,
 )
 from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
 
 _ERROR_POINTS = 20_000
 
 
-_Map = Annotated[
-    str,
-    typer.Argument(
-        metavar="MAP",
-        help=f"A scene ({', '.join(SCENES)}), a scene file (.json), a Moving AI grid (.map), "
-        "or polygons with holes (.json).",
-        show_default=False,
-    ),
-]
-_File = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
-_Goal = Annotated[
-    str | None,
-    typer.Option(
-        "--goal", "-g", metavar="X,Y", help="The goal; a scene of one robot brings its own.", show_default=False
-    ),
-]
-
-
 @command(
     "plr-jax build maze -o maze.plr --max-bytes 2048",
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build arena.map --goal 10.5,30 --oracle arena.npz",
+    "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4",
+    "plr-jax build floor_plan --max-bytes 65536 --prefix 1024 --prefix 8192",
 )
 def build(
-    map: _Map,
-    goal: _Goal = None,
+    map: MapArgument,
+    goal: GoalOption = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="The file to write.", show_default="MAP's name with .plr"),
@@ -75,7 +67,7 @@ def build(
         typer.Option(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
             "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' builds "
-            "all of them and keeps the one whose proven error is least."
+            "all of them (cones if they can name a quarter of the corners), and keeps that of the least proven error."
         ),
     ] = BEST,
     leaf_bounds: Annotated[
@@ -92,6 +84,19 @@ def build(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
+    resolution: ResolutionOption = None,
+    threshold: ThresholdOption = None,
+    drop_specks: DropSpecksOption = None,
+    polygons: PolygonsOption = None,
+    prefix: Annotated[
+        list[int] | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Begin the file with a coarser one of at most so many bytes and with its own proof, for who fetches "
+            "no more. May be given again and again.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
@@ -104,16 +109,23 @@ def build(
         leaf_model(leaf)
     require_writable(output)
     require_writable(oracle)
-    workspace, goal_point = map_and_goal(map, goal)
+    named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons)
+    with saying(f"reading {map}"):
+        workspace, goal_point = named.read()
     if goal_point is None:
         raise ValueError(
             f"{map} has no goal of its own, or one for each of several robots: give one with --goal X,Y."
         )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
-    exact = prepared_oracle(workspace, goal_point, oracle)
+    if named.has_pixels:
+        say_vertices(workspace)
+    with saying("finding what corners see"):
+        exact = prepared_oracle(workspace, goal_point, oracle)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    plr, errors, interrupted = build_proven(exact, workspace.bounds, leaf, leaf_bounds, seed=seed, **limits)
+    plr, errors, interrupted = build_file(
+        exact, str(named.to(goal_point)), prefix or (), leaf, leaf_bounds, seed=seed, **limits
+    )
     save(plr, output)
     if interrupted:
         typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
@@ -121,7 +133,9 @@ def build(
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
     report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
-    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}")
+    marks = ", ".join(f"{mark:,}" for mark in plr.file_marks)
+    begins = f", coarser in its first {marks}" if marks else ""
+    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes{begins}; {plr.num_leaves:,} leaves, depth {plr.depth}")
     others = ", ".join(f"{name} {error:.3g}" for name, error in errors.items() if name != plr.leaf.name)
     proven = f"{plr.leaf.name}: no error above {plr.max_error:.3g}, proven"
     typer.echo(f"leaf    {proven} ({others})" if others else f"leaf    {proven}")
@@ -143,7 +157,7 @@ def build(
     "echo 0.93,0.95 | plr-jax query maze.plr",
 )
 def query(
-    file: _File,
+    file: FileArgument,
     points: Annotated[
         str, typer.Argument(metavar="[POINTS.csv | -]", help="Points, one x,y a line; - is stdin.")
     ] = "-",
@@ -190,7 +204,7 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
 
 @command("plr-jax export maze.plr --c -o plr_maze.h", "plr-jax export maze.plr --c -o include/maze.h --name level_1")
 def export(
-    file: _File,
+    file: FileArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The header to write.", show_default=False)],
     c: Annotated[bool, typer.Option("--c", help="As one header of C99, also valid C++.")] = False,
     name: Annotated[
@@ -211,12 +225,13 @@ def export(
 
 
 @command("plr-jax info maze.plr")
-def info(file: _File) -> None:
+def info(file: FileArgument) -> None:
     """Say what is in a .plr file."""
     from plr_jax.plr import load
 
     plr = load(file)
     typer.echo(f"file       {file}")
+    typer.echo(f"label      {plr.label or 'none'}")
     typer.echo(f"leaf       {plr.leaf.name}")
     axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
     periodic = f", periodic along axes {axes}" if axes else ""
@@ -225,6 +240,8 @@ def info(file: _File) -> None:
     typer.echo(f"depth      {plr.depth}")
     typer.echo(f"proof      {'none' if plr.max_error is None else f'largest error {plr.max_error:.3g}'}")
     typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
+    if plr.file_marks:
+        typer.echo(f"coarser    in its first {', '.join(f'{mark:,}' for mark in plr.file_marks)} bytes")
 
 
 class Picture(StrEnum):
@@ -237,11 +254,11 @@ class Picture(StrEnum):
 
 
 @command(
-    "plr-jax plot maze.plr --map maze -o maze.png",
-    "plr-jax plot maze.plr --map maze --kind error -o error.png",
+    "plr-jax plot maze.plr -o maze.png",
+    "plr-jax plot maze.plr --kind error -o error.png",
 )
 def plot(
-    file: _File,
+    file: FileArgument,
     output: Annotated[
         Path,
         typer.Option(
@@ -250,23 +267,32 @@ def plot(
     ],
     map: Annotated[
         str | None,
-        typer.Option("--map", metavar="MAP", help="Draw this map's obstacles.", show_default=False),
+        typer.Option(
+            "--map", metavar="MAP", help="Draw this map's obstacles.", show_default="what FILE was built of"
+        ),
     ] = None,
-    goal: _Goal = None,
+    goal: GoalOption = None,
+    resolution: ResolutionOption = None,
+    threshold: ThresholdOption = None,
+    drop_specks: DropSpecksOption = None,
+    polygons: PolygonsOption = None,
     kind: Annotated[
         Picture,
-        typer.Option(help="Colors and contours; the partition; a surface; the error (needs --map)."),
+        typer.Option(help="Colors and contours; the partition; a surface; the error (needs the map)."),
     ] = Picture.distance,
 ) -> None:
     """Draw a .plr file."""
     from plr_jax.plr import load
 
-    if goal is not None and map is None:
-        raise ValueError("--goal needs --map.")
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES)
     plr = load(file)
-    workspace, goal_point = (None, None) if map is None else map_and_goal(map, goal)
+    workspace = goal_point = None
+    given = map is not None or goal is not None
+    if map is not None:
+        workspace, goal_point = NamedMap(map, goal, resolution, threshold, drop_specks, polygons).read()
+    elif plr.label or given:
+        workspace, goal_point = map_of_label(plr.label, file, goal)
     from plr_jax import metrics
     from plr_jax import plot as draw
 
@@ -279,7 +305,7 @@ def plot(
             ax = draw.plot_surface(plr, workspace=workspace)
         case Picture.error:
             if workspace is None or goal_point is None:
-                raise ValueError("The error needs a map with its goal: give --map, and --goal X,Y.")
+                raise ValueError(f"{file} does not say of which map and goal it is: give --map, and --goal X,Y.")
             from plr_jax.oracles import VisibilityGraph
 
             errors = metrics.error_grid(plr, VisibilityGraph(workspace, goal_point), workspace)

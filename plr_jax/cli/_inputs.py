@@ -1,4 +1,4 @@
-"""What the commands are given: maps, scenes, goals, points, names of files to write."""
+"""What the commands are given: scenes, goals, points, names of files to write."""
 
 import errno
 import os
@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     from plr_jax._problem import Problem
-    from plr_jax.geometry.workspace import Workspace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)
@@ -33,31 +32,6 @@ class Heuristic(StrEnum):
     point_plr = "point-plr"
     plr = "plr"
     oracle = "oracle"
-
-
-def map_and_goal(name: str, goal: str | None) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-    """The workspace that a MAP argument means, and its goal if it has one.
-
-    The goal is that given as ``X,Y``, or that of a scene with one robot. ``ValueError`` if MAP is neither the name of
-    a scene nor the path of a scene file, a Moving AI grid or a polygon file.
-    """
-    from plr_jax import scenes
-
-    path, given = Path(name), None if goal is None else parse_goal(goal)
-    if name in SCENES:
-        problem = getattr(scenes, name)()
-    elif path.suffix == ".map":
-        return scenes.read_map(path), given
-    elif path.suffix == ".json":
-        if not scenes.is_scene(path):
-            return scenes.read_polygons(path), given
-        problem = scenes.load(path)
-    else:
-        raise ValueError(
-            f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in .map or .json, got {name!r}."
-        )
-    own = problem.goals[0, :2] if len(problem.robots) == 1 else None
-    return problem.workspace, own if given is None else given
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":

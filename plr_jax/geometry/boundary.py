@@ -76,6 +76,22 @@ class Boundary:
         right_of_end = cross_product(end, offsets) <= tolerance * np.linalg.norm(end)
         return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
 
+    def is_squeezed(
+        self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether segments in free space change from one sector to another in a point contact."""
+        squeezes = np.zeros(len(a), dtype=bool)
+        contacts: Any = shapely.points(self.vertices[self.contacts])
+        segments = shapely.linestrings(np.stack([a, b], axis=1))
+        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=tolerance)
+        for vertex, s in zip(self.contacts[contact], segment, strict=True):
+            ends = np.stack([a[s], b[s]]) - self.vertices[vertex]
+            if np.linalg.norm(ends, axis=1).min() <= tolerance:
+                continue
+            inside = [self.in_sector(e, ends, tolerance) for e in np.flatnonzero(self.edges[:, 0] == vertex)]
+            squeezes[s] |= not any(both.all() for both in inside)
+        return squeezes
+
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:
     """The boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one, to the tolerance."""

@@ -86,6 +86,10 @@ class Box:
         """Whether any axis is periodic."""
         return any(self.periodic)
 
+    def moved(self, by: ArrayLike) -> "Box":
+        """The box moved by a vector, ``(dim,)``."""
+        return Box(self.lo + by, self.hi + by, self.periodic)
+
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether points lie in the closed box.
 

@@ -79,14 +79,19 @@ def contain(
     pieces: Pieces, points: Float[np.ndarray, "pieces k 2"], tolerance: float
 ) -> Bool[np.ndarray, "pieces k"]:
     """Whether each piece holds its points, ``k`` each, to the tolerance."""
-    inside = np.ones(points.shape[:2], bool)
-    x, y = pieces
+    near = np.ones(points.shape[:2], bool)
+    for along, at in zip(pieces, np.moveaxis(points, 2, 0), strict=True):
+        near &= at >= along.min(axis=1, keepdims=True) - tolerance
+        near &= at <= along.max(axis=1, keepdims=True) + tolerance
+    piece, place = np.nonzero(near)
+    (x, y), (px, py) = pieces[:, piece], points[piece, place].T
+    inside = np.ones(len(piece), bool)
     for corner in range(x.shape[1]):  # NumPy is slow where the last axis is short
-        start_x, start_y = x[:, corner - 1, None], y[:, corner - 1, None]
-        ex, ey = x[:, corner, None] - start_x, y[:, corner, None] - start_y
-        height = ex * (points[:, :, 1] - start_y) - ey * (points[:, :, 0] - start_x)
-        inside &= height >= -tolerance * np.sqrt(ex * ex + ey * ey)
-    return inside
+        start_x, start_y = x[:, corner - 1], y[:, corner - 1]
+        ex, ey = x[:, corner] - start_x, y[:, corner] - start_y
+        inside &= ex * (py - start_y) - ey * (px - start_x) >= -tolerance * np.sqrt(ex * ex + ey * ey)
+    near[piece, place] = inside
+    return near
 
 
 def cut_parts(
@@ -129,13 +134,16 @@ def cut_parts(
 
 def clip_to_box(
     pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "2 kept room"]:
-    """What of the pieces lies in a box, in their order, but nothing without area."""
+) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
+    """What of the pieces lies in a box, in their order, but nothing without area; and which pieces these are."""
+    rows = np.arange(pieces.shape[1])
     for axis in range(2):
         for sign, bound in ((1, lo[axis]), (-1, hi[axis])):
-            pieces = pieces[:, (sign * (pieces[axis] - bound) > 0).any(axis=1)]
+            reaches = (sign * (pieces[axis] - bound) > 0).any(axis=1)
+            pieces, rows = pieces[:, reaches], rows[reaches]
             pieces = clip(pieces, sign * (pieces[axis] - bound))
-    return pieces[:, areas(pieces) > 0]
+    some = areas(pieces) > 0
+    return pieces[:, some], rows[some]
 
 
 def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:

@@ -11,10 +11,13 @@ import shapely
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
+from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_numbers, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.vectors import cross_product
 
 LARGEST_COORDINATE = 1e100
 """Areas, and products of two of them, are finite below."""
@@ -25,8 +28,8 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
 
     Args:
         name: What one of them is called in an error, before its number.
-        shapes: A Shapely polygon, multipolygon or collection of those; or an iterable of these and of rings
-            ``(n, 2)``, closed or not.
+        shapes: A Shapely polygon, linear ring, multipolygon or collection of those; or an iterable of these and of
+            rings ``(n, 2)``, closed or not.
 
     Raises:
         ValueError: If ``shapes`` is something else, or one is not a valid polygon, saying what is wrong with it.
@@ -47,15 +50,19 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
     Args:
         name: What it is called in an error.
-        ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon.
+        ring: Its ring, ``(n, 2)``, closed or not; or a Shapely polygon or linear ring.
 
     Raises:
         ValueError: If it is none, saying what is wrong with it.
     """
+    if isinstance(ring, LinearRing):
+        ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
         polygon, points = ring, shapely.get_coordinates(ring)
     elif isinstance(ring, BaseGeometry):
-        raise ValueError(f"{name} must be a polygon, got a {ring.geom_type}.")
+        raise ValueError(
+            f"{name} must be a polygon, got a {ring.geom_type}; give lines and points a width with buffer()."
+        )
     else:
         points, polygon = as_numbers(name, ring, "numbers of shape (n, 2)"), None
     if points.ndim != 2 or points.shape[1] != 2:
@@ -100,6 +107,30 @@ def as_components(
     return outers, holes
 
 
+def rounding_of(bounds: Box) -> float:
+    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
+    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
+
+
+def grid_of(bounds: Box) -> float:
+    """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
+    return float(2.0 ** np.ceil(np.log2(rounding_of(bounds))))
+
+
+def as_bounds(value: Box | ArrayLike) -> Box:
+    """The bounds of a workspace, a Box of the plane or its corners; ``ValueError`` if they are something else."""
+    bounds = Box.of(value, "Bounds")
+    if bounds.dim != 2:
+        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if bounds.is_periodic:
+        raise ValueError(f"A workspace is a part of the plane, without periodic axes, got {bounds}.")
+    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
+    return bounds
+
+
 def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
@@ -116,6 +147,19 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     except shapely.errors.GEOSException:
         return np.concatenate([triangulate(polygon) for polygon in _cut(region)])
     return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+
+
+def sample_triangles(triangles: Float[np.ndarray, "triangles 3 2"], n: int, seed: int) -> Float[np.ndarray, "n 2"]:
+    """Points drawn uniformly from triangles that do not overlap."""
+    # From triangles and not by rejection, which would take forever where free space is a sliver.
+    corner, first, second = triangles.transpose(1, 0, 2)
+    first, second = first - corner, second - corner
+    area = np.abs(cross_product(first, second))
+    rng = np.random.default_rng(seed)
+    pick = rng.choice(len(area), n, p=area / area.sum())
+    u, v = rng.random((2, n, 1))
+    u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
+    return corner[pick] + u * first[pick] + v * second[pick]
 
 
 def _cut(region: Any) -> tuple[Polygon, ...]:

@@ -16,16 +16,19 @@ from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.masks.regions import placed_region
 from plr_jax.geometry.polygons import (
-    LARGEST_COORDINATE,
+    as_bounds,
     as_components,
     as_polygons,
+    grid_of,
     merge_vertices,
     polygons_of,
     prepared,
+    rounding_of,
+    sample_triangles,
     triangulate,
 )
-from plr_jax.geometry.vectors import cross_product
 from plr_jax.geometry.visibility import Triangulation, triangulation_of
 
 _MITRE_LIMIT = 1.5
@@ -45,8 +48,8 @@ class Workspace:
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
-        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) and Shapely polygons, holes allowed, in any
-            iterable; or one Shapely polygon, multipolygon or collection of those.
+        obstacles: Rings ``(n, 2)`` (closed or not, either orientation) and Shapely polygons (holes allowed), linear
+            rings, multipolygons and collections of them, in any iterable; or one such Shapely geometry.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in
             a single point. The point itself is free either way.
 
@@ -69,9 +72,9 @@ class Workspace:
     free_space: Polygon | MultiPolygon
 
     def __init__(self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False):
-        bounds = _as_bounds(bounds)
+        bounds = as_bounds(bounds)
         polygons = as_polygons("Obstacle", obstacles)
-        region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
+        region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
         _assign(self, bounds, polygons, squeeze, free)
 
@@ -94,11 +97,52 @@ class Workspace:
         outers, holes = as_components(components)
         x0, y0, x1, y1 = shapely.total_bounds(outers)
         bounds = Box((x0, y0), (x1, y1))
-        merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * _grid(bounds)))
+        merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * grid_of(bounds)))
         outers = [next(merged) for _ in outers]
         blocked = [shapely.union_all([next(merged) for _ in part]) for part in holes]
         parts = shapely.difference(outers, blocked)
         return cls._from_free_space(bounds, shapely.union_all(parts), squeeze)
+
+    @classmethod
+    def from_mask(
+        cls,
+        free: ArrayLike,
+        resolution: float | int = 1.0,
+        origin: ArrayLike = (0, 0),
+        *,
+        row0: str = "bottom",
+        tolerance: float | int = 0.5,
+        drop_specks: int = 0,
+        squeeze: bool = False,
+    ) -> "Workspace":
+        """A workspace whose free space is given as pixels.
+
+        Free pixels are joined along edges. Blocked ones are joined at corners as well: where only corners of free
+        pixels touch, ``squeeze`` says whether a path may pass. The outline of the free pixels is traced exactly, then
+        drawn with fewer corners. That never joins what is apart nor parts what is joined, and leaves passages and
+        walls a quarter of a pixel at least; a passage becomes narrower by twice the tolerance at most.
+
+        Args:
+            free: Which pixels are free, booleans ``(rows, columns)``. What is beyond them is not free.
+            resolution: Side of a pixel, in workspace units.
+            origin: The outer corner ``(x, y)`` of the first column's lowest pixel, or ``(x, y, yaw)``: the grid is
+                then turned about that corner by ``yaw`` radians, counterclockwise.
+            row0: Whether the first row is the one of least ``y``, ``"bottom"``, or of most, as in images, ``"top"``.
+            tolerance: How far the outline may be from that of the pixels, and that from it, in pixels: half a pixel
+                draws inclined walls straight; 0 keeps every corner.
+            drop_specks: Components of at most so many pixels are dropped: blocked ones become free, and then free
+                ones blocked.
+            squeeze: As for the class.
+
+        Returns:
+            The workspace; its bounds are the bounding box of its free space.
+
+        Raises:
+            ValueError: If ``free`` is no such array, nothing in it is free, or another argument is none of the above.
+        """
+        region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
+        x0, y0, x1, y1 = region.bounds
+        return cls._from_free_space(as_bounds(((x0, y0), (x1, y1))), region, squeeze)
 
     @classmethod
     def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
@@ -128,12 +172,12 @@ class Workspace:
         1e-9 of the longer side of the bounds or 1e-12 of their largest coordinate, whichever is more: far from
         the origin, coordinates are coarser.
         """
-        return 1e3 * _rounding(self.bounds)
+        return 1e3 * rounding_of(self.bounds)
 
     @cached_property
     def boundary(self) -> Boundary:
         """The boundary of free space as vertices and edges, free space on the left of each edge."""
-        return boundary_of(self.free_space, 8 * _grid(self.bounds))
+        return boundary_of(self.free_space, 8 * grid_of(self.bounds))
 
     @cached_property
     def triangulation(self) -> Triangulation:
@@ -234,24 +278,8 @@ class Workspace:
         visible[moving] = shapely.covers(free, segments)
         if not self.squeeze and len(self.boundary.contacts):
             moving = moving[visible[moving]]
-            visible[moving] = ~self._squeezes(a[moving], b[moving], tolerance)
+            visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)
         return visible
-
-    def _squeezes(
-        self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether segments in free space change from one sector to another in a point contact."""
-        boundary, squeezes = self.boundary, np.zeros(len(a), dtype=bool)
-        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
-        segments = shapely.linestrings(np.stack([a, b], axis=1))
-        segment, contact = shapely.STRtree(contacts).query(segments, predicate="dwithin", distance=tolerance)
-        for vertex, s in zip(boundary.contacts[contact], segment, strict=True):
-            ends = np.stack([a[s], b[s]]) - boundary.vertices[vertex]
-            if np.linalg.norm(ends, axis=1).min() <= tolerance:
-                continue
-            inside = [boundary.in_sector(e, ends, tolerance) for e in np.flatnonzero(boundary.edges[:, 0] == vertex)]
-            squeezes[s] |= not any(both.all() for both in inside)
-        return squeezes
 
     def inflate(self, radius: float, *, time_limit: float | int = math.inf) -> "Workspace":
         """The workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
@@ -277,7 +305,7 @@ class Workspace:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space within {self.bounds}.")
-        grown = grown_boundary(self.boundary, radius, _grid(self.bounds), deadline)
+        grown = grown_boundary(self.boundary, radius, grid_of(self.bounds), deadline)
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
@@ -299,48 +327,17 @@ class Workspace:
         """
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)
-        # From triangles and not by rejection, which would take forever where free space is a sliver.
-        corner, first, second = self._triangles.transpose(1, 0, 2)
-        first, second = first - corner, second - corner
-        area = np.abs(cross_product(first, second))
-        rng = np.random.default_rng(seed)
-        pick = rng.choice(len(area), n, p=area / area.sum())
-        u, v = rng.random((2, n, 1))
-        u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # the far half of the parallelogram, folded back
-        return corner[pick] + u * first[pick] + v * second[pick]
+        return sample_triangles(self._triangles, n, seed)
 
 
 def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
     if not isinstance(squeeze, bool | np.bool):
         raise ValueError(f"squeeze must be True or False, got {shortened(squeeze)}.")
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
-    parts = polygons_of(shapely.set_precision(free, _grid(bounds)))
+    parts = polygons_of(shapely.set_precision(free, grid_of(bounds)))
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
-    region = shapely.simplify(region, 4 * _grid(bounds))
+    region = shapely.simplify(region, 4 * grid_of(bounds))
     vars(workspace).update(vars(Workspace.restored(bounds, obstacles, bool(squeeze), region)))
-
-
-def _rounding(bounds: Box) -> float:
-    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
-    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
-
-
-def _grid(bounds: Box) -> float:
-    """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
-    return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
-
-
-def _as_bounds(value: Box | ArrayLike) -> Box:
-    bounds = Box.of(value, "Bounds")
-    if bounds.dim != 2:
-        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
-    if bounds.is_periodic:
-        raise ValueError(f"A workspace is a part of the plane, without periodic axes, got {bounds}.")
-    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
-        raise ValueError(
-            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
-        )
-    return bounds

@@ -174,7 +174,7 @@ class VisibilityGraph:
         shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
         cones, walls = GoalCones.of(self.sources, self._turns), Walls(self.workspace.boundary)
         sight = Sight(cones, shadows, self._turns, walls)
-        return visible_sources(sight, self.workspace, domain)
+        return visible_sources(sight, self._regions, domain)
 
     @property
     def family(self) -> CornerVisibility:

@@ -9,12 +9,9 @@ import numpy as np
 
 from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, tables_of_contents
 from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.held import held
-from plr_jax.plr.query.frame import LARGEST
-from plr_jax.plr.query.tables import build_tables
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -49,12 +46,8 @@ def plr_of_leaves(contents: Contents) -> PLR:
 
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
-    domain, cells, leaf = contents.domain, contents.cells, contents.leaf
-    numbers = leaf.numbers(domain, cells, filled_coefficients(contents))
-    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
-        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
     file = held(data)
-    tables = build_tables(domain, cells, numbers, leaf, len(data)).of_folding(contents.folding)
+    tables = tables_of_contents(contents, np.zeros(contents.domain.dim), len(data))
     if contents.certificate is None:
         return PLR(tables, file, None)
     band = contents.certificate.bounds().astype(np.float32)

@@ -1,13 +1,32 @@
-"""Coefficients of all leaves of a file: what is stored, and for leaves without a function that of a neighbor."""
+"""Functions of all leaves of a file: what is stored, and for leaves without one that of a neighbor."""
 
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import sum_of_columns
+from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves.base import LinearLeafModel, linear_mean_planes
 from plr_jax.plr.partition.contacts import neighbor_of_largest_contact
-from plr_jax.plr.query.frame import LARGEST
+from plr_jax.plr.query.frame import LARGEST, Corner, table_corners
+
+
+def counted_from(contents: Contents, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
+    """The domain that leaves partition, for points counted from an origin, and what a query of those reads of leaves.
+
+    From the domain's own corner, neither is coarser the farther that is from the origin of coordinates. Folded points
+    are seen from their center, wherever others are counted from.
+
+    Raises:
+        ValueError: If 32-bit floats cannot hold the domain or the numbers.
+    """
+    origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
+    domain = contents.domain.moved(-origin)
+    corner = origin + table_corners(domain)[0]
+    numbers = contents.leaf.numbers(contents.domain, contents.cells, filled_coefficients(contents), corner)
+    if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
+        raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
+    return domain, numbers
 
 
 def filled_coefficients(contents: Contents) -> Float[np.ndarray, "leaves terms"]:

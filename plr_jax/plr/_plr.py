@@ -14,23 +14,24 @@ from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode, decode_cells
-from plr_jax.plr._filled import filled_coefficients, planes_of_leaves
+from plr_jax.plr._filled import counted_from, filled_coefficients, planes_of_leaves
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.portable.evaluator import NumpyPLR
-from plr_jax.plr.query.frame import corner_if_far
+from plr_jax.plr.query.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
     PointPlacement,
     as_array,
     bound_points,
     evaluate_points,
+    evaluate_points_anywhere,
     waypoints_of_points,
 )
 from plr_jax.plr.query.stack import TableStack
-from plr_jax.plr.query.tables import Tables
+from plr_jax.plr.query.tables import Tables, build_tables
 
 
 @jax.tree_util.register_dataclass
@@ -60,9 +61,12 @@ class PLR(HeldFile):
         vars(self).update(vars(vars(self)["_deferred"]()))
         return vars(self)[name]
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+    def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Same as :func:`evaluate`."""
-        return evaluate_points(*self._placed(x))
+        tables, placed = self._placed(x)
+        if outside == "inf":
+            return evaluate_points(tables, placed)
+        return evaluate_points_anywhere(tables, placed, as_outside(outside))
 
     def _placed(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         """Tables to ask and points to ask them for."""
@@ -310,8 +314,8 @@ class PLR(HeldFile):
         return planes_of_leaves(self._contents, self._coefficients)
 
     @property
-    def _far_corner(self) -> Float[np.ndarray, "dim"] | None:
-        """The rounded lower corner of a domain so far from the origin that points are counted from there.
+    def _far_corner(self) -> Corner | None:
+        """The lower corner of a domain so far from the origin that points are counted from there.
 
         On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
         """
@@ -319,19 +323,15 @@ class PLR(HeldFile):
         return None if has_doubles else self._corner_if_far
 
     @cached_property
-    def _corner_if_far(self) -> Float[np.ndarray, "dim"] | None:
-        if isinstance(self.tables.frame, Tracer):
-            return None
-        folding = self.tables.folding
-        return corner_if_far((self.tables if folding is None else folding).frame)
+    def _corner_if_far(self) -> Corner | None:
+        return None if isinstance(self.tables.frame, Tracer) else corner_if_far(self.domain)
 
     @property
     def _placement(self) -> PointPlacement | None:
         """What to do with NumPy's 64-bit points before they are rounded; None: nothing."""
         domain = self.domain if self.tables.periodic and not isinstance(self.file, Tracer) else None
         corner = self._far_corner
-        folding = None if corner is None else self.container.folding
-        return None if domain is None and corner is None else PointPlacement(domain, corner, folding)
+        return None if domain is None and corner is None else PointPlacement(domain, corner)
 
     @property
     def _placed_tables(self) -> Tables:
@@ -340,6 +340,11 @@ class PLR(HeldFile):
 
     @cached_property
     def _tables_from_corner(self) -> Tables:
-        if self.tables.folding is not None:
-            return self.tables.of_folded_points()
-        return self.tables.from_corner(self.domain)
+        return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
+
+
+def tables_of_contents(contents: Contents, origin: Corner, num_bytes: int) -> Tables:
+    """What queries read of a file of so many bytes, for points counted from an origin."""
+    domain, numbers = counted_from(contents, origin)
+    tables = build_tables(domain, contents.cells, numbers, contents.leaf, num_bytes)
+    return tables.of_folding(contents.folding, origin)

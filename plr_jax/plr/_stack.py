@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import prod
 
 import jax
@@ -13,6 +14,7 @@ from plr_jax._arrays import mixed, padded, padded_size, shortened, size_in_eight
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.query.frame import Outside, as_outside
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.points import as_array
@@ -152,13 +154,14 @@ class PLRStack:
     def __len__(self) -> int:
         return self.group.shape[0]
 
-    def __call__(self, index: ArrayLike, x: ArrayLike) -> Float[Array, "*batch"]:
+    def __call__(self, index: ArrayLike, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Distance of each point by the PLR of its index.
 
         Args:
             index: Indices of PLRs, integers of any shape that broadcasts with the batch.
             x: Points, ``(..., dim)``, NumPy or JAX. NumPy's 64-bit points are rounded as JAX rounds them: in a
                 domain far from the origin, a PLR alone places them better.
+            outside: What points outside the domain of their PLR get, as for :func:`evaluate`.
 
         Returns:
             Distances, of the shape to which index and batch broadcast: what the PLR of the index answers, up
@@ -166,7 +169,8 @@ class PLRStack:
             the index is not that of a PLR; negative ones do not count from the end.
 
         Raises:
-            ValueError: If ``x`` has another last axis than ``dim``, or ``index`` holds no integers.
+            ValueError: If ``x`` has another last axis than ``dim``, ``index`` holds no integers, or ``outside`` is
+                none of the three.
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_array(x)
@@ -174,7 +178,7 @@ class PLRStack:
             raise ValueError(f"index must hold integers, numbers of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:
             raise ValueError(f"Points must have shape (..., {self.dim}), got {x.shape}.")
-        return _evaluate(self, index, x)
+        return _evaluate(self, index, x, as_outside(outside))
 
 
 def stack(plrs: Sequence[PLR]) -> PLRStack:
@@ -257,8 +261,8 @@ def _numbers_of_leaves(plr: PLR) -> Float[np.ndarray, "leaves count"]:
     return np.asarray(plr.tables.numbers)[:, : plr.num_leaves].T
 
 
-@jax.jit
-def _evaluate(stacked: PLRStack, index: Array, x: Array) -> Float[Array, "*batch"]:
+@partial(jax.jit, static_argnames="outside")
+def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside) -> Float[Array, "*batch"]:
     shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])
     index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
@@ -268,33 +272,42 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array) -> Float[Array, "*batch
     value = None
     for number, alike in enumerate(stacked.groups):
         here = group == number
-        of_group = evaluate_tables(alike.pick(jnp.where(here, place, jnp.uint32(0))), x)
+        of_group = evaluate_tables(alike.pick(jnp.where(here, place, jnp.uint32(0))), x, outside)
         value = of_group if value is None else jnp.where(here, of_group, value)
     assert value is not None
     return jnp.where(is_one, value, jnp.nan)
 
 
-def evaluate(plr: PLR, x: ArrayLike) -> Float[Array, "*batch"]:
+def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
     """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
 
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
     everywhere, and zero where the distance is ``inf``.
+
+    An optimizer that may leave the domain asks with ``outside="clamp"``: there the value is that at the nearest point
+    of the domain and the way to it, in a straight line, so that to descend is to return::
+
+        step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
     Args:
         plr: The PLR, of any leaf model.
         x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
             least 32 bits; coefficients are 32-bit floats. NumPy's 64-bit points are placed in 64 bits where the
             domain is far from the origin.
+        outside: What points outside the domain get: ``"inf"``; ``"clamp"``, the value at the nearest point of the
+            domain plus the straight-line distance to it in coordinates, ``inf`` if a coordinate is infinite; or
+            ``"nan"``. It changes no answer inside. Along a periodic axis no finite coordinate is outside.
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
         value, in an obstacle too, except in leaves of which nothing reaches the goal and that touch no leaf of which
-        something does. Those, and points outside the domain, get ``inf``; a NaN coordinate gives NaN. Cones answer a
-        finite number everywhere in the domain, where the goal cannot be reached as well. The upper edge of the domain
-        belongs to the last cell; that of a periodic axis is its lower edge, and points are wrapped around it, NumPy's
-        64-bit ones in 64 bits. An approximation may be a little below 0 near the goal.
+        something does. Those get ``inf``; a NaN coordinate gives NaN. Cones answer a finite number everywhere in the
+        domain, where the goal cannot be reached as well. The upper edge of the domain belongs to the last cell; that
+        of a periodic axis is its lower edge, and points are wrapped around it, NumPy's 64-bit ones in 64 bits. An
+        approximation may be a little below 0 near the goal.
 
     Raises:
-        ValueError: If the last axis of ``x`` is not ``dim`` long, or its numbers are not real.
+        ValueError: If the last axis of ``x`` is not ``dim`` long, its numbers are not real, or ``outside`` is none of
+            the three.
     """
-    return plr(x)
+    return plr(x, outside=outside)

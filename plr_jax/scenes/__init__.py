@@ -3,12 +3,17 @@
 from plr_jax.scenes._crowded import crowd, door
 from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
+from plr_jax.scenes._geojson import read_geojson
+from plr_jax.scenes._map_server import read_map_server
 from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
 from plr_jax.scenes._perturbed import perturbed
+from plr_jax.scenes._pictures import read_image
 from plr_jax.scenes._polygons import read_polygons
 from plr_jax.scenes._published import cross, floor_plan, four_rooms, maze, single_door, tangle, thin_maze
+from plr_jax.scenes._workspaces import MAP_ENDINGS, read_workspace
 
 __all__ = [
+    "MAP_ENDINGS",
     "Scenario",
     "cross",
     "crowd",
@@ -21,10 +26,14 @@ __all__ = [
     "perturbed",
     "read_cells",
     "read_dbcbs",
+    "read_geojson",
+    "read_image",
     "read_map",
+    "read_map_server",
     "read_polygons",
     "read_scen",
     "read_trajectories",
+    "read_workspace",
     "save",
     "single_door",
     "tangle",

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import shortened
 from plr_jax._documents import errors_named, text_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._polygons import rings_of
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4
@@ -43,8 +41,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     """
     path = Path(path)
     with errors_named(path):
-        polygons = shapely.get_parts(_union_of_cells(_passable_cells(text_of(path).splitlines())))
-        return Workspace.from_polygons([rings_of(polygon) for polygon in polygons], squeeze=squeeze)
+        return Workspace.from_mask(_passable_cells(text_of(path).splitlines()), tolerance=0, squeeze=squeeze)
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
@@ -93,16 +90,6 @@ def _header(lines: list[str]) -> tuple[int, int]:
     raise ValueError(
         "not a Moving AI map: expected the lines 'type octile', 'height N', 'width N', 'map' at its beginning."
     )
-
-
-def _union_of_cells(free: Bool[np.ndarray, "rows columns"]) -> shapely.Geometry:
-    # Runs of free cells along a row are boxes already; the union only has to join rows.
-    steps = np.diff(free.astype(np.int8), axis=1, prepend=0, append=0)
-    row, first = np.nonzero(steps == 1)
-    _, last = np.nonzero(steps == -1)
-    runs = shapely.box(first, row, last, row + 1)
-    # Tolerance 0 drops the points that the union leaves where two rows meet on a straight wall.
-    return shapely.simplify(shapely.union_all(runs), 0.0)
 
 
 @dataclass(frozen=True, eq=False)

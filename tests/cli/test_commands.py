@@ -6,13 +6,14 @@ import warnings
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import plr_jax
 from plr_jax import Box, VisibilityGraph, construct, scenes
 from plr_jax.cli import load_app
 from plr_jax.oracles.cells.cell_sources import VisibleSources
-from plr_jax.plr import load, save
+from plr_jax.plr import from_bytes, load, save
 from plr_jax.plr.leaves import leaf_names
 
 runner, app = CliRunner(), load_app()
@@ -62,12 +63,40 @@ def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
     assert result.exit_code == 0
     assert path.stat().st_size <= 700
     plr = load(path)
-    assert f"{path}: {path.stat().st_size} bytes, {plr.num_leaves:,} leaves, depth {plr.depth}" in result.stdout
+    assert f"{path}: {path.stat().st_size} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}" in result.stdout
+    assert plr.label == "maze --goal=0.06,0.07"
     assert f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven (" in result.stdout
     largest, mean = map(float, re.search(r"error   max (\S+), mean (\S+) over", result.stdout).groups())
     assert 0 < mean < largest <= plr.max_error
     for word in ("% of the largest distance", "s to build"):
         assert word in result.stdout
+
+
+def test_a_picture_is_built_and_drawn_and_its_specks_are_told(tmp_path):
+    gray = np.full((400, 400), 255, np.uint8)
+    gray[50:60, :150], gray[100, 100] = 0, 0
+    Image.fromarray(gray).save(tmp_path / "scan.png")
+    path, options = tmp_path / "scan.plr", ["--goal", "1,1", "--resolution", 0.05]
+    result = run("build", tmp_path / "scan.png", *options, "-o", path, "--max-leaves", 40, "--leaf", "plane")
+    assert result.exit_code == 0, result.output
+    assert "map     12 vertices, 4 of them of specks (1; --drop-specks N drops" in result.stdout
+    assert result.stderr == ""
+    np.testing.assert_allclose(load(path).domain.hi, 20)
+    result = run("plot", path, "--map", tmp_path / "scan.png", *options, "-o", tmp_path / "scan.svg")
+    assert result.exit_code == 0, result.output
+    dropped = run("build", tmp_path / "scan.png", *options, "--drop-specks", 1, "-o", path, "--max-leaves", 8)
+    assert "map     8 vertices\n" in dropped.stdout
+
+
+def test_a_budget_that_cannot_name_the_corners_is_not_tried_with_leaves_that_do(tmp_path):
+    gray = np.full((60, 60), 255, np.uint8)
+    gray[3::6, 3::6] = 0
+    Image.fromarray(gray).save(tmp_path / "dots.png")
+    for max_bytes, is_tried in ((300, False), (2000, True)):
+        options = ["--goal", "1,1", "-o", tmp_path / "dots.plr", "--max-bytes", max_bytes]
+        result = run("build", tmp_path / "dots.png", *options)
+        assert result.exit_code == 0, result.output
+        assert ("cone" in result.stdout) == is_tried
 
 
 def test_build_takes_every_kind_of_map(tmp_path):
@@ -114,12 +143,36 @@ def test_build_is_construct(tmp_path):
     options = [word for name, value in limits.items() for word in (f"--{name.replace('_', '-')}", value)]
     workspace = scenes.maze().workspace
     oracle = VisibilityGraph(workspace, scenes.maze().goals[0])
+    label = "maze --goal=0.06,0.07"
+    limits["max_bytes"] -= len(label) + 4  # for which there is room in the file
     built = {leaf: construct(oracle, workspace.bounds, leaf=leaf, certified=True, **limits) for leaf in leaf_names()}
     for leaf, plr in built.items():
         assert run("build", "maze", "--leaf", leaf, "-o", tmp_path / "out.plr", *options).exit_code == 0
-        assert (tmp_path / "out.plr").read_bytes() == plr.to_bytes()
+        assert (tmp_path / "out.plr").read_bytes() == plr.with_label(label).to_bytes()
     assert run("build", "maze", "-o", tmp_path / "best.plr", *options).exit_code == 0
     assert load(tmp_path / "best.plr").max_error == min(plr.max_error for plr in built.values())
+
+
+def test_build_begins_a_file_with_coarser_ones(tmp_path):
+    path, prefixes = tmp_path / "out.plr", (300, 1000)
+    options = [word for prefix in prefixes for word in ("--prefix", prefix)]
+    result = run("build", "maze", "-o", path, "--leaf", "cone", "--max-bytes", 4000, *options)
+    assert result.exit_code == 0, result.output
+    plr, data = load(path), path.read_bytes()
+    assert len(data) <= 4000 and len(plr.file_marks) == 2
+    x = scenes.maze().workspace.sample_free(2000, seed=0)
+    exact, errors = VisibilityGraph(scenes.maze().workspace, scenes.maze().goals[0])(x), []
+    for most, mark in zip((*prefixes, 4000), (*plr.file_marks, len(data)), strict=True):
+        assert most - 100 < mark <= most
+        found = from_bytes(data[:mark])
+        errors.append(found.max_error)
+        assert np.abs(np.asarray(found(x)) - exact).max() <= found.max_error
+        assert found.label == plr.label
+    assert errors == sorted(errors, reverse=True)
+    assert f"coarser in its first {plr.file_marks[0]}, {plr.file_marks[1]}" in result.stdout
+    assert f"in its first {plr.file_marks[0]}, " in run("info", path).stdout
+    assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--prefix", 500, "--prefix", 400)
+    assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--max-bytes", 500, "--prefix", 500)
 
 
 def test_build_knows_the_floor_plan(tmp_path):
@@ -214,6 +267,7 @@ def test_info_says_what_is_in_the_file(maze):
     plr = load(maze)
     assert result.exit_code == 0
     assert f"leaf       {maze.stem}\n" in result.stdout
+    assert "label      maze --goal=0.06,0.07\n" in result.stdout
     assert "[0.0, 0.0] to [1.0, 1.0] (2-D)" in result.stdout
     assert f"{plr.num_leaves:,}, of which 0 unreachable" in result.stdout
     assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
@@ -233,6 +287,24 @@ def test_plot_writes_pictures(kind, plane, tmp_path):
     assert result.exit_code == 0, result.output
     assert path.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {path}" in result.stdout
+
+
+@pytest.mark.parametrize("kind", ["distance", "error"])
+def test_plot_knows_map_and_goal_from_the_file(kind, plane, tmp_path):
+    for name, options in (("own", []), ("given", ["--map", "maze"])):
+        result = run("plot", plane, *options, "--kind", kind, "-o", tmp_path / f"{name}.png")
+        assert result.exit_code == 0, result.output
+    assert (tmp_path / "own.png").read_bytes() == (tmp_path / "given.png").read_bytes()
+
+
+def test_plot_finds_a_map_beside_the_file(tmp_path, monkeypatch):
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "a.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
+    monkeypatch.chdir(tmp_path / "maps")
+    assert run("build", "a.map", "--goal", "0.5,0.5", "--leaf", "cone").exit_code == 0
+    monkeypatch.chdir(tmp_path)
+    result = run("plot", tmp_path / "maps" / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
+    assert result.exit_code == 0, result.output
 
 
 def test_plot_needs_no_map(plane, tmp_path):
@@ -265,10 +337,14 @@ def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypat
 
 
 def test_plot_explains_mistakes(plane, tmp_path):
-    assert "give --map" in mistake("plot", plane, "--kind", "error", "-o", tmp_path / "a.png")
+    unlabeled = tmp_path / "unlabeled.plr"
+    save(load(plane).with_label(""), unlabeled)
+    assert "give --map" in mistake("plot", unlabeled, "--kind", "error", "-o", tmp_path / "a.png")
     assert "a.docx must end in .png or .pdf or .svg" in mistake("plot", plane, "-o", tmp_path / "a.docx")
     assert "none: No such folder" in mistake("plot", plane, "-o", tmp_path / "none" / "a.png")
-    assert "--goal needs --map" in mistake("plot", plane, "--goal", "0,0", "-o", tmp_path / "a.png")
+    assert "--goal needs --map" in mistake("plot", unlabeled, "--goal", "0,0", "-o", tmp_path / "a.png")
+    save(load(plane).with_label("elsewhere.png --goal=0,0"), unlabeled)
+    assert "elsewhere.png" in mistake("plot", unlabeled, "-o", tmp_path / "a.png")
 
 
 def test_demo_writes_what_it_says(tmp_path, monkeypatch):

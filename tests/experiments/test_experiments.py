@@ -23,6 +23,7 @@ SMOKED = [
         "continuity",
         "descent",
         "grid_pairs",
+        "maps",
         "placement",
         "trajectory",
         "refinement",
@@ -105,6 +106,14 @@ def test_pairs_of_a_grid_are_never_above_the_truth_and_closer_than_landmarks(smo
         assert row["violations"] == 0 and row["pairs"] > 100
         assert own["exact"] == 1 and own["mean_gap"] < 1e-5
         assert row is own or (row["mean_gap"] > 1e-3 and row["exact"] < 1)
+
+
+def test_polygons_of_pictures_are_near_their_pixels_and_open_where_these_are(smoke):
+    rows = record_in(smoke("maps"), "maps")["results"]["rows"]
+    assert [row["map"] for row in rows] == ["scan", "plan"]
+    for row in rows:
+        assert row["hausdorff"] <= 0.5 and row["passages"] > 1000 and row["closed_passages"] == 0
+        assert row["bytes"] <= 4096 and row["mean_error"] < 0.01 * row["mean_distance"]
 
 
 def test_placements_are_free_and_no_dearer_than_their_rivals(smoke):

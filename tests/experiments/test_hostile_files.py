@@ -7,7 +7,7 @@ import pytest
 from experiments import hostile_files
 from experiments._mutations import READERS, Reader, hostile
 from experiments.hostile_files import Outcome, attempt, outcomes
-from plr_jax.plr.file.container import Container
+from plr_jax.plr.file.container import Container, Header
 
 NUMBER = 60
 
@@ -26,13 +26,20 @@ def test_damaged_files_are_read_or_refused_by_name(name, tmp_path):
         assert (data == hostile(reader, valid, 0, number)) and outcome.growth < hostile_files.MOST_GROWTH
 
 
-def test_a_mutated_plr_file_has_a_checksum_that_fits():
-    reader = READERS["PLR"]
-    data = reader.valid()[0]
-    assert reader.repaired(data) == data
-    cut = reader.repaired(data[:-9])
-    assert len(cut) == len(data) - 9
-    Container.from_bytes(cut)
+@pytest.mark.parametrize("name", ["PLR", "pairs"])
+def test_a_mutated_plr_file_has_checksums_that_fit(name):
+    reader = READERS[name]
+    files = reader.valid()
+    for data in files:
+        assert reader.repaired(data) == data
+        if Header.read(data).marks[:1] != (len(data),):  # of which nothing can be cut off
+            cut = reader.repaired(data[:-9])
+            assert len(cut) == len(data) - 9
+            assert len(Container.from_bytes(cut).layers) == len(Container.from_bytes(data).layers)
+        start = len(Header.read(data).data)
+        changed = data[:start] + bytes([data[start] ^ 1]) + data[start + 1 :]
+        assert reader.repaired(changed) != changed and Container.from_bytes(reader.repaired(changed))
+    assert sum(len(Container.from_bytes(data).layers) == 2 for data in files) == 1
 
 
 def unnamed(path):

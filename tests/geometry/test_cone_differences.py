@@ -86,7 +86,7 @@ def test_extremes_hold_for_pieces_as_clipping_leaves_them(seed):
     corner = whole[:, 0, 0]
     width = np.ptp(whole[:, 0], axis=1)
     lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
-    pieces = clip_to_box(whole, lo, hi)
+    pieces = clip_to_box(whole, lo, hi)[0]
     n = pieces.shape[1]
     assert n
     one, two, zero = np.tile(corner, (n, 1)), apexes_beside(rng, pieces), np.zeros(n)

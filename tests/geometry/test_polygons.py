@@ -18,6 +18,7 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 def test_rings_and_polygons_become_polygons():
     assert as_polygon("P", SQUARE).equals(shapely.box(0, 0, 1, 1))
     assert as_polygon("P", [*SQUARE, SQUARE[0]]).equals(shapely.box(0, 0, 1, 1))
+    assert as_polygon("P", shapely.LinearRing(SQUARE)).equals(shapely.box(0, 0, 1, 1))
     ring = shapely.Polygon(SQUARE)
     assert as_polygon("P", ring) is ring
 

@@ -28,7 +28,7 @@ def free_pieces(workspace, rng, n):
         lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
         if rng.random() < 0.3:
             lo, hi = np.floor(lo), np.ceil(hi)
-        parts.append(clip_to_box(triangles, lo, hi))
+        parts.append(clip_to_box(triangles, lo, hi)[0])
     pieces = np.concatenate(parts, axis=1)
     return pieces[:, rng.permutation(pieces.shape[1])[:n]]
 

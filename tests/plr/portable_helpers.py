@@ -97,25 +97,25 @@ class SlowReader:
         self.plr, self.contents, self.folding = plr, contents, contents.folding
         self.outer, self.box = plr.domain, contents.domain
         self.is_far, f32 = is_far(plr), np.float32
-        lo, hi = self.box.lo, self.box.hi
-        down, up = lo.astype(f32), hi.astype(f32)
-        down = np.where(down > lo, np.nextafter(down, f32(-np.inf)), down)
-        up = np.where(up < hi, np.nextafter(up, f32(np.inf)), up)
-        self.origin = down.astype(float) if self.is_far and self.folding is None else np.zeros(plr.dim)
+        self.origin = self.outer.lo if self.is_far else np.zeros(plr.dim)
+        self.ends = _outward(self.outer.lo - self.origin, self.outer.hi - self.origin)
+        of_leaves = self.origin if self.folding is None else np.zeros(plr.dim)
+        lo, hi = self.box.lo - of_leaves, self.box.hi - of_leaves
+        self.lo, self.hi = down, up = _outward(lo, hi)
         rest = [np.nextafter(r.astype(f32), f32(-1)) for r in (lo - down, up - hi)]
-        self.lo, self.hi = (down - self.origin).astype(f32), (up - self.origin).astype(f32)
         self.rest = [np.maximum(r, f32(0)) for r in rest]
         self.scale = (1 / (hi - lo)).astype(f32)
         self.start = (1 - (lo - down) / (hi - lo)).astype(f32)
         top = 2 - 2.0**-23 - self.start.astype(float)
         self.top = top.astype(f32)
         self.top = np.where(self.top > top, np.nextafter(self.top, f32(0)), self.top)
-        self.numbers = self._numbers(down)
+        self.numbers = self._numbers(of_leaves + down)
 
     def _numbers(self, down):
         contents, leaf = self.contents, self.contents.leaf
         if leaf.name not in ("plane", "cone") or leaf.unreachable(contents.stored).any():
-            return np.asarray(self.plr.leaf.numbers(self.box, contents.cells, self.plr._coefficients), np.float32)
+            numbers = self.plr.leaf.numbers(self.box, contents.cells, self.plr._coefficients, down)
+            return np.asarray(numbers, np.float32)
         coefficients = leaf.coefficients(contents.cells, contents.stored)
         if leaf.name == "cone":
             return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down]).astype(np.float32)
@@ -159,36 +159,28 @@ class SlowReader:
         if isinstance(x[0], np.float64):
             ends = zip(periodic, x, self.outer.lo, self.outer.hi, strict=True)
             x = [_wrapped(along, lo, hi, 1 / (hi - lo), 0.0) if p else along for p, along, lo, hi in ends]
-        if self.folding is not None:
-            x = x if self.is_far else [f32(along) for along in x]
-            lo, hi = (self.outer.lo, self.outer.hi) if self.is_far else _outward(self.outer)
-            if not all(p or a <= along <= b for p, along, a, b in zip(periodic, x, lo, hi, strict=True)):
-                return None
-            x = self._folded(x)
-        elif self.is_far:
-            x = [f32(along - origin) for along, origin in zip(x, self.origin, strict=True)]
+        if self.is_far:
+            x = [along - origin for along, origin in zip(x, self.origin, strict=True)]
         z = [f32(along) for along in x]
-        ends = zip(z, self.lo, self.hi, strict=True)
-        if self.folding is None and not all(
-            p or a <= along <= b for p, (along, a, b) in zip(periodic, ends, strict=True)
-        ):
+        if not all(p or a <= along <= b for p, along, a, b in zip(periodic, z, *self.ends, strict=True)):
             return None
+        z = z if self.folding is None else self._folded(z)
         for axis in np.flatnonzero(periodic):
             a, b = self.lo[axis] + self.rest[0][axis], self.hi[axis] - self.rest[1][axis]
             z[axis] = _wrapped(z[axis], a, b, self.scale[axis], f32(2.0**-44) * max(abs(a), abs(b)))
         return z
 
     def _folded(self, x):
-        folding, of_type = self.folding, np.float64 if self.is_far else np.float32
-        center = folding.center.astype(of_type)
-        rest = (folding.center - center).astype(of_type)
+        folding, f32 = self.folding, np.float32
+        center = (folding.center - self.origin).astype(f32)
+        rest = (folding.center - self.origin - center).astype(f32)
         z = [(along - c) - r for along, c, r in zip(x, center, rest, strict=True)]
         if folding.is_turned:
-            z = [_sum([a * along for a, along in zip(row, z, strict=True)]) for row in folding.axes.astype(of_type)]
+            z = [_sum([a * along for a, along in zip(row, z, strict=True)]) for row in folding.axes.astype(f32)]
         for mirror, pivot in zip(folding.mirrors, folding.pivots, strict=True):
             if z[pivot] < 0:
                 z = [-along if is_reversed else along for along, is_reversed in zip(z, mirror, strict=True)]
-        lo, hi = folding.box.lo.astype(of_type), folding.box.hi.astype(of_type)
+        hi, lo = _outward(folding.box.hi, folding.box.lo)  # inward: as if they were lower and upper ones
         limits = zip(z, lo, hi, self.outer.periodic, strict=True)
         return [along if p else min(max(along, a), b) for along, a, b, p in limits]
 
@@ -242,9 +234,9 @@ def _wrapped(x, a, b, scale, tolerance):
     return a if abs(x - b) <= tolerance else moved
 
 
-def _outward(box):
-    lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
+def _outward(lo, hi):
+    down, up = lo.astype(np.float32), hi.astype(np.float32)
     return (
-        np.where(lo > box.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
-        np.where(hi < box.hi, np.nextafter(hi, np.float32(np.inf)), hi),
+        np.where(down > lo, np.nextafter(down, np.float32(-np.inf)), down),
+        np.where(up < hi, np.nextafter(up, np.float32(np.inf)), up),
     )

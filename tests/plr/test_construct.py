@@ -144,7 +144,7 @@ def test_many_axes_can_still_be_split():
     ("options", "message"),
     [
         ({"max_leaves": 0}, "max_leaves must be an integer >= 1"),
-        ({"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes 6. bytes"),
+        ({"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes 2. bytes"),
         ({"tolerance": -0.1}, "tolerance must be a finite number of at least 0"),
         ({"num_samples": 2}, "num_samples must be an integer >= 3, got 2"),
         ({"num_samples": 4, "leaf": "continuous"}, "num_samples must be an integer >= 5, got 4"),

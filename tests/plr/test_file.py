@@ -10,7 +10,7 @@ from plr_helpers import UNIT, contents_of_planes, points, random_contents, seale
 
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.box import Box
-from plr_jax.plr import Plane, construct, from_bytes, load
+from plr_jax.plr import Plane, construct, from_bytes, load, progressive, save
 from plr_jax.plr._file import decode, decode_cells, encode
 from plr_jax.plr.file.container import Container, Header, Layer
 from plr_jax.plr.leaves.plane.codec import StoredPlanes
@@ -167,14 +167,22 @@ def test_up_to_each_mark_a_file_is_the_coarser_plr(layered, tmp_path):
             np.testing.assert_array_equal(cut.bounds(x), plr.bounds(x))
 
 
-def test_layers_and_labels_are_kept_when_a_file_is_written_again(layered):
+def test_the_cells_of_the_last_layer_there_is_are_read_alone(layered):
     plrs, data = layered
-    assert encode(decode(data)) == data
-    for number, end in enumerate(ends(data), 1):
-        again = encode(decode(data[:end]))
-        assert len(decode(again).coarser) == number - 1 and decode(again).label == "walls"
-        assert encode(decode(again)) == again and ends(again)[-1] == len(again) <= end
-        np.testing.assert_array_equal(decode_cells(data[:end]).position, plrs[number - 1].cells.position)
+    for end, plr in zip(ends(data), plrs, strict=True):
+        np.testing.assert_array_equal(decode_cells(data[:end]).position, plr.cells.position)
+
+
+def test_progressive_files_are_such_and_keep_their_label_when_they_are_written_again(layered, tmp_path):
+    plrs, data = layered
+    whole = progressive(plrs).with_label("walls")
+    assert whole.to_bytes() == data and whole.file_marks == ends(data)[:-1] and whole.label == "walls"
+    save(whole, tmp_path / "whole.plr")
+    assert load(tmp_path / "whole.plr").to_bytes() == data
+    for mark in whole.file_marks:
+        assert from_bytes(data[:mark]).label == "walls"
+    assert whole.with_label("").with_label("walls").to_bytes() == data
+    assert from_bytes(whole.with_label("").to_bytes()).label == ""
 
 
 def test_every_truncation_of_layers_but_at_marks_and_every_flipped_bit_is_refused(layered):

@@ -1,11 +1,13 @@
 import pickle
+import tracemalloc
 
 import jax
 import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax.plr import Plane, construct, from_bytes, load, save
+from plr_jax.plr import Plane, _io, construct, from_bytes, load, save
+from plr_jax.plr.file import container
 
 
 def assert_same(one, other):
@@ -55,16 +57,16 @@ def test_saving_leaves_no_other_files_and_replaces(tmp_path):
         (lambda data: data[:-50], "truncated or corrupt"),
         (lambda data: data[:60] + b"\xaa\xaa" + data[62:], "checksum"),
         (
-            lambda data: data[:4] + b"\x09" + data[5:],
-            "format version 9, this release reads versions 2 to 4; update plr_jax",
+            lambda data: data[:2] + b"\x29" + data[3:],
+            "format version 9, this release reads version 5; update plr_jax",
         ),
         (
-            lambda data: data[:4] + b"\x01" + data[5:],
-            "format version 1, this release reads versions 2 to 4; build it again",
+            lambda data: b"PLR\n\x02" + data,
+            "a format version before 5, which this release reads; build it again",
         ),
         (
-            lambda data: b"CPL\n\x01" + data[5:],
-            "format version 1, this release reads versions 2 to 4; build it again",
+            lambda data: b"CPL\n\x01" + data,
+            "a format version before 5, which this release reads; build it again",
         ),
     ],
 )
@@ -80,18 +82,33 @@ def test_a_missing_file_is_an_os_error(tmp_path):
         load(tmp_path / "none.plr")
 
 
-def test_of_a_file_that_goes_on_no_more_is_read_than_its_header_states(tmp_path):
-    path = tmp_path / "long.plr"
-    data = construct(walled, UNIT, max_leaves=4).to_bytes()
+def refused_for_little(path, message, most):
+    """Whether a file is refused for no more memory than what may be read of it."""
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=message):
+        load(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak < most
+
+
+def test_of_a_file_that_goes_on_no_more_is_read_than_a_plr_may_have(tmp_path, monkeypatch):
+    path, data = tmp_path / "long.plr", construct(walled, UNIT, max_leaves=4).to_bytes()
+    most = 2**20
+    for module in (_io, container):
+        monkeypatch.setattr(module, "MOST_BYTES", most)
     with open(path, "wb") as file:
         file.write(data)
         file.truncate(1 << 40)
-    with pytest.raises(ValueError, match=f"long.plr cannot .* it has more bytes, its header states {len(data)}"):
-        load(path)
+    assert refused_for_little(path, "long.plr cannot be read as a PLR: it has more than 1,048,576 bytes", 3 * most)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"), [(b"", "does not start like a PLR file"), (b"PLR\n\x02", "a format version before 5")]
+)
+def test_of_other_files_only_the_start_is_read(start, message, tmp_path):
+    path = tmp_path / "long.plr"
     with open(path, "wb") as file:
+        file.write(start)
         file.truncate(1 << 40)
-    with pytest.raises(ValueError, match="does not start like a PLR file"):
-        load(path)
-    path.write_bytes(data[:4] + b"\x01" + data[5:])
-    with pytest.raises(ValueError, match="format version 1, this release reads versions 2 to 4; build it again"):
-        load(path)
+    assert refused_for_little(path, message, 2**18)

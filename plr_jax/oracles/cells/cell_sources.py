@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import run_members
+from plr_jax._arrays import parts, run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cone_differences import difference_of_cones
@@ -18,10 +18,9 @@ from plr_jax.geometry.convex_pieces import (
     centers,
     clip_to_box,
     contain,
-    convex_pieces,
     cut_parts,
 )
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.turn_regions import TurnRegions
 from plr_jax.oracles.cells.sight import Sight, Walls
 
 _CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many
@@ -166,27 +165,30 @@ class VisibleSources:
         )
 
 
-def visible_sources(sight: Sight, workspace: Workspace, domain: Box) -> VisibleSources:
+def visible_sources(sight: Sight, regions: TurnRegions, domain: Box) -> VisibleSources:
     """Those of the domain as one cell: the triangles of free space, and all sources that each may use."""
-    pieces = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
-    usable = np.append(0, sight.turns.vertex)
-    step = max(1, _CHUNK // len(usable))
+    triangles = regions.triangulation.triangles.transpose(2, 0, 1)
+    pieces, triangle = clip_to_box(triangles, domain.lo, domain.hi)
     # Of no pieces, one part without any.
-    found = [_of_triangles(sight, pieces, begin, step, usable) for begin in range(0, max(1, pieces.shape[1]), step)]
+    chunks = parts(np.diff(regions.first)[triangle] + 1, _CHUNK) or [slice(0, 0)]
+    found = [_of_triangles(sight, regions, pieces, triangle, chunk) for chunk in chunks]
     first, *others = found
     return replace(first.append(*others), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
 
 
 def _of_triangles(
-    sight: Sight, pieces: Pieces, begin: int, step: int, usable: Int[np.ndarray, "usable"]
+    sight: Sight, regions: TurnRegions, pieces: Pieces, triangle: Int[np.ndarray, "pieces"], chunk: slice
 ) -> VisibleSources:
-    """Some of the triangles as one cell, and all sources that each may use."""
-    part = pieces[:, begin : begin + step]
+    """Some pieces of triangles as one cell: the goal and the turn points that see some of its triangle for each."""
+    part, origin = pieces[:, chunk], np.arange(pieces.shape[1])[chunk]
     count = part.shape[1]
-    piece, source = np.repeat(np.arange(count), len(usable)), np.tile(usable, count)
-    cell, origin, unknown = np.zeros(count, int), begin + np.arange(count), np.full(count, np.inf)
-    center, by_all = centers(part), np.zeros(len(piece), bool)
-    unsettled = VisibleSources(sight, 1, cell, part, origin, center, unknown, cell, piece, source, by_all)
+    entry, piece = run_members(regions.first, triangle[chunk])
+    piece = np.concatenate([np.arange(count), piece])
+    source = np.concatenate([np.zeros(count, int), regions.turns.vertex[regions.turn[entry]]])
+    order = np.argsort(piece, kind="stable")
+    piece, source = piece[order], source[order]
+    cell, unknown, by_all = np.zeros(count, int), np.full(count, np.inf), np.zeros(len(piece), bool)
+    unsettled = VisibleSources(sight, 1, cell, part, origin, centers(part), unknown, cell, piece, source, by_all)
     return _settled(unsettled, np.ones(count, bool))
 
 

@@ -52,7 +52,8 @@ MOST_BYTES = 2**28
 """Bytes of the largest file."""
 MOST_AXES = 255
 """Of a domain."""
-_MAGIC = b"P\xb5"
+MAGIC = b"P\xb5"
+"""What every file of this version begins with."""
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of versions before
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15
@@ -97,7 +98,7 @@ class Header:
             raise ValueError(f"A file has room for {MOST_AXES} axes, got a domain of {dim}.")
         fits, label = dim <= _MOST_IN_BITS, self.label.encode()
         flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
-        parts = [_MAGIC, bytes([VERSION | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
+        parts = [MAGIC, bytes([VERSION | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
         parts += [b"" if fits else varint(dim), domain]
         if self.folding is not None:
             parts.append(folding_to_bytes(self.folding))
@@ -116,9 +117,9 @@ class Header:
         if data.startswith(_EARLIER):
             raise ValueError(f"it has a format version before {VERSION}, which this release reads; build it again")
         reader = ByteReader(data)
-        if data[: len(_MAGIC)] != _MAGIC:
+        if data[: len(MAGIC)] != MAGIC:
             raise ValueError("it does not start like a PLR file")
-        reader.take(len(_MAGIC))
+        reader.take(len(MAGIC))
         first, second = reader.take(2)
         if (version := first & 15) != VERSION:
             remedy = "update plr_jax" if version > VERSION else "build it again"

@@ -1,7 +1,7 @@
 """What answers from tables and holds the file that they were made of."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import jax
 import numpy as np
@@ -12,6 +12,7 @@ from plr_jax.plr.file.container import MOST_LABEL_BYTES, Container, Header
 if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
 
+Held = TypeVar("Held", bound="HeldFile")
 _SIZE_BYTES = 4
 
 
@@ -43,7 +44,7 @@ class HeldFile:
         """What the file says of itself, any text: which map, which goal. Empty if it says nothing."""
         return Header.read(self.to_bytes()).label
 
-    def with_label(self, label: str) -> Self:
+    def with_label(self: Held, label: str) -> Held:
         """The same with another label.
 
         Args:
@@ -55,7 +56,7 @@ class HeldFile:
         Raises:
             ValueError: If it is no text, or longer.
         """
-        if not isinstance(label, str) or not 0 <= len(label.encode(errors="replace")) <= MOST_LABEL_BYTES:
+        if not isinstance(label, str) or not _fits(label):
             raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
         if label == self.label:
             return self
@@ -66,6 +67,13 @@ class HeldFile:
     def resident_bytes(self) -> int:
         """Bytes of the tables that a query reads."""
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
+
+
+def _fits(label: str) -> bool:
+    try:
+        return len(label.encode()) <= MOST_LABEL_BYTES
+    except UnicodeEncodeError:  # half a surrogate pair
+        return False
 
 
 def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":

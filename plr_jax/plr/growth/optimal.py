@@ -26,7 +26,7 @@ _RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
 _MUCH_ROOM = 8.0  # times as large a tree may be yet, far from the limits
 _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
-_BITS_A_LEAF = 5.0  # about as many as one more takes
+_BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # about as many as one more takes, and what it is the first to name
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
@@ -96,13 +96,20 @@ class _Tree:
         return len(self.leaves.cells)
 
 
-def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> Any:
-    """The leaves of the best tree within the limits; ``size`` is the bytes of a file of some leaves.
+def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int], num_sources: int = 0) -> Any:
+    """The leaves of the best tree within the limits.
+
+    Args:
+        root: The domain as a box.
+        limits: The limits.
+        size: Gives the bytes of a file of some leaves.
+        num_sources: How many sources leaves may name; a file holds those that they do. Going by them the search goes
+            less far beyond its limits.
 
     Raises:
         ValueError: If the budget of bytes is too small for one leaf.
     """
-    search = _Search(root, limits, size)
+    search = _Search(root, limits, size, num_sources)
     tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
     if not search.fits(tree):
         raise ValueError(
@@ -114,8 +121,8 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int]) -> A
 class _Search:
     """The search of a price, and the boxes that were looked at so far."""
 
-    def __init__(self, root: Boxes, limits: Limits, size: Callable[[Any], int]) -> None:
-        self._levels, self._limits, self._size = [_level_of(root)], limits, size
+    def __init__(self, root: Boxes, limits: Limits, size: Callable[[Any], int], num_sources: int) -> None:
+        self._levels, self._limits, self._size, self._num_sources = [_level_of(root)], limits, size, num_sources
 
     def tree(self, price: float, least_share: float, is_final: bool = False) -> _Tree:
         """The best tree of what was looked at."""
@@ -149,8 +156,10 @@ class _Search:
 
     def _expected_leaves(self, tree: _Tree) -> float:
         """How many leaves the limits may allow, going by the bytes that a tree leaves."""
-        left = (self._limits.max_bytes - tree.num_bytes) * 8 / _BITS_A_LEAF
-        return float(min(self._limits.max_leaves, len(tree) + left))
+        bits = (self._limits.max_bytes - tree.num_bytes) * 8
+        is_crowded = len(tree) == 1 and self._num_sources * _BITS_A_SOURCE > bits
+        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
+        return float(min(self._limits.max_leaves, len(tree) + more))
 
     def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""

@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, require_integer, shortened
 from plr_jax.plr._assembly import plr_of_leaves
@@ -15,7 +16,7 @@ from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.branch_and_bound import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.layers.overlay import leaves_that_meet
-from plr_jax.plr.leaves.base import UNIT, Functions
+from plr_jax.plr.leaves.base import UNIT
 from plr_jax.plr.partition.tree import tree_of_levels
 
 _PAIRS_AT_ONCE = 1 << 12
@@ -86,18 +87,14 @@ def _certificate(coarse: Contents, fine: Contents, proof: Proof) -> Certificate:
         some = pairs[begin : begin + _PAIRS_AT_ONCE]
         i, j = own[some], other[some]
         box = common[some].grown_boxes(domain)
-        least, most = fine.leaf.differences(*box, _of(of_fine, j), _of(of_coarse, i))
+        fine_there, coarse_there = tuple(part[j] for part in of_fine), tuple(part[i] for part in of_coarse)
+        least, most = fine.leaf.differences(*box, fine_there, coarse_there)
         np.minimum.at(lower, i, least + below[j])
         np.maximum.at(upper, i, most + above[j])
     return Certificate.of(LeafBounds(lower, upper), coarse_rounding, proof)
 
 
-def _of(functions: Functions, leaf: Int[np.ndarray, "n"]) -> Functions:
-    lo, hi, coefficients = functions
-    return lo[leaf], hi[leaf], coefficients[leaf]
-
-
-def _functions(contents: Contents) -> tuple[Functions, Float[np.ndarray, "leaves"]]:
+def _functions(contents: Contents) -> tuple[Any, Float[np.ndarray, "leaves"]]:
     """Corners and coefficients of all leaves, and what queries of them round."""
     coefficients = filled_coefficients(contents)
     finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)

@@ -17,6 +17,7 @@ from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.partition.tree import Level, Tree
+from plr_jax.plr.query.frame import Corner
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 
@@ -38,8 +39,7 @@ UNIT = 2.0**-24
 class Parameters:
     """The free numbers of the leaves' functions: all coefficients are a linear map of them.
 
-    Every entry of the map adds to a coefficient (``row``, numbered leaf by leaf) a parameter (``column``) times a
-    ``weight``.
+    Every entry adds to a coefficient (``row``, numbered leaf by leaf) a parameter (``column``) times a ``weight``.
     """
 
     values: Float[np.ndarray, "parameters"]
@@ -137,9 +137,9 @@ class LeafModel(Protocol):
         ...
 
     def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, with slope 0."""
+        """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, of slope 0."""
         ...
 
     @property

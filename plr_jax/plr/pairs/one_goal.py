@@ -21,6 +21,7 @@ from plr_jax.plr.partition.tree import Tree, levels_of, tree_of
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
 """Where each leaf is asked, in its local coordinates."""
 _HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all of a leaf
+_DEPTH = 13  # to which few leaves are halved, such as the one of a file that was cut off before its lists
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
 _LEAST_BATCH = 2**12
@@ -37,10 +38,11 @@ def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
         raise ValueError(f"The goal {goal.tolist()} lies outside the domain {domain}; move it inside.")
     sources = _sources(stored, pairs, goal)
     cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
-    for halvings in range(_HALVINGS + 1):
+    most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
+    for halvings in range(most + 1):
         source, error = _best_sources(stored, pairs, sources, cells, owner)
         is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
-        is_poor &= halvings < _HALVINGS
+        is_poor &= halvings < most
         done.append((cells[~is_poor], source[~is_poor]))
         poor = cells[is_poor]
         cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)

@@ -20,6 +20,8 @@ from plr_jax.plr.pairs.one_goal import plr_to
 from plr_jax.plr.pairs.query import is_inside, shortest_ways
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.pairs.tables import PairTables, build_pair_tables
+from plr_jax.plr.query.frame import Outside, as_outside
+from plr_jax.plr.query.lookup import length_of
 from plr_jax.plr.query.points import as_array
 
 _FEWEST, _MOST = 2**8, 2**16  # pairs that are answered at once, of many
@@ -43,7 +45,7 @@ class PairPLR(HeldFile):
     tables: PairTables
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
 
-    def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+    def __call__(self, x: ArrayLike, y: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Distance between points: the length of the shortest path in free space.
 
         Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, in both arguments: the gradient leads away from where
@@ -52,16 +54,19 @@ class PairPLR(HeldFile):
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX.
             y: Points, of a shape that broadcasts with that of ``x``.
+            outside: What points outside the domain get, as for :func:`evaluate`; with ``"clamp"`` the ways of both
+                ends to the domain are added.
 
         Returns:
             Distances, ``(...)``, 32-bit: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` outside the domain, and where no path joins the points; NaN for NaN. Points in obstacles get what
+            ``inf`` where no path joins the points; NaN for NaN. Points in obstacles get what
             the corners that their leaf lists give, which means nothing.
 
         Raises:
-            ValueError: If points do not have two coordinates, are not real, or do not broadcast.
+            ValueError: If points do not have two coordinates, are not real, or do not broadcast, or ``outside`` is
+                none of the three.
         """
-        return self._answered(_distances, x, y)[0]
+        return self._answered(partial(_distances, outside=as_outside(outside)), x, y)[0]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance between points of free space.
@@ -166,9 +171,14 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
     return PairPLR(tables, held(data))
 
 
-@jax.jit
-def _distances(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"]]:
+@partial(jax.jit, static_argnames="outside")
+def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
+    if outside == "clamp":
+        (x, way_x), (y, way_y) = (_clamped(tables, p.astype(jnp.float32)) for p in (x, y))
+        return (_distances(tables, x, y, "inf")[0] + (way_x + way_y),)
     x, y, shape, answer = _checked(tables, x, y)
+    if outside == "nan":
+        answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
     ways = shortest_ways(tables, *jax.lax.stop_gradient((x, y)))
     length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least)
     is_straight = (ways.from_x == y).all(axis=1) & (ways.from_y == x).all(axis=1)
@@ -194,6 +204,15 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)
     lower, upper = (jnp.where(jnp.isfinite(answer), bound, answer).reshape(shape) for bound in (lower, upper))
     return lower, upper
+
+
+def _clamped(
+    tables: PairTables, x: Float[Array, "*batch 2"]
+) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
+    """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
+    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > tables.half * (1 + _ENDS))
+    nearest = jnp.where(beyond, jnp.copysign(tables.half, jax.lax.stop_gradient(x)), x)
+    return nearest, length_of([(x - nearest)[..., axis] for axis in range(2)])
 
 
 def _far(tables: PairTables) -> Float[Array, ""]:

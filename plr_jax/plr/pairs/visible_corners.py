@@ -106,7 +106,7 @@ class VisibleCorners:
 
 def visible_corners(visibility: CornerVisibility, workspace: Workspace, domain: Box) -> VisibleCorners:
     """Those of the domain as one cell: the triangles of free space, and all corners that each may turn at."""
-    pieces = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
+    pieces, _ = clip_to_box(convex_pieces(workspace.free_space), domain.lo, domain.hi)
     corners, shadows = visibility.corners, shadows_of(visibility.table)
     num_corners, parts = len(corners.points), []
     step = max(1, _CHUNK // max(1, num_corners))

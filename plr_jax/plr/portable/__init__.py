@@ -13,17 +13,19 @@ bits unless stated, and rounded to 32 once.
 hi``, rounded toward zero by the next float below the nearest (0 if that is negative), ``SCALE = 1 / (hi - lo)``,
 ``START = 1 - (lo - LO) / (hi - lo)``, and ``TOP``, the largest 32-bit float not above ``2 - 2**-23 - START``.
 
-1.  *Placing.* A domain is *far* if on some axis ``max(|LO|, |HI|) > 4 (HI - LO)``. Points of 64 bits first have
-    their finite coordinates along periodic axes wrapped (step 3, in 64 bits, with ``lo``, ``hi`` and ``1 / (hi -
-    lo)`` as they are and tolerance 0). In a far domain points are then counted from ``LO``: ``x - LO`` in 64 bits,
-    and of the numbers above ``LO`` becomes 0 and ``HI`` becomes ``HI - LO``; or, if points are folded, they are
-    folded in 64 bits (step 2). Then coordinates are rounded to 32 bits. Points of 32 bits in a far domain are first
-    made 64 bits.
-2.  *Folding*, where the file has one. ``z = x - CENTER - REST``, of which ``REST`` is what the rounded center leaves
-    of it (in 64 bits there is none); along turned axes, each ``AXES[i, 0] z[0] + AXES[i, 1] z[1] + ...``; for each
-    mirror in the file's order, if its pivot is below 0 the coordinates it reverses change their signs; then those
-    along axes that are not periodic are limited to the corners of the folded box, rounded to nearest. In what
-    follows ``lo`` and ``hi`` are of that box.
+A domain is *far* if on some axis ``max(|lo|, |hi|) > 4 (hi - lo)``, in 64 bits. Its points are counted from its
+exact corner: the ``ORIGIN`` is ``lo``, and from step 2 on the domain is that from 0 to ``hi - lo``, of which are all
+numbers above. Elsewhere the ``ORIGIN`` is 0, and nothing changes.
+
+1.  *Placing.* Points of 32 bits in a far domain are first made 64 bits. Points of 64 bits have their finite
+    coordinates along periodic axes wrapped (step 3, in 64 bits, with ``lo``, ``hi`` and ``1 / (hi - lo)`` as they are
+    in the file and tolerance 0). Of points in a far domain ``x - ORIGIN`` is computed in 64 bits. Then coordinates
+    are rounded to 32 bits.
+2.  *Folding*, where the file has one. ``z = x - CENTER - REST``: ``CENTER`` is the center less the ``ORIGIN`` and
+    ``REST`` what rounding leaves of that; along turned axes, each ``AXES[i, 0] z[0] + AXES[i, 1] z[1] + ...``; for
+    each mirror in the file's order, if its pivot is below 0 the coordinates it reverses change their signs; then
+    those along axes that are not periodic are limited to the corners of the folded box, rounded inward. In what
+    follows the domain is that box, seen from its center, and the ``ORIGIN`` 0.
 3.  *Wrapping* along each periodic axis. With ``a = LO + LO_REST``, ``b = HI - HI_REST`` and a tolerance of ``2**-44
     max(|a|, |b|)``: ``x`` is moved to ``x - floor((x - a) SCALE) (b - a)``, limited to ``a`` and ``b``; or to ``a``
     if ``x - b`` is within the tolerance.
@@ -38,17 +40,22 @@ hi``, rounded toward zero by the next float below the nearest (0 if that is nega
     are polynomials of the others, by the same rule.
 7.  If the folding is radial, ``+ sqrt(z[i] z[i] + z[j] z[j] + ...)`` of its radial axes is added.
 
-The answer is NaN if a coordinate is NaN; else ``inf`` unless, before folding, ``LO <= x <= HI`` along each axis that
-is not periodic and ``x`` is finite along the others (in a far domain: of ``x - LO``, rounded; if points are folded,
-``lo <= x <= hi`` in 64 bits). A waypoint is ``LO + n[1:]``, in a far domain in 64 bits.
+The answer is NaN if a coordinate is NaN; else ``inf`` unless, after step 1, ``LO <= x <= HI`` along each axis that is
+not periodic, and ``x`` is finite along the others. A waypoint is ``LO + n[1:]``, in a far domain ``ORIGIN + n[1:]``
+in 64 bits.
+
+Readers may answer otherwise outside the domain, as ``outside="clamp"`` does: after step 1, if all coordinates are
+finite, those along axes that are not periodic are limited to ``LO`` and ``HI``, and to the value there is added how
+far that moved the point: ``sqrt(m[0] m[0] + m[1] m[1] + ...)`` in 64 bits, of differences ``m`` of 32 bits, rounded.
 
 **Numbers of leaves**, in 64 bits, in the traversal of the tree. With the leaf's box ``[l, h]`` along each axis, ``l
 = lo + (hi - lo) (p 2**-k)``, ``h = lo + (hi - lo) ((p + 1) 2**-k)``:
 
 -   *Planes*, of a center ``c`` and half-differences ``g`` (``offset + step * code`` and ``step * code``): slopes
-    ``s = g * 2 / (h - l)``, and ``n[0] = c - (s[0] m[0] + s[1] m[1] + ...)`` with ``m = (l + h) / 2 - LO``.
--   *Cones*: the source less ``LO``, and its offset: ``sqrt`` of the squares of the way to its parent, summed axis by
-    axis, added along the parents by doubling (see ``leaves/cone/codec.py``), plus that of the root.
+    ``s = g * 2 / (h - l)``, and ``n[0] = c - (s[0] m[0] + s[1] m[1] + ...)`` with ``m = (l + h) / 2 - (ORIGIN +
+    LO)``; ``l`` and ``h`` are of the domain as the file has it.
+-   *Cones*: the source less ``ORIGIN + LO``, and its offset: ``sqrt`` of the squares of the way to its parent, summed
+    axis by axis, added along the parents by doubling (see ``leaves/cone/codec.py``), plus that of the root.
 -   *Polynomials*: each value at a corner is the sum, in the order of the free values, of weights times free values
     (see ``leaves/continuous/space.py``); powers of ``t`` are sums of those, in the order of corners, with whole
     numbers as weights.

@@ -68,7 +68,7 @@ class Period:
 
 @dataclass(frozen=True)
 class Fold:
-    """How points are folded, as 32-bit or 64-bit numbers.
+    """How points are folded, as 32-bit numbers.
 
     Attributes:
         center: From where points are seen, one number an axis.
@@ -141,6 +141,10 @@ class Window:
     def contains(self, x: Value) -> Value:
         """Whether a coordinate, which is NaN or not, is inside."""
         return (x >= self.lo) & (x <= self.hi)
+
+    def limited(self, do: Operations, x: Value) -> Value:
+        """The coordinate of the domain that is nearest."""
+        return do.where(x < self.lo, self.lo, do.where(x > self.hi, self.hi, x))
 
 
 def total(terms: Sequence[Value]) -> Value:

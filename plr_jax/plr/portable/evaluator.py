@@ -17,6 +17,7 @@ from plr_jax.plr.portable.header import c_header
 from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.point import point_query
 from plr_jax.plr.portable.program import Program
+from plr_jax.plr.query.frame import Outside, as_outside
 from plr_jax.plr.query.grid import FRACTION_BITS
 
 _CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
@@ -53,8 +54,9 @@ class NumpyPLR:
     """A PLR that is queried in NumPy, without JAX: by :func:`load_numpy`, or ``plr.numpy()``.
 
     ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats by the arithmetic that is part of the format
-    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. So does
-    ``plr(x)`` on a CPU, but for numbers below 1e-38. It is ``inf`` outside the closed domain, NaN for NaN.
+    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. It is NaN where a
+    coordinate is, and outside the closed domain ``inf``, or what is asked for. So are those of ``plr(x)`` on a CPU,
+    but for numbers below 1e-38.
 
     A single point, as a tuple, a list or an array, takes a few microseconds, a batch some nanoseconds a point.
     Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far
@@ -90,20 +92,25 @@ class NumpyPLR:
         """The same as one header of C99: see :meth:`PLR.c_header`."""
         return c_header(self._program, name)
 
-    def __call__(self, x: ArrayLike) -> Any:
+    def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Any:
         """Distance at each point.
 
         Args:
             x: Points, ``(..., dim)``.
+            outside: What points outside the domain get, as for :func:`evaluate`: ``"inf"``; ``"clamp"``, the value at
+                the nearest point of the domain plus the straight-line distance to it, ``inf`` if a coordinate is
+                infinite in 32 bits; or ``"nan"``. It changes no answer inside.
 
         Returns:
             Distances, ``(...)``, float32; of a single point, a scalar.
 
         Raises:
-            ValueError: If the points are not numbers of that shape.
+            ValueError: If the points are not numbers of that shape, or ``outside`` is none of the three.
         """
+        if outside != "inf":
+            outside = as_outside(outside)
         answer = self._at_point(x)
-        return self._answered(x, self._values, ()) if answer is None else answer
+        return self._answered(x, self._values, (), outside) if answer is None else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
         """Where to go straight to from each point: the source of the leaf that holds it.
@@ -164,7 +171,9 @@ class NumpyPLR:
         except (TypeError, ValueError):  # of coordinates that are no numbers
             return None
 
-    def _answered(self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...]) -> Any:
+    def _answered(
+        self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
+    ) -> Any:
         """Answers of that shape to points, chunk by chunk."""
         x = _as_points(x, self.dim)
         flat = x.reshape(-1, self.dim)
@@ -173,10 +182,12 @@ class NumpyPLR:
         with np.errstate(all="ignore"):
             for start in range(0, len(flat), _CHUNK):
                 chunk = slice(start, start + _CHUNK)
-                self._answer_chunk(flat[chunk], answer, answers[chunk])
+                self._answer_chunk(flat[chunk], answer, answers[chunk], outside)
         return answers.reshape((*x.shape[:-1], *shape))[()]
 
-    def _answer_chunk(self, points: np.ndarray, answer: Callable[..., Any], answers: np.ndarray) -> None:
+    def _answer_chunk(
+        self, points: np.ndarray, answer: Callable[..., Any], answers: np.ndarray, outside: Outside
+    ) -> None:
         """Write the answers to some points, by columns."""
         program = self._program
         if program.corner is not None:
@@ -185,18 +196,38 @@ class NumpyPLR:
         if points.dtype == np.float64:
             x = program.wrapped_wide(_ARRAYS, x)
         x = [along.astype(program.precision, copy=False) for along in x]
-        inside = program.contains(_ARRAYS, x)
+        given, inside = x, program.contains(_ARRAYS, x)
         if not (is_inside := inside.all()):
             x = [
                 np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
             ]
-        x = program.placed(_ARRAYS, x)
-        above = program.above(_ARRAYS, x)
-        answers[...] = answer(x, above, self._table.rows(program.places(_ARRAYS, above)))
+        counted = program.counted(_ARRAYS, x)
+        answers[...] = self._at_counted(counted, answer)
         if not is_inside:
+            x = [along[~inside] for along in given]
             is_nan = np.isnan(points[~inside]).any(axis=1)
-            outside = np.nan if answer == self._waypoints else np.where(is_nan, np.nan, np.inf)
-            answers[~inside] = np.reshape(outside, (-1, *[1] * (answers.ndim - 1)))
+            if answer == self._waypoints or outside == "nan":
+                others = np.nan
+            elif outside == "clamp":
+                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(_ARRAYS, x), answer))
+            else:
+                others = np.where(is_nan, np.nan, np.inf)
+            answers[~inside] = np.reshape(others, (-1, *[1] * (answers.ndim - 1)))
+
+    def _at_counted(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
+        """Answers to points of the domain, by columns."""
+        x = self._program.placed(_ARRAYS, counted)
+        above = self._program.above(_ARRAYS, x)
+        return answer(x, above, self._table.rows(self._program.places(_ARRAYS, above)))
+
+    def _at_nearest(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
+        """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
+        is_finite = np.isfinite(counted).all(axis=0)
+        counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
+        nearest = self._program.nearest(_ARRAYS, counted)
+        moved = [(along - to).astype(np.float64) for along, to in zip(counted, nearest, strict=True)]
+        way = np.sqrt(sum(along * along for along in moved)).astype(np.float32)
+        return np.where(is_finite, self._at_counted(nearest, answer) + way, np.float32(np.inf))
 
     def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         numbers = [column[leaf] for column in self._columns]

@@ -169,7 +169,8 @@ class _Header:
     def _found(self, do: CWriter, given: list[Text]) -> tuple[list[Text], list[Text], list[Text]]:
         """A placed point, how far it is above the lower corner, and its leaf's numbers."""
         program, name, dim = self.program, self.name, self.program.dim
-        x = program.placed(do, given if program.corner is None else program.wrapped_wide(do, given))
+        x = program.counted(do, given if program.corner is None else program.wrapped_wide(do, given))
+        x = program.placed(do, x)
         above, row = program.above(do, x), "0"
         if len(self.tree.children):
             places = ", ".join(map(str, program.places(do, above)))

@@ -14,6 +14,8 @@ from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.program import Program
 from plr_jax.plr.portable.text import PythonWriter
 
+_UNWRAPPED = 1 - 2.0**-48  # of the width, up to where wrapping leaves coordinates as they are, however it rounds
+
 
 class _Rows(dict):
     """Rows of a table as tuples of scalars, each made when it is first read."""
@@ -36,15 +38,15 @@ def point_query(
     """
     do, domain = PythonWriter(), program.domain
     given = [f"x{axis}" for axis in range(program.dim)]
-    inside = [
-        f"{lo!r} <= {name} {'<' if is_periodic else '<='} {hi!r}"
-        for name, lo, hi, is_periodic in zip(
-            given, domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True
-        )
-    ]
+    # Beside the upper end of a periodic axis, wrapping in 64 bits may lead to the lower one.
+    unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
+    last = np.where(domain.periodic, unwrapped, domain.hi)
+    ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
+    inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
     precision = np.dtype(program.precision).name
     of_type = "float" if precision == "float32" else "double"
-    x = program.placed(do, [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given])
+    x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
+    x = program.placed(do, program.counted(do, x))
     above = program.above(do, x)
     index = table.index_text([str(do.let("place", place)) for place in program.places(do, above)])
     do.statements.append(f"leaf = {index}")

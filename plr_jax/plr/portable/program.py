@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, decode
-from plr_jax.plr._filled import filled_coefficients
+from plr_jax.plr._filled import counted_from
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import tree_of_levels
@@ -25,7 +25,7 @@ from plr_jax.plr.portable.arithmetic import (
     length,
 )
 from plr_jax.plr.query.frame import (
-    LARGEST,
+    Corner,
     Frame,
     corner_if_far,
     folding_numbers,
@@ -45,25 +45,25 @@ class Program:
     Attributes:
         contents: What the file holds.
         domain: The domain of the points; that of ``contents`` is of folded ones.
+        corner: That of a far domain, from which points are counted in 64 bits; else None.
+        of_leaves: The domain that the leaves partition, as points come to it: counted, or folded.
         numbers: What the leaves compute with, in the order of the tree's traversal.
-        corner: In a far domain, from where points are counted in 64 bits; else None.
     """
 
     contents: Contents
     domain: Box
+    corner: Corner | None
+    of_leaves: Box
     numbers: Float[np.ndarray, "leaves count"]
-    corner: Float[np.ndarray, "dim"] | None
 
     @staticmethod
     def of_file(data: bytes) -> "Program":
         """The program of a file; raises ``ValueError`` saying what is wrong with that."""
         contents = decode(data)
-        numbers = contents.leaf.numbers(contents.domain, contents.cells, filled_coefficients(contents))
-        if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # NaN is not
-            raise ValueError("its distances or their slopes are too large for 32-bit floats; scale them down")
         domain = contents.domain if contents.folding is None else contents.folding.domain
-        corner = corner_if_far(frame_of(domain, np.zeros(domain.dim)))
-        return Program(contents, domain, numbers.astype(np.float32), corner)
+        corner = corner_if_far(domain)
+        of_leaves, numbers = counted_from(contents, np.zeros(domain.dim) if corner is None else corner)
+        return Program(contents, domain, corner, of_leaves, numbers.astype(np.float32))
 
     @property
     def dim(self) -> int:
@@ -86,14 +86,13 @@ class Program:
         return np.float32 if self.corner is None else np.float64
 
     @property
-    def _is_counted_from_corner(self) -> bool:
-        return self.corner is not None and self.contents.folding is None
+    def _origin(self) -> Corner:
+        return np.zeros(self.dim) if self.corner is None else self.corner
 
     @cached_property
     def frame(self) -> Float[np.ndarray, "7 dim"]:
-        """That of the domain that the leaves partition, as points come to it."""
-        domain = self.contents.domain
-        return frame_of(domain, table_corners(domain)[0] if self._is_counted_from_corner else np.zeros(domain.dim))
+        """That of the domain that the leaves partition."""
+        return frame_of(self.of_leaves)
 
     @cached_property
     def axes(self) -> list[PartitionedAxis]:
@@ -103,13 +102,8 @@ class Program:
 
     @cached_property
     def windows(self) -> list[Window]:
-        """Where points have an answer, axis by axis."""
-        if self.contents.folding is None:
-            corners = self.frame[[Frame.LO, Frame.HI]]
-        elif self.corner is None:
-            corners = np.stack(table_corners(self.domain))
-        else:
-            corners = np.stack([self.domain.lo, self.domain.hi])
+        """Where counted points have an answer, axis by axis; along periodic axes, before they are counted."""
+        corners = np.stack(table_corners(self.domain.moved(-self._origin)))
         windows = [Window(*corners[:, axis]) for axis in range(self.dim)]
         for axis in np.flatnonzero(self.domain.periodic):
             largest = self.precision(_LARGEST_OF[self.precision])
@@ -136,18 +130,13 @@ class Program:
 
     @cached_property
     def fold(self) -> Fold | None:
-        """How points are folded, in their precision; None if they are not."""
+        """How counted points are folded; None if they are not."""
         folding = self.contents.folding
         if folding is None:
             return None
-        mirrors, axes = mirrored_axes(folding), folding.axes
-        if self.corner is None:
-            (center, rest), (lo, hi) = folding_numbers(folding)
-            axes = axes.astype(np.float32)
-        else:
-            center, rest = folding.center, np.zeros(self.dim)
-            lo, hi = np.where(folding.domain.periodic, [[-np.inf], [np.inf]], [folding.box.lo, folding.box.hi])
-        return Fold(list(center), list(rest), list(axes) if folding.is_turned else None, mirrors, list(lo), list(hi))
+        (center, rest), (lo, hi) = folding_numbers(folding, self._origin)
+        axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
+        return Fold(list(center), list(rest), axes, mirrored_axes(folding), list(lo), list(hi))
 
     @cached_property
     def radial(self) -> list[int]:
@@ -159,9 +148,7 @@ class Program:
         """Whether a point has an answer; its precision is :attr:`precision`."""
         tests = []
         for axis, window in enumerate(self.windows):
-            along = x[axis]
-            if self._is_counted_from_corner and not self.domain.periodic[axis]:
-                along = do.let("from_corner", self._from_corner(do, x, axis))
+            along = x[axis] if self.domain.periodic[axis] else self._counted(do, x, axis)
             tests.append(window.contains(along))
         return all_of(tests)
 
@@ -172,21 +159,24 @@ class Program:
             x[axis] = period.wrapped(do, x[axis])
         return x
 
+    def counted(self, do: Operations, x: Point) -> Point:
+        """A point in 32 bits, in a far domain counted from its corner."""
+        return [self._counted(do, x, axis) for axis in range(self.dim)]
+
+    def _counted(self, do: Operations, x: Point, axis: int) -> Value:
+        return x[axis] if self.corner is None else do.let("counted", do.rounded(x[axis] - self.corner[axis]))
+
+    def nearest(self, do: Operations, x: Point) -> Point:
+        """The point of the domain that is nearest to a finite one; both are counted."""
+        ends = zip(x, self.windows, self.domain.periodic, strict=True)
+        return [along if is_periodic else window.limited(do, along) for along, window, is_periodic in ends]
+
     def placed(self, do: Operations, x: Point) -> Point:
-        """A point that has an answer, in 32 bits, folded and wrapped; in a far domain it is wrapped in 64 before."""
-        if self._is_counted_from_corner:
-            x = [do.let("x", self._from_corner(do, x, axis)) for axis in range(self.dim)]
-        elif self.fold is not None:
-            x = self.fold.folded(do, x)
-            x = x if self.corner is None else [do.let("z", do.rounded(along)) for along in x]
+        """A counted point of the domain, folded and wrapped."""
+        x = list(x) if self.fold is None else self.fold.folded(do, x)
         for axis, period in self.periods.items():
-            x = list(x)
             x[axis] = period.wrapped(do, x[axis])
         return x
-
-    def _from_corner(self, do: Operations, x: Point, axis: int) -> Value:
-        assert self.corner is not None, "the domain is far"
-        return do.rounded(x[axis] - self.corner[axis])
 
     def above(self, do: Operations, x: Point) -> Point:
         """How far a placed point is from the domain's rounded lower corner."""

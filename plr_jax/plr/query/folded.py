@@ -1,4 +1,4 @@
-"""Folding points in JAX: see ``folding/folding.py`` for what that means."""
+"""Folding points in JAX: see ``folding/folding.py`` for what that means; and arithmetic that no compiler changes."""
 
 from dataclasses import dataclass, field
 from functools import reduce
@@ -21,7 +21,7 @@ class FoldedWindow:
     Attributes:
         frame: The domain, as ``Tables.frame`` is one.
         center: The center in 32-bit floats, and what they leave of it.
-        corners: Of the box of folded points; infinite along periodic axes.
+        corners: Of the box of folded points, rounded inward; infinite along periodic axes.
         axes: The axes of folded coordinates, one a row; None if they are those of the domain.
         mirrors: For each mirror its pivot, and the axes that it reverses.
         periodic: The periodic axes.
@@ -40,11 +40,11 @@ class FoldedWindow:
         return self.frame.shape[1]
 
     @staticmethod
-    def of(folding: Folding) -> "FoldedWindow":
-        """The same folding, for queries."""
-        center, corners = folding_numbers(folding)
+    def of(folding: Folding, origin: Float[np.ndarray, "dim"]) -> "FoldedWindow":
+        """The same folding, for queries of points counted from an origin."""
+        center, corners = folding_numbers(folding, origin)
         return FoldedWindow(
-            frame=jnp.asarray(frame_of(folding.domain, np.zeros(folding.domain.dim))),
+            frame=jnp.asarray(frame_of(folding.domain.moved(-origin))),
             center=jnp.asarray(center),
             corners=jnp.asarray(corners),
             axes=jnp.asarray(folding.axes.astype(np.float32)) if folding.is_turned else None,
@@ -102,3 +102,19 @@ def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 @rounded.defjvp
 def _rounded_with_tangent(primals, tangents):
     return rounded(primals[0]), tangents[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Unfused:
+    """Numbers whose products are rounded before they are added, as the format says."""
+
+    value: Float[Array, "*batch"]
+
+    def __add__(self, other: "Unfused") -> "Unfused":
+        return Unfused(self.value + other.value)
+
+    def __sub__(self, other: "Unfused") -> "Unfused":
+        return Unfused(self.value - other.value)
+
+    def __mul__(self, other: "Unfused") -> "Unfused":
+        return Unfused(rounded(self.value * other.value))

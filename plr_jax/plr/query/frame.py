@@ -1,17 +1,34 @@
 """A box as queries know it, and how it is folded: in 32-bit floats."""
 
 from enum import IntEnum
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._types import ArrayLike
+from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.grid import FRACTION_BITS
 
 LARGEST = 1e30  # of coordinates, distances and slopes: far enough from the end of 32-bit floats
 _FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates resolve a domain worse than its tables do
+
+Corner: TypeAlias = Float[np.ndarray, "dim"]
+"""From where coordinates are counted."""
+
+Outside: TypeAlias = Literal["inf", "clamp", "nan"]
+"""What a query answers outside the domain.
+
+``"clamp"`` is the value at the nearest point of the domain, and how far that is.
+"""
+
+
+def as_outside(outside: str) -> Outside:
+    """One of them, or ``ValueError``."""
+    if outside not in get_args(Outside):
+        raise ValueError(f"outside must be 'inf', 'clamp' or 'nan', got {shortened(outside)}.")
+    return cast(Outside, outside)
 
 
 class Frame(IntEnum):
@@ -46,13 +63,20 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     )
 
 
-def frame_of(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "7 dim"]:
-    """The domain in 32-bit floats, for points counted from an origin."""
+def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
+    """Corners of a box as 32-bit floats, rounded inward."""
+    lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
+    lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
+    return np.stack([lo, np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)])
+
+
+def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
+    """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)
     # Rounded toward zero, so that the corners themselves stay inside.
     rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
     frame = np.empty((len(Frame), domain.dim), np.float32)
-    frame[Frame.LO], frame[Frame.HI] = lo - origin, hi - origin
+    frame[Frame.LO], frame[Frame.HI] = lo, hi
     frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
@@ -61,22 +85,26 @@ def frame_of(domain: Box, origin: Float[np.ndarray, "dim"]) -> Float[np.ndarray,
     return frame
 
 
-def corner_if_far(frame: ArrayLike) -> Float[np.ndarray, "dim"] | None:
-    """The rounded lower corner of a domain, given by its frame, that is far from the origin; else None."""
-    lo, hi = np.asarray(frame, np.float64)[[Frame.LO, Frame.HI]]
-    return lo if (np.maximum(np.abs(lo), np.abs(hi)) > _FAR * (hi - lo)).any() else None
+def corner_if_far(domain: Box) -> Corner | None:
+    """The lower corner of a domain that is far from the origin along some axis; else None."""
+    is_far = np.maximum(np.abs(domain.lo), np.abs(domain.hi)) > _FAR * domain.width
+    return domain.lo if is_far.any() else None
 
 
-def folding_numbers(folding: Folding) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
+def folding_numbers(
+    folding: Folding, origin: Corner
+) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
     """A folding's center in 32-bit floats with what they leave of it, and the corners of the box of folded points.
 
-    These are infinite along periodic axes.
+    The center is counted from an origin. The corners are rounded inward, as what is clipped to others would still be
+    outside, and infinite along periodic axes.
     """
-    center = folding.center.astype(np.float32)
-    corners = np.stack([folding.box.lo, folding.box.hi])
+    exact = folding.center - origin
+    center = exact.astype(np.float32)
+    endless = np.array([[-np.inf], [np.inf]], np.float32)
     return (
-        np.stack([center, folding.center - center]).astype(np.float32),
-        np.where(folding.domain.periodic, [[-np.inf], [np.inf]], corners).astype(np.float32),
+        np.stack([center, exact - center]).astype(np.float32),
+        np.where(folding.domain.periodic, endless, inner_corners(folding.box)),
     )
 
 

@@ -1,6 +1,5 @@
 """A query, in JAX: the leaf that holds a point by arithmetic and one lookup, then the leaf's function."""
 
-from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
@@ -10,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
 
 from plr_jax.plr.query.blocks import Blocks
-from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
-from plr_jax.plr.query.frame import Frame
+from plr_jax.plr.query.folded import FoldedWindow, Unfused, radius, rounded
+from plr_jax.plr.query.frame import Frame, Outside
 from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
 from plr_jax.plr.query.picked import Picked
@@ -24,20 +23,23 @@ _ENDS_IN_DOUBLE = (
 )  # how well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly
 
 
-def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Array, "*batch"]:
-    """Value of the leaf's function at each point; ``inf`` outside the closed domain, NaN for NaN."""
+def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outside = "inf") -> Float[Array, "*batch"]:
+    """Value of the leaf's function at each point; outside the closed domain what is asked for, NaN for NaN."""
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    if outside == "clamp":
+        nearest, way = _clamped(tables if tables.folding is None else tables.folding, x)
+        return evaluate_tables(tables, nearest) + way
     if tables.folding is not None:
-        outside, answer = outside_domain(tables.folding, x)
-        folded = tables.folding(x, outside)
-        return jnp.where(outside, answer, evaluate_tables(tables.of_folded_points(), folded))
-    x = _wrapped(tables, x)
-    row = find_row(tables, jax.lax.stop_gradient(x))
-    outside, answer = outside_domain(tables, x)
-    value = _value(tables, row, x, outside)
-    if tables.radial:
-        value += radius(x, tables.radial, outside)
-    return jnp.where(outside, answer, value)
+        is_outside, answer = outside_domain(tables.folding, x)
+        value = evaluate_tables(tables.of_folded_points(), tables.folding(x, is_outside))
+    else:
+        x = _wrapped(tables, x)
+        row = find_row(tables, jax.lax.stop_gradient(x))
+        is_outside, answer = outside_domain(tables, x)
+        value = _value(tables, row, x, is_outside)
+        if tables.radial:
+            value += radius(x, tables.radial, is_outside)
+    return jnp.where(is_outside, jnp.full_like(answer, jnp.nan) if outside == "nan" else answer, value)
 
 
 def bounds_of_tables(
@@ -124,6 +126,43 @@ def outside_domain(
     return outside, answer
 
 
+def _clamped(
+    window: Tables | FoldedWindow, x: Float[Array, "*batch dim"]
+) -> tuple[Float[Array, "*batch dim"], Float[Array, "*#batch"]]:
+    """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
+    is_finite = jnp.isfinite(x).all(axis=-1)
+    nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
+    for axis in range(window.dim):
+        if axis in window.periodic:
+            continue
+        along, (lo, hi) = nearest[axis], _ends_inside(window, axis, x.dtype)
+        inside = jnp.where(along < lo, lo, jnp.where(along > hi, hi, along))
+        nearest[axis] = jnp.where(is_finite, inside, along)
+        beyond.append(jnp.where(is_finite, along - inside, 0))
+    return jnp.stack(nearest, axis=-1), length_of(beyond)
+
+
+def _ends_inside(window: Tables | FoldedWindow, axis: int, dtype: Any) -> tuple[Float[Array, "*_"], ...]:
+    """The outermost coordinates of an axis that ``outside_domain`` calls inside."""
+    frame = window.frame[:, axis].astype(dtype)
+    lo, hi = frame[Frame.LO], frame[Frame.HI]
+    if dtype == jnp.float64:
+        lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
+        lo = jnp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], jnp.nextafter(lo, jnp.inf), lo)
+        hi = jnp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], jnp.nextafter(hi, -jnp.inf), hi)
+    return lo, hi
+
+
+def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
+    """Length of vectors of any finite numbers, given axis by axis; of slope 0 at 0."""
+    if not along:
+        return jnp.zeros(())
+    largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, along)))
+    scale = jnp.where(largest > 0, largest, 1)
+    square = reduce(jnp.add, (jnp.square(each / scale) for each in along))
+    return scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0)
+
+
 def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
     """Points with their coordinates along periodic axes inside the domain, in the points' own precision."""
     if not tables.periodic:
@@ -165,29 +204,13 @@ def _value(
     """Value of the leaf at each point; if that is ``outside`` the domain, any number will do."""
     numbers, frame, place = _numbers(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
-        above = x[..., axis] - frame[Frame.LO, axis]
+        along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_of_cells:
-            u = rounded(above * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
-            above = _zero_if_differentiated(_coordinate_in_cell(u, numbers[axis]), outside)
-        place.append(_Unfused(above))
-    of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_of_cells :]]
-    return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
-
-
-@dataclass(frozen=True)
-class _Unfused:
-    """Numbers whose products are rounded before they are added, as the format says."""
-
-    value: Float[Array, "*batch"]
-
-    def __add__(self, other: "_Unfused") -> "_Unfused":
-        return _Unfused(self.value + other.value)
-
-    def __sub__(self, other: "_Unfused") -> "_Unfused":
-        return _Unfused(self.value - other.value)
-
-    def __mul__(self, other: "_Unfused") -> "_Unfused":
-        return _Unfused(rounded(self.value * other.value))
+            u = rounded(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
+            along = _coordinate_in_cell(u, numbers[axis])
+        place.append(Unfused(_zero_if_differentiated(along, outside)))
+    of_leaf = [Unfused(number) for number in numbers[tables.dim * tables.leaf.is_of_cells :]]
+    return tables.leaf.value(of_leaf, place, lambda square: Unfused(_root(square.value))).value
 
 
 def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: Any) -> list[Float[Array, "*batch"]]:

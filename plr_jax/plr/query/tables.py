@@ -34,7 +34,7 @@ from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
 from plr_jax.plr.query.folded import FoldedWindow
-from plr_jax.plr.query.frame import frame_of, table_corners
+from plr_jax.plr.query.frame import frame_of
 from plr_jax.plr.query.grid import (
     FRACTION_BITS,
     MAX_FLAT_BITS,
@@ -97,20 +97,16 @@ class Tables:
         """Number of axes."""
         return self.frame.shape[1]
 
-    def of_folding(self, folding: Folding | None) -> "Tables":
-        """The same, of points that are folded."""
+    def of_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
+        """The same, of points that are folded, and counted from an origin."""
         if folding is None:
             return self
         radial = tuple(map(int, np.flatnonzero(folding.radial)))
-        return replace(self, radial=radial, folding=FoldedWindow.of(folding))
+        return replace(self, radial=radial, folding=FoldedWindow.of(folding, origin))
 
     def of_folded_points(self) -> "Tables":
         """The same for points that are folded already."""
         return replace(self, folding=None)
-
-    def from_corner(self, domain: Box) -> "Tables":
-        """The same for points counted from the domain's rounded lower corner, which 32-bit floats resolve."""
-        return replace(self, frame=jnp.asarray(frame_of(domain, table_corners(domain)[0])))
 
 
 def build_tables(
@@ -146,7 +142,7 @@ def _tables_by_leaf(
     index_type = np.uint16 if len(table) <= 2**16 else np.uint32
     top = bits if flat else block_bits
     return Tables(
-        frame=jnp.asarray(frame_of(domain, np.zeros(domain.dim))),
+        frame=jnp.asarray(frame_of(domain)),
         bits=_bits_of_index(top),
         blocks=None if flat else pack_blocks(shape, offset, FRACTION_BITS - top),
         pages=None,
@@ -163,7 +159,7 @@ def _paged_tables(
     """Tables with pages and room for so many slots."""
     of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
     return Tables(
-        frame=jnp.asarray(frame_of(domain, np.zeros(domain.dim))),
+        frame=jnp.asarray(frame_of(domain)),
         bits=_bits_of_index(paged.block_bits),
         blocks=None,
         pages=paged.pages,

@@ -5,12 +5,13 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
+from plr_jax._arrays import parts, run_members
 from plr_jax._types import CellSources, CellwiseFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells, grown_domain
 
 _Key: TypeAlias = tuple[int, ...]
-_PAIRS_AT_ONCE = 1 << 19  # of a point and a source
+_POINTS_AT_ONCE, _PAIRS_AT_ONCE = 1 << 16, 1 << 19  # of a piece and a point, of a point and a source
 
 
 class CellMemory:
@@ -61,29 +62,36 @@ class CellMemory:
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
     """Exact distances at points of cells; ``inf`` where they are not free or do not reach the goal."""
     found = np.full(x.shape[:2], np.inf)
-    at_once = max(1, _PAIRS_AT_ONCE // x.shape[1])
-    for begin in range(0, len(visible.source), at_once):
-        _lower(found, visible, np.arange(begin, min(begin + at_once, len(visible.source))), x)
+    at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
+    held = [np.zeros((2, 0), int)]
+    for begin in range(0, len(visible.cell), at_once):
+        piece = np.arange(begin, min(begin + at_once, len(visible.cell)))
+        row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
+        held.append(np.stack([piece[row], column]))
+    piece, column = np.concatenate(held, axis=1)
+    for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
+        _lower(found, visible, piece[some], column[some], x)
     return found
 
 
 def _lower(
     found: Float[np.ndarray, "cells k"],
     visible: CellSources,
-    pairs: Int[np.ndarray, "pairs"],
+    piece: Int[np.ndarray, "held"],
+    column: Int[np.ndarray, "held"],
     x: Float[np.ndarray, "cells k 2"],
 ) -> None:
-    """Lower distances to those by way of some pairs, at points in their pieces that see the source."""
-    piece, source, sources = visible.piece[pairs], visible.source[pairs], visible.sources
-    points = x[visible.cell[piece]]
-    dx, dy = points[:, :, 0] - sources.points[source, :1], points[:, :, 1] - sources.points[source, 1:]
-    length = sources.distances[source][:, None] + np.sqrt(dx * dx + dy * dy)
-    usable = visible.hold(piece, points) & (length < found[visible.cell[piece]])
-    unsure = usable & ~visible.by_all[pairs, None]
-    row, column = np.nonzero(unsure)
-    usable[row, column] = visible.see(source[row], points[row, column])
-    row, column = np.nonzero(usable)
-    np.minimum.at(found, (visible.cell[piece[row]], column), length[row, column])
+    """Lower distances at points to those by way of the sources, of a piece that holds each, that they see."""
+    pair, row = run_members(visible.first_pair, piece)
+    source, sources = visible.source[pair], visible.sources
+    place = visible.cell[piece[row]], column[row]
+    dx, dy = (x[place] - sources.points[source]).T
+    length = sources.distances[source] + np.sqrt(dx * dx + dy * dy)
+    by_all = visible.by_all[pair]
+    np.minimum.at(found, tuple(each[by_all] for each in place), length[by_all])
+    unsure = np.flatnonzero(~by_all & (length < found[place]))
+    seen = unsure[visible.see(source[unsure], x[place][unsure])]
+    np.minimum.at(found, tuple(each[seen] for each in place), length[seen])
 
 
 def _keys(cells: Cells) -> list[_Key]:

@@ -1,12 +1,15 @@
 """What a file of pairs holds: numbers of pairs, distances and lists, read as they were written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import floyd_warshall
 
-from plr_jax import construct_pairs, scenes
+from plr_jax import Box, construct_pairs, scenes
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import Container
+from plr_jax.plr.file.container import PAIRS_CODE, Container, Header
+from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
 from plr_jax.plr.pairs.stored import (
     Stored,
     _number_of_pair,
@@ -75,8 +78,57 @@ def test_a_file_is_read_as_it_was_written(stored):
 
 def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
     whole = Container.from_bytes(stored.to_bytes())
-    longer = Container(whole.domain, whole.leaf_code, whole.num_leaves, whole.body + bytes(9)).to_bytes()
+    first, second = whole.layers
+
+    def read(*layers, **given):
+        return Stored.from_bytes(Container(**{"domain": whole.domain, "layers": layers, **given}).to_bytes())
+
+    assert read(first, second).to_bytes() == stored.to_bytes()
+    with pytest.raises(ValueError, match="more data than its corners need"):
+        read(replace(first, body=first.body + bytes(9)), second)
     with pytest.raises(ValueError, match="more data than its leaves need"):
-        Stored.from_bytes(longer)
-    with pytest.raises(ValueError, match="one goal; use load"):
-        Stored.from_bytes(Container(whole.domain, 0, whole.num_leaves, whole.body).to_bytes())
+        read(first, replace(second, body=second.body + bytes(9)))
+    for codes in ((0, PAIRS_CODE), (PAIRS_CODE, 0), (PAIRS_CODE, PAIRS_CODE + 1)):
+        with pytest.raises(ValueError, match="one goal; use load"):
+            read(*(replace(layer, leaf_code=code) for layer, code in zip(whole.layers, codes, strict=True)))
+    with pytest.raises(ValueError, match="its pairs have 2 layers of lists"):
+        read(first, second, second)
+    for layers in ((replace(first, proof_code=1), second), (first, replace(second, proof_code=1))):
+        with pytest.raises(ValueError, match="proofs"):
+            read(*layers)
+    for domain in (Box((0,), (1,)), Box((0, 0), (1, 1), periodic=(True, False)), Box((0, 0, 0), (1, 1, 1))):
+        with pytest.raises(ValueError, match="they ought to be of a region in the plane"):
+            read(first, second, domain=domain)
+    with pytest.raises(ValueError, match=r"1e\+19 wide, more than 1e\+18"):
+        read(first, second, domain=Box((0, 0), (1e19, 1)))
+
+
+def test_without_the_lists_there_is_one_leaf_of_all_corners(stored):
+    data = stored.to_bytes()
+    (mark,) = Header.read(data).marks
+    cut = Stored.from_bytes(data[:mark])
+    assert len(cut.cells) == 1 and cut.leaf.tolist() == [0] * len(stored.corner)
+    np.testing.assert_array_equal(cut.listed, np.arange(len(stored.corner)))
+    for name in ("corner", "edges", "rounding", "points", "distances"):
+        np.testing.assert_array_equal(getattr(cut, name), getattr(stored, name))
+    for size in set(range(len(data))) - {mark}:
+        with pytest.raises(ValueError):
+            Stored.from_bytes(data[:size])
+
+
+def test_pairs_without_the_lists_have_the_same_distances(stored):
+    data = stored.to_bytes()
+    whole, cut = pairs_from_bytes(data), pairs_from_bytes(data[: Header.read(data).marks[0]])
+    x, y = scenes.maze().workspace.sample_free(400, 0).reshape(2, 200, 2)
+    assert np.isfinite(whole(x, y)).all() and cut.num_bytes < whole.num_bytes
+    np.testing.assert_allclose(cut(x, y), whole(x, y), rtol=1e-6)
+    to_goal = np.asarray(cut.to(y[0])(x))
+    assert np.abs(to_goal - whole(x, y[0])).mean() < 1e-4  # one leaf is halved as often as that takes
+
+
+def test_distances_that_err_by_no_number_are_refused(stored):
+    whole = Container.from_bytes(stored.to_bytes())
+    for number in (np.nan, np.inf, -1.0):
+        first = replace(whole.layers[0], body=np.float32(number).tobytes() + whole.layers[0].body[4:])
+        with pytest.raises(ValueError, match="its distances err by"):
+            Stored.from_bytes(replace(whole, layers=(first, whole.layers[1])).to_bytes())

@@ -163,8 +163,8 @@ def test_max_bytes_takes_bits_from_the_coefficients(wall):
     smaller = plr.num_bytes - 200
     refined, _ = refine(plr, x, distance, max_bytes=smaller)
     assert refined.num_bytes <= smaller and refined.stored.bits < 32
-    with pytest.raises(ValueError, match="max_bytes=100 is too small for 60 leaves"):
-        refine(plr, x, distance, max_bytes=100)
+    with pytest.raises(ValueError, match="max_bytes=61 is too small for 60 leaves"):
+        refine(plr, x, distance, max_bytes=61)
 
 
 def test_the_report(wall, wall_faces):

@@ -23,7 +23,7 @@ from plr_jax.plr.leaves.cone.sampled import grow_from_samples
 from plr_jax.plr.leaves.cone.sight import sources_in_sight
 from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.frame import table_corners
+from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler
 from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.pattern import sample_pattern
@@ -121,10 +121,10 @@ class Cone:
         return self.values(lo, hi, coefficients, center), half
 
     def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
-        """The offset, and the source from the domain's rounded lower corner."""
-        return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - table_corners(domain)[0]])
+        """The offset, and the source from the corner."""
+        return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
     def below_cones(
         self,
@@ -155,7 +155,7 @@ class Cone:
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Of the numbers, of the point, of differences, squares, sums and the root; and of squares that underflow."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
         along = 2 * numbers[:, 1:] + 2 * domain.width + largest_coordinates(domain)  # what is rounded along each axis
         length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
@@ -205,7 +205,8 @@ def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tup
     def size_with_room(leaves: ConeLeaves) -> int:
         return num_bytes_of(*stored(leaves), domain, limits) * (_ROOM + 1) // _ROOM
 
-    best = best_partition(root_box(visible, domain, limits.tolerance), limits, size_with_room)
+    root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
+    best = best_partition(root, limits, size_with_room, num_sources)
 
     def fits(source: Int[np.ndarray, "leaves"]) -> bool:
         return num_bytes_of(*stored(replace(best, source=source)), domain, limits) <= limits.max_bytes

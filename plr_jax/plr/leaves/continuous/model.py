@@ -38,6 +38,7 @@ from plr_jax.plr.leaves.continuous.growth import grow_tied
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces
 from plr_jax.plr.partition.tree import Tree
+from plr_jax.plr.query.frame import Corner
 from plr_jax.plr.sampling.cell_fit import Sampler
 
 _MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
@@ -172,7 +173,7 @@ class Continuous:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf."""
         return numbers_of_polynomials(self.order, cells, coefficients)

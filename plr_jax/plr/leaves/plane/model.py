@@ -40,7 +40,7 @@ from plr_jax.plr.leaves.plane.codec import (
 )
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
-from plr_jax.plr.query.frame import table_corners
+from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.query.grid import MOST_ROWS
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
 
@@ -191,12 +191,12 @@ class Plane:
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Its plane's value at the domain's rounded lower corner, and its slopes."""
+        """Its plane's value at the corner, and its slopes."""
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
-        to_center = (lo + hi) / 2 - table_corners(domain)[0]
+        to_center = (lo + hi) / 2 - corner
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
     def below_cones(
@@ -227,7 +227,7 @@ class Plane:
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
-        numbers = np.abs(self.numbers(domain, cells, coefficients))
+        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
         terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
 

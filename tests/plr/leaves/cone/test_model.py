@@ -140,5 +140,5 @@ def test_where_nothing_is_reached_the_construction_says_so():
 
 
 def test_a_budget_too_small_for_one_leaf_is_refused(maze):
-    with pytest.raises(ValueError, match="is too small: one leaf takes"):
-        construct(maze, UNIT, leaf="cone", max_bytes=50)
+    with pytest.raises(ValueError, match="max_bytes=20 is too small: one leaf takes"):
+        construct(maze, UNIT, leaf="cone", max_bytes=20)

@@ -144,8 +144,8 @@ def test_every_leaf_has_the_best_of_the_sources_for_what_it_holds():
 def test_limits_are_kept():
     assert construct(walled, UNIT, leaf="cone", max_leaves=7).num_leaves == 7
     assert construct(walled, UNIT, leaf="cone", max_depth=3).depth == 3
-    with pytest.raises(ValueError, match="max_bytes=50 is too small"):
-        construct(walled, UNIT, leaf="cone", max_bytes=50)
+    with pytest.raises(ValueError, match="max_bytes=20 is too small"):
+        construct(walled, UNIT, leaf="cone", max_bytes=20)
     loose, tight = (construct(walled, UNIT, leaf="cone", tolerance=t, max_leaves=500) for t in (0.05, 0.01))
     assert loose.num_leaves < tight.num_leaves
     assert error_of(tight, walled, points(20_000, 7)).max() < 0.02

@@ -27,7 +27,7 @@ def share_in_sight(plr, workspace, x):
     return workspace.is_visible(x, source).mean()
 
 
-@pytest.mark.parametrize("max_bytes", [300, 700])
+@pytest.mark.parametrize("max_bytes", [261, 661])
 def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
     workspace = maze.workspace
     x = workspace.sample_free(20_000, seed=0)

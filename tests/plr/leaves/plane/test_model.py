@@ -76,7 +76,8 @@ def test_midrange_planes_need_fewer_leaves_for_a_tolerance():
 def test_numbers_are_the_value_at_the_corner_and_the_slopes():
     """The plane ``3 + 5 x - 2 y`` on [2, 4] x [1, 2], in its upper half along x."""
     cells = Cells.root(2).split(np.array([0]))[[1]]
-    numbers = Plane().numbers(Box((2, 1), (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]))
+    corner = np.array([2.0, 1.0])
+    numbers = Plane().numbers(Box(corner, (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]), corner)
     np.testing.assert_allclose(numbers, [[3 + 10 - 2, 5, -2]])
 
 

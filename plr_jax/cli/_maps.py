@@ -1,0 +1,141 @@
+"""The MAP of a command: what is read, how, and which goal is in it."""
+
+import shlex
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+from jaxtyping import Float
+
+from plr_jax.cli._inputs import SCENES, parse_goal
+
+if TYPE_CHECKING:
+    from plr_jax._problem import Problem
+    from plr_jax.geometry.workspace import Workspace
+
+_KINDS: dict[str, type] = {
+    "resolution": float,
+    "threshold": float,
+    "drop_specks": int,
+}  # of options; others are texts
+_SPECK = 1e-5
+"""Share of the map's area up to which an obstacle is called a speck."""
+
+
+@dataclass(frozen=True)
+class NamedMap:
+    """A map as a command names it. As text it is a part of a command line, from which it can be named again.
+
+    Attributes:
+        name: MAP: the name of a scene, or a file.
+        goal: ``X,Y``; None: that of a scene of one robot, if it is one.
+        resolution: As for the reader of such a file, and so are the others; None: the reader's own.
+    """
+
+    name: str
+    goal: str | None = None
+    resolution: float | None = None
+    threshold: float | None = None
+    drop_specks: int | None = None
+    polygons: str | None = None
+
+    def __str__(self) -> str:
+        given = {name: value for name, value in vars(self).items() if name != "name" and value is not None}
+        return shlex.join([self.name, *(f"--{name.replace('_', '-')}={value}" for name, value in given.items())])
+
+    @classmethod
+    def of(cls, text: str) -> "NamedMap":
+        """The map that such a text names; ``ValueError`` if it is none."""
+        given: dict[str, Any] = {}
+        try:
+            name, *options = shlex.split(text)
+            for option in options:
+                key, value = option.removeprefix("--").split("=", 1)
+                key = key.replace("-", "_")
+                given[key] = _KINDS.get(key, str)(value)
+            return cls(name, **given)
+        except (ValueError, TypeError):
+            raise ValueError(f"expected a map and options of it, got {text!r}.") from None
+
+    def to(self, goal: Float[np.ndarray, "2"]) -> "NamedMap":
+        """The same with its goal said."""
+        return replace(self, goal=",".join(repr(float(along)) for along in goal))
+
+    @property
+    def _reading(self) -> dict[str, Any]:
+        """The options of the reader."""
+        return {
+            name: value for name, value in vars(self).items() if name not in ("name", "goal") and value is not None
+        }
+
+    @property
+    def has_pixels(self) -> bool:
+        """Whether it is a picture, by its name."""
+        return Path(self.name).suffix.lower() not in (".json", ".geojson", ".map", "")
+
+    def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
+        """The workspace, and the goal if there is one.
+
+        ``ValueError`` if MAP is neither the name of a scene nor the path of a file that can be read, or has no such
+        option.
+        """
+        from plr_jax import scenes
+
+        given = None if self.goal is None else parse_goal(self.goal)
+        if Path(self.name).suffix.lower() not in scenes.MAP_ENDINGS and self.name not in SCENES:
+            raise ValueError(
+                f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in "
+                f"{', '.join(scenes.MAP_ENDINGS)}, got {self.name!r}."
+            )
+        problem = self._problem()
+        if problem is None:
+            return scenes.read_workspace(self.name, **self._reading), given
+        if self._reading:
+            raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {', '.join(self._reading)}.")
+        own = problem.goals[0, :2] if len(problem.robots) == 1 else None
+        return problem.workspace, own if given is None else given
+
+    def _problem(self) -> "Problem | None":
+        """The scene that it is, if it is one."""
+        from plr_jax import scenes
+
+        if self.name in SCENES:
+            return getattr(scenes, self.name)()
+        if Path(self.name).suffix == ".json" and scenes.is_scene(self.name):
+            return scenes.load(self.name)
+        return None
+
+
+def map_of_label(
+    label: str, file: Path, goal: str | None
+) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
+    """The map and the goal that the label of a PLR's file names, or another goal; None where it names none.
+
+    A map's own file is looked for as it was named, and beside the PLR's.
+    """
+    try:
+        named = NamedMap.of(label)
+    except ValueError:
+        if goal is not None:
+            raise ValueError(f"{file} does not say of which map it is: --goal needs --map.") from None
+        return None, None
+    named = named if goal is None else replace(named, goal=goal)
+    beside = file.parent / Path(named.name).name
+    if named.name not in SCENES and not Path(named.name).exists() and beside.exists():
+        named = replace(named, name=str(beside))
+    return named.read()
+
+
+def say_vertices(workspace: "Workspace") -> None:
+    """Print how many vertices a workspace has that pixels were made into, and how many of them are for specks."""
+    import shapely
+
+    parts = np.concatenate([shapely.get_parts(workspace.obstacles), shapely.get_parts(workspace.free_space)])
+    small = parts[shapely.area(parts) <= _SPECK * np.prod(workspace.bounds.width)]
+    specks = ""
+    if len(small):
+        of_them = int(np.sum(shapely.get_num_coordinates(small) - 1))
+        specks = f", {of_them:,} of them of specks ({len(small):,}; --drop-specks N drops those of at most N pixels)"
+    typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{specks}")

@@ -1,0 +1,76 @@
+"""One door for all maps: a workspace from a file of any kind that can be read."""
+
+import inspect
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from plr_jax._documents import errors_named, json_of, yaml_of
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.scenes._dbcbs import read_dbcbs
+from plr_jax.scenes._file import is_scene, load
+from plr_jax.scenes._geojson import is_geojson, read_geojson
+from plr_jax.scenes._map_server import is_map_server, read_map_server
+from plr_jax.scenes._movingai import read_map
+from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image
+from plr_jax.scenes._polygons import read_polygons
+
+MAP_ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
+"""How the names of files end that :func:`read_workspace` reads."""
+
+
+def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
+    """Read a workspace from a file of any kind, by its ending and what is in it.
+
+    Args:
+        path: A picture (:func:`read_image`); a map of ``map_server``, ``.yaml`` (:func:`read_map_server`); GeoJSON,
+            ``.json`` or ``.geojson`` (:func:`read_geojson`); a Moving AI grid, ``.map`` (:func:`read_map`); polygons
+            with holes, ``.json`` (:func:`read_polygons`); a scene, ``.json`` (:func:`load`), or a problem of db-CBS,
+            ``.yaml`` (:func:`read_dbcbs`), of which the workspace is taken.
+        **options: Those of the reader.
+
+    Returns:
+        The workspace.
+
+    Raises:
+        ValueError: If the file is of no such kind, is damaged, or has no such option.
+        OSError: If the file cannot be read.
+    """
+    path = Path(path)
+    reader = _reader_of(path)
+    known = list(inspect.signature(reader).parameters)[1:]
+    if unknown := ", ".join(name for name in options if name not in known):
+        raise ValueError(f"{path}: {unknown} is no option of files of this kind; they have {known or 'none'}.")
+    return reader(path, **options)
+
+
+def _reader_of(path: Path) -> Callable[..., Workspace]:
+    match path.suffix.lower():
+        case ".map":
+            return read_map
+        case ".geojson":
+            return read_geojson
+        case ".json":
+            return _reader_of_json(path)
+        case ".yaml" | ".yml":
+            with errors_named(path):
+                return read_map_server if is_map_server(yaml_of(path)) else _workspace_of_problem
+        case ending if ending in PICTURE_ENDINGS:
+            return read_image
+    raise ValueError(f"{path}: expected a file that ends in one of {', '.join(MAP_ENDINGS)}.")
+
+
+def _reader_of_json(path: Path) -> Callable[..., Workspace]:
+    if is_scene(path):
+        return _workspace_of_scene
+    with errors_named(path):
+        return read_geojson if is_geojson(json_of(path)) else read_polygons
+
+
+def _workspace_of_scene(path: Path) -> Workspace:
+    return load(path).workspace
+
+
+def _workspace_of_problem(path: Path) -> Workspace:
+    return read_dbcbs(path).workspace

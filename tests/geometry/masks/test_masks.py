@@ -1,0 +1,193 @@
+"""Polygons of pixels, beside those that Shapely unites of squares, and the graphs of pixels that they must keep."""
+
+import numpy as np
+import pytest
+import scipy.ndimage
+import shapely
+
+from plr_jax import VisibilityGraph, Workspace
+from plr_jax.geometry.masks.regions import region_of_mask, without_specks
+from plr_jax.geometry.masks.simplification import CLEARANCE
+from plr_jax.geometry.masks.tracing import pixel_rings
+
+TOLERANCES = (0.25, 0.5, 0.8, 1.5)
+
+
+def drawn(*rows):
+    """A mask, its first row the lowest, '.' where free."""
+    return np.array([list(row) for row in rows]) == "."
+
+
+def united(free):
+    row, column = np.nonzero(free)
+    return shapely.union_all(shapely.box(column, row, column + 1, row + 1))
+
+
+def random_mask(seed):
+    rng = np.random.default_rng(seed)
+    free = rng.random(rng.integers(1, 13, 2)) < rng.choice([0.3, 0.5, 0.7, 0.9])
+    free.flat[0] = True
+    return np.kron(free, np.ones((2, 2), bool)) if seed % 3 == 0 else free
+
+
+def rings_of(free):
+    rings = pixel_rings(free)
+    return [rings.points[a:b].astype(int).tolist() for a, b in zip(rings.start[:-1], rings.start[1:], strict=True)]
+
+
+def test_rings_have_free_space_on_their_left_and_corners_alone():
+    assert rings_of(drawn("..")) == [[[0, 0], [2, 0], [2, 1], [0, 1]]]
+    outer, hole = rings_of(drawn("...", ".#.", "..."))
+    assert outer == [[0, 0], [3, 0], [3, 3], [0, 3]]
+    assert hole == [[1, 1], [1, 2], [2, 2], [2, 1]]
+
+
+@pytest.mark.parametrize("rows", [(".#", "#."), ("#.", ".#")])
+def test_pixels_that_touch_in_a_corner_have_a_ring_each(rows):
+    free = drawn(*rows)
+    rings = pixel_rings(free)
+    assert len(rings.start) == 3 and rings.is_contact.sum() == 2
+    assert (rings.points[rings.is_contact] == 1).all()
+
+
+def test_a_ring_that_meets_itself_becomes_a_polygon_with_a_hole():
+    (polygon,) = region_of_mask(drawn("...", ".#.", "..#"), 0).geoms
+    assert polygon.is_valid and polygon.area == 7 and len(polygon.interiors) == 1
+
+
+def test_an_island_is_a_polygon_of_its_own():
+    free = np.ones((5, 5), bool)
+    free[1:4, 1:4], free[2, 2] = False, True
+    region = region_of_mask(free, 0.5)
+    assert sorted(polygon.area for polygon in region.geoms) == [pytest.approx(1, abs=0.5), 16]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_without_a_tolerance_polygons_are_the_pixels(seed):
+    free = random_mask(seed)
+    region = region_of_mask(free, 0)
+    assert region.is_valid
+    assert shapely.symmetric_difference(region, united(free)).area == 0
+    assert len(region.geoms) == scipy.ndimage.label(free)[1]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_outlines_are_near_those_of_the_pixels_and_part_and_join_nothing(seed):
+    free = random_mask(seed)
+    exact, outline = region_of_mask(free, 0), united(free).boundary
+    for tolerance in TOLERANCES:
+        region = region_of_mask(free, tolerance)
+        assert region.is_valid
+        assert shapely.hausdorff_distance(region.boundary, outline, 0.05) <= tolerance
+        assert shapely.hausdorff_distance(outline, region.boundary, 0.05) <= tolerance
+        holes, exact_holes = (sorted(len(part.interiors) for part in each.geoms) for each in (region, exact))
+        assert holes == exact_holes and min(part.area for part in region.geoms) > CLEARANCE**2
+        assert shapely.get_num_coordinates(region) <= shapely.get_num_coordinates(exact)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_at_half_a_pixel_free_components_keep_the_middles_of_their_pixels_apart(seed):
+    """Each piece of the region is that of one component of pixels, most of whose middles it holds."""
+    free = random_mask(seed)
+    label, count = scipy.ndimage.label(free)
+    region = region_of_mask(free, 0.5)
+    row, column = np.nonzero(free)
+    middles = shapely.points(column + 0.5, row + 0.5)
+    for component in range(1, count + 1):
+        of_component = middles[label[row, column] == component]
+        holders = [part for part in region.geoms if shapely.intersects(part, of_component).any()]
+        assert len(holders) == 1
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_passage_of_two_pixels_is_closed(seed):
+    """A square of two by two pixels slides wherever it fits: its middle stays free on the way."""
+    rng = np.random.default_rng(seed)
+    free = np.kron(rng.random((9, 11)) < 0.6, np.ones((2, 2), bool)) | (rng.random((18, 22)) < 0.05)
+    free[:2, :2] = True
+    workspace = Workspace.from_mask(free)
+    fits = free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:]
+    for dy, dx in ((0, 1), (1, 0)):
+        row, column = np.nonzero(fits[: 17 - dy, : 21 - dx] & fits[dy:, dx:])
+        begin = np.stack([column + 1.0, row + 1.0], axis=1)
+        assert workspace.is_visible(begin, begin + np.array([dx, dy])).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_two_pixels_of_width_join_is_joined(seed):
+    rng = np.random.default_rng(100 + seed)
+    free = np.kron(rng.random((7, 8)) < 0.65, np.ones((2, 2), bool))
+    free[:2, :2] = True
+    label = scipy.ndimage.label(free)[0]
+    row, column = np.nonzero(free)
+    oracle = VisibilityGraph(Workspace.from_mask(free), (1.0, 1.0))
+    # Of every block of two by two pixels the middle.
+    blocks = (row % 2 == 0) & (column % 2 == 0)
+    middle = np.stack([column[blocks] + 1.0, row[blocks] + 1.0], axis=1)
+    np.testing.assert_array_equal(np.isfinite(oracle(middle)), label[row[blocks], column[blocks]] == label[0, 0])
+
+
+def test_inclined_walls_become_straight():
+    y, x = np.indices((80, 100)) + 0.5
+    free = np.abs(x * np.sin(0.37) - (y - 10) * np.cos(0.37)) < 9
+    exact, half = (Workspace.from_mask(free, tolerance=tolerance) for tolerance in (0, 0.5))
+    assert len(half.boundary.vertices) < 0.5 * len(exact.boundary.vertices)
+
+
+def test_a_rectangle_keeps_its_corners():
+    free = np.ones((30, 40), bool)
+    free[10:20, 5:9] = False
+    workspace = Workspace.from_mask(free)
+    (obstacle,) = workspace.obstacles
+    assert obstacle.equals(shapely.box(5, 10, 9, 20))
+
+
+def test_specks_are_dropped_by_their_pixels_obstacles_first():
+    free = drawn("......", ".#..#.", "..#...", "......", "######", "#.##..")
+    dropped = without_specks(free, 2)
+    np.testing.assert_array_equal(dropped, drawn("......", "......", "......", "......", "######", "######"))
+    # The two that touch in a corner are one obstacle of two pixels, the one at the right of one.
+    np.testing.assert_array_equal(without_specks(free, 1)[:4], drawn("......", ".#....", "..#...", "......"))
+
+
+def test_masks_are_placed_turned_and_read_from_the_top():
+    free = drawn("..", ".#", ".#")
+    np.testing.assert_array_equal(Workspace.from_mask(free, 0.5, (1, 2)).bounds.hi, [2, 3.5])
+    top = Workspace.from_mask(free, 0.5, (1, 2), row0="top", tolerance=0)
+    np.testing.assert_array_equal(top.is_free([(1.75, 3.25), (1.75, 2.25), (1.25, 2.25)]), [True, False, True])
+    turned = Workspace.from_mask(free, 0.5, (1, 2, np.pi / 2), tolerance=0)
+    np.testing.assert_allclose([turned.bounds.lo, turned.bounds.hi], [(-0.5, 2), (1, 3)], atol=1e-12)
+    np.testing.assert_array_equal(turned.is_free([(0.75, 2.75), (0.25, 2.75)]), [True, False])
+
+
+def test_contacts_are_for_squeezing():
+    for squeeze in (False, True):
+        oracle = VisibilityGraph(Workspace.from_mask(drawn(".#", "#."), squeeze=squeeze), (0.5, 0.5))
+        assert np.isfinite(oracle(np.array([[1.5, 1.5]])))[0] == squeeze
+
+
+@pytest.mark.parametrize(
+    ("free", "options", "message"),
+    [
+        (
+            np.ones((3, 3)),
+            {},
+            r"free must be booleans of shape \(rows, columns\), such as picture > 127, got float64",
+        ),
+        (np.ones(3, bool), {}, r"got bool of shape \(3,\)"),
+        (np.ma.masked_equal(np.eye(3) > 0, True), {}, "some masked"),
+        (np.zeros((3, 4), bool), {}, "No pixel of 3 x 4 is free"),
+        (np.zeros((0, 4), bool), {}, "No pixel of 0 x 4 is free"),
+        (np.eye(3) > 0, {"drop_specks": 9}, "No pixel"),
+        (np.eye(3) > 0, {"drop_specks": 0.5}, "drop_specks must be an integer"),
+        (np.eye(3) > 0, {"resolution": 0}, "resolution must be a positive"),
+        (np.eye(3) > 0, {"tolerance": -1}, "tolerance must be"),
+        (np.eye(3) > 0, {"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
+        (np.eye(3) > 0, {"origin": 3}, "origin must be"),
+        (np.eye(3) > 0, {"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
+        (np.indices((700, 700)).sum(axis=0) % 2 == 0, {}, "corners, at most 262,144 are read"),
+    ],
+)
+def test_what_is_no_mask_is_refused(free, options, message, unchecked_types):
+    with pytest.raises(ValueError, match=message):
+        Workspace.from_mask(free, **options)

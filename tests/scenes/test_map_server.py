@@ -1,0 +1,108 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from plr_jax import Workspace, scenes
+
+YAML = """image: map.pgm
+resolution: 0.5
+origin: [-1.0, 2.0, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+GRAY = np.array([[254, 254, 254], [254, 205, 0], [254, 254, 254]], np.uint8)  # free, unknown, occupied
+
+
+def written(folder, yaml=YAML, gray=GRAY, image="map.pgm"):
+    Image.fromarray(gray).save(folder / image)
+    (folder / "map.yaml").write_text(yaml)
+    return folder / "map.yaml"
+
+
+def area(path, **options):
+    return scenes.read_map_server(path, tolerance=0, **options).free_space.area
+
+
+def test_a_map_lies_in_its_frame_and_unknown_is_occupied_unless_asked(tmp_path):
+    path = written(tmp_path)
+    workspace = scenes.read_map_server(path)
+    np.testing.assert_array_equal([workspace.bounds.lo, workspace.bounds.hi], [(-1, 2), (0.5, 3.5)])
+    assert area(path) == 7 * 0.25 and area(path, unknown_is_free=True) == 8 * 0.25
+    free = scenes.read_workspace(path, tolerance=0).is_free([(-0.75, 2.75), (-0.25, 2.75), (0.25, 2.75)])
+    np.testing.assert_array_equal(free, [True, False, False])
+
+
+def test_the_first_row_is_the_highest(tmp_path):
+    gray = GRAY.copy()
+    gray[0, 0] = 0
+    workspace = scenes.read_map_server(written(tmp_path, gray=gray), tolerance=0)
+    np.testing.assert_array_equal(workspace.is_free([(-0.75, 3.25), (-0.75, 2.25)]), [False, True])
+
+
+def test_yaw_turns_the_map_about_its_corner(tmp_path):
+    path = written(tmp_path, YAML.replace("0.0]", "0.3]"))
+    expected = Workspace.from_mask(GRAY[::-1] == 254, 0.5, (-1, 2, 0.3))
+    assert scenes.read_map_server(path).free_space.equals(expected.free_space)
+
+
+@pytest.mark.parametrize(
+    ("change", "pixels"),
+    [
+        (("negate: 0", "negate: 1"), 1),  # the black one
+        (("negate: 0", "negate: true"), 1),
+        (("free_thresh: 0.196", "free_thresh: 0.197"), 8),  # 205 is (255 - 205) / 255 = 0.19608
+        (("free_thresh: 0.196\n", ""), 7),
+        (("negate: 0\n", ""), 7),
+        (("0.196", "0.196\nmode: scale"), 7),
+        (("0.196", "0.196\nmode: trinary"), 7),
+    ],
+)
+def test_thresholds_are_those_of_map_server(change, pixels, tmp_path):
+    assert area(written(tmp_path, YAML.replace(*change))) == pixels * 0.25
+
+
+def test_raw_pixels_are_percents(tmp_path):
+    gray = np.array([[0, 19, 20, 65, 100, 101, 255]], np.uint8)
+    path = written(tmp_path, YAML + "mode: raw\n", gray)
+    assert area(path) == 2 * 0.25
+    assert area(path, unknown_is_free=True) == 6 * 0.25  # all but 100 and 65 is none above 0.65
+
+
+def test_in_the_mode_scale_transparent_pixels_are_unknown(tmp_path):
+    gray = np.full((1, 3, 4), 255, np.uint8)
+    gray[0, 1, 3] = 128
+    for mode, pixels in (("scale", 2), ("trinary", 3)):
+        path = written(tmp_path, YAML.replace("map.pgm", "map.png") + f"mode: {mode}\n", gray, "map.png")
+        assert area(path) == pixels * 0.25
+
+
+@pytest.mark.parametrize(
+    ("yaml", "message"),
+    [
+        ("", "missing image, resolution, origin"),
+        ("[1, 2]", "missing image"),
+        (YAML.replace("0.5", "0"), "resolution must be a positive"),
+        (YAML.replace("0.5", ".nan"), "resolution must be a finite number, got nan"),
+        (YAML.replace("0.5", "[1]"), "resolution must be a finite number"),
+        (YAML.replace("[-1.0, 2.0, 0.0]", "3"), r"origin must be \[x, y, yaw\], got 3"),
+        (YAML.replace("2.0, ", "x, "), "origin must be a finite number, got 'x'"),
+        (YAML.replace("negate: 0", "negate: 2"), "negate must be 0 or 1"),
+        (YAML.replace("0.65", "high"), "occupied_thresh must be a finite number"),
+        (YAML + "mode: new\n", "mode must be one of trinary, scale, raw"),
+        (YAML.replace("map.pgm", "[map.pgm]"), "image must be the name of a file"),
+        (YAML.replace("map.pgm", "map.yaml"), "expected a picture"),
+        (YAML + "a: &a [x]\nb: *a\n", "neither aliases nor tags"),
+        (YAML + "a: " + "[" * 5000, "at most 32 deep"),
+    ],
+    ids=range(14),
+)
+def test_what_is_no_map_is_refused_by_name(yaml, message, tmp_path):
+    path = written(tmp_path, yaml)
+    with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
+        scenes.read_map_server(path)
+
+
+def test_a_missing_picture_is_an_error_of_the_system(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        scenes.read_map_server(written(tmp_path, YAML.replace("map.pgm", "none.pgm")))

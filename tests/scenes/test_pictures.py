@@ -1,0 +1,148 @@
+"""Maps that are pictures: what is free in them, and files that are none."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from plr_jax import Workspace, scenes
+
+WALL = np.full((6, 8), 255, np.uint8)
+WALL[0:4, 3:5] = 0  # from the top: the way around it is below
+FREE = WALL[::-1] > 127
+
+
+def same(workspace, free=FREE, **options):
+    expected = Workspace.from_mask(free, **options)
+    assert workspace.free_space.equals(expected.free_space) and workspace.bounds == expected.bounds
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.pgm", "a.ppm", "a.bmp", "a.gif", "a.tif", "a.webp", "A.PNG"])
+def test_pictures_of_all_kinds_are_read_from_the_top(name, tmp_path):
+    picture = Image.fromarray(WALL)
+    options = {"lossless": True} if name.endswith("webp") else {}
+    (picture.convert("RGB") if name.endswith(("ppm", "webp")) else picture).save(tmp_path / name, **options)
+    same(scenes.read_image(tmp_path / name))
+    same(scenes.read_workspace(tmp_path / name))
+    assert scenes.read_image(tmp_path / name).is_free([(4, 1.0)])[0]
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "LA", "RGB", "RGBA", "I;16"])
+def test_pixels_of_all_modes_are_light_or_dark(mode, tmp_path):
+    picture = Image.fromarray(WALL)
+    deep = Image.fromarray(WALL.astype(np.uint16) * 257)
+    (deep if mode == "I;16" else picture.convert(mode)).save(tmp_path / "a.png")
+    same(scenes.read_image(tmp_path / "a.png"))
+
+
+def test_gray_of_more_than_8_bits_is_read(tmp_path):
+    deep = (WALL.astype(">u2") * 257).tobytes()
+    (tmp_path / "a.pgm").write_bytes(b"P5 8 6 65535\n" + deep)
+    same(scenes.read_image(tmp_path / "a.pgm"))
+
+
+def test_pixels_above_the_threshold_are_free(tmp_path):
+    Image.fromarray(np.array([[50, 51, 52, 200]], np.uint8)).save(tmp_path / "a.pgm")
+    for threshold, count in ((0.0, 4), (0.2, 2), (0.5, 1)):
+        workspace = scenes.read_image(tmp_path / "a.pgm", threshold=threshold)
+        assert workspace.free_space.area == count
+    for threshold in (1.0, -0.1, np.nan):
+        with pytest.raises(ValueError, match="threshold must be a number from 0 to less than 1"):
+            scenes.read_image(tmp_path / "a.pgm", threshold=threshold)
+
+
+def test_what_is_transparent_is_seen_on_white_paper(tmp_path):
+    pixels = np.zeros((1, 4, 4), np.uint8)
+    pixels[0, :, 3] = [0, 100, 200, 255]  # black, ever less transparent
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    assert scenes.read_image(tmp_path / "a.png").free_space.area == 2
+    palette = Image.fromarray(np.array([[0, 1]], np.uint8)).convert("P")
+    palette.save(tmp_path / "b.png", transparency=0)
+    assert scenes.read_image(tmp_path / "b.png").free_space.area == 1
+
+
+def test_a_picture_is_turned_as_its_file_says(tmp_path):
+    exif = Image.Exif()
+    exif[274] = 6  # to be turned by a quarter, clockwise
+    Image.fromarray(WALL).save(tmp_path / "a.png", exif=exif)
+    same(scenes.read_image(tmp_path / "a.png"), np.rot90(WALL, -1)[::-1] > 127)
+
+
+def test_the_arguments_of_masks_are_passed_on(tmp_path):
+    noisy = WALL.copy()
+    noisy[5, 0] = 0
+    Image.fromarray(noisy).save(tmp_path / "a.png")
+    workspace = scenes.read_image(tmp_path / "a.png", 0.5, (1, 2), drop_specks=1, tolerance=0, squeeze=True)
+    same(workspace, resolution=0.5, origin=(1, 2), tolerance=0)
+    assert workspace.squeeze
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(width, height, data=b""):
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.png", b"", "expected a picture"),
+        ("a.png", b"no picture", "expected a picture"),
+        (
+            "a.png",
+            b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n",
+            "expected a picture",
+        ),  # would run Ghostscript
+        ("a.png", png(4, 4, bytes(20))[:40], "damaged|expected a picture"),
+        ("a.png", png(4, 4, bytes(3)), "damaged"),
+        ("a.png", png(10**9, 1), "expected a picture"),
+        ("a.png", png(40_000, 40_000), "expected a picture"),
+        ("a.png", png(12_000, 8_000), "at most 16,777,216 pixels, 12,582,912 in color, got 12,000 x 8,000"),
+        ("a.pgm", b"P5 9000 9000 255\n", "at most 16,777,216 pixels"),
+        ("a.pgm", b"P5 4 4 255\nabc", "damaged"),
+        ("a.pgm", b"P5 -4 4 255\nabc", "expected a picture"),
+        ("a.pgm", b"P2 2 2 255\n1 2 3 x", "damaged"),
+        ("a.png", png(4, 4, bytes(20)), "No pixel of 4 x 4 is free"),
+    ],
+    ids=range(13),
+)
+def test_what_is_no_picture_is_refused_by_name(name, content, message, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"^\S*{name}: .*({message})"):
+        scenes.read_image(tmp_path / name)
+
+
+def test_floating_point_pictures_are_refused(tmp_path):
+    Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "a.tif")
+    with pytest.raises(ValueError, match=r"a\.tif: expected black, gray or color"):
+        scenes.read_image(tmp_path / "a.tif")
+
+
+def test_a_missing_file_is_an_error_of_the_system(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        scenes.read_image(tmp_path / "none.png")
+
+
+def test_damaged_pictures_are_read_or_refused_and_nothing_else(tmp_path):
+    """Bytes of valid pictures flipped, cut out and cut off."""
+    rng, path = np.random.default_rng(0), tmp_path / "a.png"
+    outcomes = set()
+    for kind in ("PNG", "PPM", "GIF", "BMP", "TIFF"):
+        Image.fromarray(WALL).save(path, format=kind)
+        valid = np.frombuffer(path.read_bytes(), np.uint8)
+        for _ in range(60):
+            data = valid.copy()
+            data[rng.integers(len(data), size=rng.integers(1, 4))] ^= np.uint8(1 << rng.integers(8))
+            data = data[: rng.integers(len(data))] if rng.random() < 0.3 else data
+            path.write_bytes(data.tobytes())
+            try:
+                outcomes.add(type(scenes.read_image(path)))
+            except ValueError as error:
+                assert str(error).startswith(str(path))
+                outcomes.add(ValueError)
+    assert outcomes == {Workspace, ValueError}

@@ -1,0 +1,34 @@
+"""One door for all maps."""
+
+import json
+
+import pytest
+
+from plr_jax import scenes
+
+DBCBS = """
+environment: {max: [6, 4.5], min: [0, 0], obstacles: [{center: [3, 1], size: [1, 2], type: box}]}
+robots: [{type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}]
+"""
+
+
+def test_files_are_known_by_their_ending_and_what_is_in_them(tmp_path):
+    scenes.save(scenes.maze(), tmp_path / "scene.json")
+    (tmp_path / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
+    (tmp_path / "grid.MAP").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    (tmp_path / "problem.yaml").write_text(DBCBS)
+    expected = {"scene.json": scenes.maze().workspace.free_space.area, "polygons.json": 4.5, "grid.MAP": 2}
+    for name, area in {**expected, "problem.yaml": 25}.items():
+        assert scenes.read_workspace(tmp_path / name).free_space.area == pytest.approx(area)
+
+
+def test_what_cannot_be_read_is_said_by_name(tmp_path):
+    with pytest.raises(ValueError, match=r"a\.doc: expected a file that ends in one of \.map, \.json"):
+        scenes.read_workspace(tmp_path / "a.doc")
+    (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    with pytest.raises(ValueError, match=r"a\.map: resolution is no option of files of this kind.*squeeze"):
+        scenes.read_workspace(tmp_path / "a.map", resolution=2)
+    for name in ("a.json", "a.yaml"):
+        (tmp_path / name).write_text("[" * 10**5)
+        with pytest.raises(ValueError, match=rf"{name}: "):
+            scenes.read_workspace(tmp_path / name)
