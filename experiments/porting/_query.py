@@ -73,13 +73,5 @@ def table(results: dict[str, Any]) -> str:
     for row in results["rows"]:
         memory = "-" if row["megabytes"] is None else f"{row['megabytes']:.0f}"
         seconds = [f"{row[key]:.1f}" for key in ("seconds", "processor")]
-        rows.append(
-            [
-                f"{row['rows']:,}",
-                f"{row['seconds']:.1f}",
-                f"{row['processor']:.1f}",
-                memory,
-                "yes" if row["jax"] else "no",
-            ]
-        )
+        rows.append([f"{row['rows']:,}", *seconds, memory, "yes" if row["jax"] else "no"])
     return aligned(rows, 5)
