@@ -15,9 +15,25 @@ from shapely.geometry import GeometryCollection, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_numbers, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
 
 LARGEST_COORDINATE = 1e100
 """Areas, and products of two of them, are finite below."""
+
+
+def as_bounds(value: Box | ArrayLike) -> Box:
+    """The Box of a workspace, given as one or by its corners; ``ValueError`` if it is none in the plane."""
+    bounds = Box.of(value, "Bounds")
+    if bounds.dim != 2:
+        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
+    if bounds.is_periodic:
+        raise ValueError(f"A workspace is a part of the plane, without periodic axes, got {bounds}.")
+    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
+    return bounds
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:

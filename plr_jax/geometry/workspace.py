@@ -4,20 +4,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_points, require_integer, shortened
+from plr_jax._arrays import as_finite, as_points, is_of_jax, require_integer, shortened
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.polygons import (
-    LARGEST_COORDINATE,
+    as_bounds,
     as_components,
     as_polygons,
     merge_vertices,
@@ -27,6 +27,9 @@ from plr_jax.geometry.polygons import (
 )
 from plr_jax.geometry.vectors import cross_product
 from plr_jax.geometry.visibility import Triangulation, triangulation_of
+
+if TYPE_CHECKING:
+    from plr_jax.geometry.free_space import FreeSpace
 
 _MITRE_LIMIT = 1.5
 """How far the corner of grown free space may be from the one it grew from: right angles keep theirs, tips do not."""
@@ -69,7 +72,7 @@ class Workspace:
     free_space: Polygon | MultiPolygon
 
     def __init__(self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False):
-        bounds = _as_bounds(bounds)
+        bounds = as_bounds(bounds)
         polygons = as_polygons("Obstacle", obstacles)
         region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * _grid(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
@@ -140,6 +143,13 @@ class Workspace:
         """Triangles that fill free space between the edges of ``boundary``."""
         return triangulation_of(self.boundary, self.tolerance)
 
+    @cached_property
+    def tables(self) -> "FreeSpace":
+        """Free space for compiled functions: about a kilobyte an edge, made once, in a second for 5,000 vertices."""
+        from plr_jax.geometry.free_space import free_space_of  # needs JAX, which nothing else here does
+
+        return free_space_of(self.boundary, self.bounds)
+
     @property
     def _tolerant(self) -> Any:
         return prepared(self, "grown", lambda: self._grown(self.tolerance))
@@ -163,11 +173,12 @@ class Workspace:
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
-    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_free(self, x: ArrayLike) -> Bool[Any, "*batch"]:
         """Whether points lie in closed free space.
 
         Args:
-            x: Points, ``(n, 2)``.
+            x: Points, ``(n, 2)``. JAX's, which may have any shape ``(..., 2)``, are looked up in :attr:`tables`:
+                under ``jax.jit`` and ``jax.vmap``, and to the tolerance of :meth:`FreeSpace.is_free`.
 
         Returns:
             True where free, walls included (to ``tolerance``); False for points that are not finite.
@@ -175,14 +186,17 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
+        if is_of_jax(x):
+            return self.tables.is_free(x)
         x = as_points("x", x, 2)
         return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
 
-    def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
+    def clearance(self, x: ArrayLike) -> Float[Any, "*batch"]:
         """Signed distance to the nearest obstacle or bound.
 
         Args:
-            x: Points, ``(n, 2)``.
+            x: Points, ``(n, 2)``. JAX's, which may have any shape ``(..., 2)``, are looked up in :attr:`tables`:
+                under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, and as exactly as :meth:`FreeSpace.clearance` says.
 
         Returns:
             Distance to the boundary of free space, in workspace units: positive in free space, zero on a
@@ -191,6 +205,8 @@ class Workspace:
         Raises:
             ValueError: If ``x`` has another shape.
         """
+        if is_of_jax(x):
+            return self.tables.clearance(x)
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
         result = np.full(len(x), np.nan)
@@ -331,16 +347,3 @@ def _rounding(bounds: Box) -> float:
 def _grid(bounds: Box) -> float:
     """A power of two near the rounding error, so that integers and dyadic fractions are not rounded."""
     return float(2.0 ** np.ceil(np.log2(_rounding(bounds))))
-
-
-def _as_bounds(value: Box | ArrayLike) -> Box:
-    bounds = Box.of(value, "Bounds")
-    if bounds.dim != 2:
-        raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")
-    if bounds.is_periodic:
-        raise ValueError(f"A workspace is a part of the plane, without periodic axes, got {bounds}.")
-    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
-        raise ValueError(
-            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
-        )
-    return bounds

@@ -13,7 +13,7 @@ from plr_jax._arrays import parts, run_members, runs
 from plr_jax.geometry.vectors import distance_to_segment
 
 _FEW = 4  # edges of a cell that is quartered no more
-_ENTRIES_AN_EDGE, _LEAST_ENTRIES = 64, 2**16  # of the lists of all cells together, which bound the tables' memory
+_ENTRIES_AN_EDGE, _LEAST_ENTRIES = 96, 2**16  # of the lists of all cells together, which bound the tables' memory
 _AT_ONCE = 2**17  # pairs of a cell and an edge
 _MARGIN = 2.0**-21  # of the square's side: how far beside its cell rounding may put a point
 
@@ -89,7 +89,9 @@ def _distances(
     (ax, ay), (bx, by) = segments[:, 0].T, segments[:, 1].T
     dx, dy = bx - ax, by - ay
     corners = [distance_to_segment(ax - x, ay - y, dx, dy) for x in (-half, half) for y in (-half, half)]
-    ends = [np.hypot(np.maximum(np.abs(x) - half, 0), np.maximum(np.abs(y) - half, 0)) for x, y in ((ax, ay), (bx, by))]
+    ends = [
+        np.hypot(np.maximum(np.abs(x) - half, 0), np.maximum(np.abs(y) - half, 0)) for x, y in ((ax, ay), (bx, by))
+    ]
     meets = np.abs(ax * dy - ay * dx) <= half * (np.abs(dx) + np.abs(dy))
     for a, b in ((ax, bx), (ay, by)):
         meets &= (np.minimum(a, b) <= half) & (np.maximum(a, b) >= -half)
