@@ -1,6 +1,7 @@
 """``plr-jax query``: seconds and memory of tables of ten times as many rows, each of two numbers of six decimals."""
 
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -33,16 +34,30 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         for number in (1_000, 10_000) if smoke else ROWS:
             points = Path(folder) / "points.csv"
             _write(points, number, seed)
-            began = time.perf_counter()
+            began, before = time.perf_counter(), _of_children()
             with open(Path(folder) / "answers.txt", "wb") as answers:
                 command = [sys.executable, "-c", _CODE, str(plr), str(points)]
                 done = subprocess.run(command, check=True, stdout=answers, stderr=subprocess.PIPE, text=True)
-            seconds = time.perf_counter() - began
+            seconds, of_processor = time.perf_counter() - began, _of_children() - before
             *kilobytes, has_jax = done.stderr.split()
             megabytes = int(kilobytes[0]) / 1024 if kilobytes else None
-            rows.append({"rows": number, "seconds": seconds, "megabytes": megabytes, "jax": has_jax == "True"})
+            rows.append(
+                {
+                    "rows": number,
+                    "seconds": seconds,
+                    "processor": of_processor,
+                    "megabytes": megabytes,
+                    "jax": has_jax == "True",
+                }
+            )
             print(rows[-1], flush=True)
     return {"rows": rows}
+
+
+def _of_children() -> float:
+    """Seconds of a processor that all processes took that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _write(path: Path, number: int, seed: int) -> None:
@@ -54,8 +69,9 @@ def _write(path: Path, number: int, seed: int) -> None:
 
 
 def table(results: dict[str, Any]) -> str:
-    rows = [["rows", "s", "MB", "JAX imported"]]
+    rows = [["rows", "s", "s of a processor", "MB", "JAX imported"]]
     for row in results["rows"]:
         memory = "-" if row["megabytes"] is None else f"{row['megabytes']:.0f}"
-        rows.append([f"{row['rows']:,}", f"{row['seconds']:.1f}", memory, "yes" if row["jax"] else "no"])
-    return aligned(rows, 4)
+        seconds = [f"{row[key]:.1f}" for key in ("seconds", "processor")]
+        rows.append([f"{row['rows']:,}", *seconds, memory, "yes" if row["jax"] else "no"])
+    return aligned(rows, 5)

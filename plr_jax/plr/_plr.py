@@ -315,10 +315,7 @@ class PLR(HeldFile):
 
     @property
     def _far_corner(self) -> Corner | None:
-        """The lower corner of a domain so far from the origin that points are counted from there.
-
-        On the host, before they become 32-bit floats, which resolve such points worse than the tables do.
-        """
+        """The lower corner of a domain so far from the origin that points are counted from there, on the host."""
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
         return None if has_doubles else self._corner_if_far
 

@@ -229,7 +229,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         groups.append(alike)
     group, place = np.array(places, np.uint32).T
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
-    arrays = jnp.asarray(group), jnp.asarray(place), None if not np.any(corners) else jnp.asarray(in_parts(np.array(corners)))
+    parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
+    arrays = jnp.asarray(group), jnp.asarray(place), parts
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
 
 

@@ -28,38 +28,35 @@ _FRACTION = np.uint32((1 << FRACTION_BITS) - 1)
 class _OfArrays:
     """Operations of arrays."""
 
-    @staticmethod
-    def let(name: str, value: Any) -> Any:
+    def let(self, name: str, value: Any) -> Any:
         return value
 
-    @staticmethod
-    def where(condition: Any, yes: Any, no: Any) -> Any:
+    def where(self, condition: Any, yes: Any, no: Any) -> Any:
         return np.where(condition, yes, no)
 
-    @staticmethod
-    def floor(x: Any) -> Any:
+    def floor(self, x: Any) -> Any:
         return np.floor(x)
 
-    @staticmethod
-    def root(x: Any) -> Any:
+    def root(self, x: Any) -> Any:
         return np.sqrt(x)
 
-    @staticmethod
-    def rounded(x: Any) -> Any:
+    def rounded(self, x: Any) -> Any:
         return x.astype(np.float32)
 
-    @staticmethod
-    def fraction(x: Any) -> Any:
+    def fraction(self, x: Any) -> Any:
         return x.view(np.uint32) & _FRACTION
+
+
+_ARRAYS = _OfArrays()
 
 
 class NumpyPLR:
     """A PLR that is queried in NumPy, without JAX: by :func:`load_numpy`, or ``plr.numpy()``.
 
     ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats by the arithmetic that is part of the format
-    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. So does ``plr(x)`` on a
-    CPU, but for numbers below 1e-38. It is NaN where a coordinate is, and outside the closed domain ``inf``, or what
-    is asked for.
+    (see ``plr_jax/plr/portable``): bit for bit what a header of :meth:`PLR.c_header` answers. It is NaN where a
+    coordinate is, and outside the closed domain ``inf``, or what is asked for. So are those of ``plr(x)`` on a CPU,
+    but for numbers below 1e-38.
 
     A single point, as a tuple, a list or an array, takes a few microseconds, a batch some nanoseconds a point.
     Coordinates are rounded to 32 bits, but those of 64 bits after they are placed where that matters: in a domain far
@@ -197,14 +194,14 @@ class NumpyPLR:
             points = points.astype(np.float64)
         x = list(np.ascontiguousarray(points.T))
         if points.dtype == np.float64:
-            x = program.wrapped_wide(_OfArrays, x)
+            x = program.wrapped_wide(_ARRAYS, x)
         x = [along.astype(program.precision, copy=False) for along in x]
-        given, inside = x, program.contains(_OfArrays, x)
+        given, inside = x, program.contains(_ARRAYS, x)
         if not (is_inside := inside.all()):
             x = [
                 np.where(inside, along, lo) for along, lo in zip(x, program.domain.lo.astype(x[0].dtype), strict=True)
             ]
-        counted = program.counted(_OfArrays, x)
+        counted = program.counted(_ARRAYS, x)
         answers[...] = self._at_counted(counted, answer)
         if not is_inside:
             x = [along[~inside] for along in given]
@@ -212,22 +209,22 @@ class NumpyPLR:
             if answer == self._waypoints or outside == "nan":
                 others = np.nan
             elif outside == "clamp":
-                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(_OfArrays, x), answer))
+                others = np.where(is_nan, np.nan, self._at_nearest(program.counted(_ARRAYS, x), answer))
             else:
                 others = np.where(is_nan, np.nan, np.inf)
             answers[~inside] = np.reshape(others, (-1, *[1] * (answers.ndim - 1)))
 
     def _at_counted(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers to points of the domain, by columns."""
-        x = self._program.placed(_OfArrays, counted)
-        above = self._program.above(_OfArrays, x)
-        return answer(x, above, self._table.rows(self._program.places(_OfArrays, above)))
+        x = self._program.placed(_ARRAYS, counted)
+        above = self._program.above(_ARRAYS, x)
+        return answer(x, above, self._table.rows(self._program.places(_ARRAYS, above)))
 
     def _at_nearest(self, counted: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         """Answers at the nearest points of the domain, and how far those are; ``inf`` where that is without end."""
         is_finite = np.isfinite(counted).all(axis=0)
         counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
-        nearest = self._program.nearest(_OfArrays, counted)
+        nearest = self._program.nearest(_ARRAYS, counted)
         moved = [(along - to).astype(np.float64) for along, to in zip(counted, nearest, strict=True)]
         way = np.sqrt(sum(along * along for along in moved)).astype(np.float32)
         return np.where(is_finite, self._at_counted(nearest, answer) + way, np.float32(np.inf))
@@ -235,7 +232,7 @@ class NumpyPLR:
     def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         numbers = [column[leaf] for column in self._columns]
         cells = [(count[leaf], position[leaf]) for count, position in self._cell_columns]
-        return self._program.value(_OfArrays, x, above, numbers, cells)
+        return self._program.value(_ARRAYS, x, above, numbers, cells)
 
     def _waypoints(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)

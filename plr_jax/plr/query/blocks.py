@@ -9,7 +9,7 @@ from jaxtyping import Array, Int, UInt32
 
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.grid import WORD_BITS, block_shapes, enumerate_boxes, num_pairs, row_major, slots_in_blocks
-from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.picked import Picked, gather
 
 _MAX_BLOCK_BITS = 16
 
@@ -88,3 +88,26 @@ def leaves_of_slots(
     leaf_of_start[start], is_start[start] = leaf[pair], True
     starts = np.flatnonzero(is_start)
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
+
+
+def index_in_block(
+    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
+) -> UInt32[Array, "*batch"]:
+    """Index into ``leaf_of_slot`` of points in given blocks."""
+    index = start = jnp.zeros_like(block)
+    axis = 0
+    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
+        word = gather(table, block)
+        for slot in range(axes):
+            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
+            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
+            index = (index << bits) | shift_right(within, blocks.shift[axis] - bits)
+            axis += 1
+        if number == 0:
+            start = word >> np.uint32(axes * blocks.width)
+    return start + index
+
+
+def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
+    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
+    return x >> (by & np.uint32(WORD_BITS - 1))

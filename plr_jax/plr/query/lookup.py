@@ -7,14 +7,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Integer, Num, UInt32
+from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.query.blocks import Blocks
+from plr_jax.plr.query.blocks import index_in_block, shift_right
 from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
 from plr_jax.plr.query.frame import Frame, Outside, require_resolved
-from plr_jax.plr.query.grid import WORD_BITS
 from plr_jax.plr.query.pages import Pages
-from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.picked import Picked, gather
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.query.trie import Trie
 
@@ -62,7 +61,7 @@ def bounds_of_tables(
         below, above = band[0, 0], band[1, 0]
     else:
         leaf = lookup(tables, jax.lax.stop_gradient(x.astype(value.dtype)))
-        below, above = _gather(band[0], leaf), _gather(band[1], leaf)
+        below, above = gather(band[0], leaf), gather(band[1], leaf)
     lower = _next_number(value + below.astype(value.dtype), -jnp.inf)
     upper = _next_number(value + above.astype(value.dtype), jnp.inf)
     return jnp.where(value < jnp.inf, jnp.maximum(lower, 0), value), jnp.where(value < jnp.inf, upper, value)
@@ -96,7 +95,7 @@ def lookup(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*bat
     if tables.folding is not None:
         return lookup(tables.of_folded_points(), tables.folding(x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrapped(tables, x))
-    return row if tables.pages is None else _gather(tables.leaf_of_slot, row).astype(jnp.uint32)
+    return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(jnp.uint32)
 
 
 def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
@@ -111,8 +110,8 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
     if tables.pages is not None:
         return _slot_in_page(tables.pages, places, index)
     if tables.blocks is not None:
-        index = _index_in_block(tables.blocks, places, index)
-    return _gather(tables.leaf_of_slot, index).astype(jnp.uint32)
+        index = index_in_block(tables.blocks, places, index)
+    return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
 
 
 def outside_domain(
@@ -241,9 +240,9 @@ def _numbers(tables: Tables, row: UInt32[Array, "*batch"], dtype: Any) -> list[F
     """The numbers of each leaf that the tables were built of, at the row that ``find_row`` gave."""
     count = tables.leaf.num_numbers(tables.dim)
     if tables.numbers.ndim == 2:
-        return [_gather(tables.numbers[which], row).astype(dtype) for which in range(count)]
+        return [gather(tables.numbers[which], row).astype(dtype) for which in range(count)]
     first = row * np.uint32(count)
-    return [_gather(tables.numbers, first + np.uint32(which)).astype(dtype) for which in range(count)]
+    return [gather(tables.numbers, first + np.uint32(which)).astype(dtype) for which in range(count)]
 
 
 def _coordinate_in_cell(u: Float[Array, "*batch"], number: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -302,9 +301,7 @@ def _joined_bits(
     places: list[UInt32[Array, "*batch"]], mask: UInt32[Array, "dim"] | Picked, right: UInt32[Array, "dim"] | Picked
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
-    return reduce(
-        jnp.bitwise_or, [_shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)]
-    )
+    return reduce(jnp.bitwise_or, [shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)])
 
 
 def _slot_in_page(
@@ -312,8 +309,8 @@ def _slot_in_page(
 ) -> UInt32[Array, "*batch"]:
     """Slot of points in given blocks."""
     mask, right, start = pages.bits
-    word = _gather(pages.words, block)
-    return _shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
+    word = gather(pages.words, block)
+    return shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:
@@ -327,7 +324,7 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
     def descend(entry: UInt32[Array, "*batch"], bits: UInt32[Array, "2 dim"]) -> UInt32[Array, "*batch"]:
         places = [_place(tables, x, axis) for axis in range(tables.dim)]
         is_page = jnp.uint32(0) - (entry & np.uint32(1))  # all bits or none
-        return _gather(trie.entries, (entry >> np.uint32(1)) + (_joined_bits(places, bits[0], bits[1]) & is_page))
+        return gather(trie.entries, (entry >> np.uint32(1)) + (_joined_bits(places, bits[0], bits[1]) & is_page))
 
     entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
     for level in range(1, len(trie.bits)):
@@ -335,32 +332,3 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> U
             trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )
     return entry >> np.uint32(1)
-
-
-def _index_in_block(
-    blocks: Blocks, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
-) -> UInt32[Array, "*batch"]:
-    """Index into ``leaf_of_slot`` of points in given blocks."""
-    index = start = jnp.zeros_like(block)
-    axis = 0
-    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = _gather(table, block)
-        for slot in range(axes):
-            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
-            within = places[axis] & ((np.uint32(1) << (blocks.shift[axis] & np.uint32(WORD_BITS - 1))) - np.uint32(1))
-            index = (index << bits) | _shift_right(within, blocks.shift[axis] - bits)
-            axis += 1
-        if number == 0:
-            start = word >> np.uint32(axes * blocks.width)
-    return start + index
-
-
-def _gather(table: Integer[Array, "n"] | Float[Array, "n"] | Picked, index: UInt32[Array, "*batch"]):
-    if isinstance(table, Picked):
-        return table.read(index)
-    return table.at[index].get(mode="promise_in_bounds")
-
-
-def _shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
-    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
-    return x >> (by & np.uint32(WORD_BITS - 1))

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt32
+from jaxtyping import Array, Float, Integer, UInt32
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +53,10 @@ class Picked:
     def read(self, index: Any) -> Array:
         """The number at an index of each point's array, which has one axis or none."""
         return self.flat.at[self.start + index].get(mode="promise_in_bounds").astype(self.dtype)
+
+
+def gather(table: Integer[Array, "n"] | Float[Array, "n"] | Picked, index: UInt32[Array, "*batch"]):
+    """Entries of a table at indices that it has."""
+    if isinstance(table, Picked):
+        return table.read(index)
+    return table.at[index].get(mode="promise_in_bounds")
