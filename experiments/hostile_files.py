@@ -1,7 +1,7 @@
 """Damaged and malicious files: every reader refuses them by name, at once, and in little memory, or reads them.
 
 Valid files are mutated: bits flipped, bytes inserted, deleted and repeated, ends cut off, numbers replaced by extreme
-ones, lists by deep ones. A PLR file gets a header and a checksum that fit again, or its reader would look no further.
+ones, lists by deep ones. A PLR file gets checksums that fit again, or its reader would look no further.
 A reader may read what comes of it, or raise a ``ValueError`` or an ``OSError`` with the file's name in it. It fails
 by any other exception, by more than a second of computing, and by a process that grows by more than 100 MB.
 Files that a reader failed at are kept.
