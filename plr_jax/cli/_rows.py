@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import typer
@@ -125,7 +126,7 @@ class PointTable:
         return points
 
 
-def open_table(source: str) -> tuple[str, io.BufferedIOBase]:
+def open_table(source: str) -> tuple[str, Any]:
     """Name and bytes of a file, or of standard input for ``-``."""
     if source != "-":
         return source, open(source, "rb")

@@ -199,3 +199,17 @@ def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])
     return of_owner[name]
+
+
+def region_of(free: Any, bounds: Box) -> Polygon | MultiPolygon:
+    """Free space as a workspace keeps it: rounded, normalized, without collinear vertices.
+
+    ``ValueError`` if there is none.
+    """
+    # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
+    parts = polygons_of(shapely.set_precision(free, grid_of(bounds)))
+    if not parts:
+        raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
+    # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
+    region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
+    return shapely.simplify(region, 4 * grid_of(bounds))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_points, is_of_jax, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
@@ -25,6 +25,7 @@ from plr_jax.geometry.polygons import (
     merge_vertices,
     polygons_of,
     prepared,
+    region_of,
     rounding_of,
     sample_triangles,
     triangulate,
@@ -34,9 +35,7 @@ from plr_jax.geometry.visibility import Triangulation, triangulation_of
 if TYPE_CHECKING:
     from plr_jax.geometry.free_space import FreeSpace
 
-_MITRE_LIMIT = 1.5
-"""How far the corner of grown free space may be from the one it grew from: right angles keep theirs, tips do not."""
-
+_MITRE_LIMIT = 1.5  # how far the corner of grown free space may be from the one it grew from: tips are cut off
 _MANY_EDGES = 1000  # above which the nearest is found sooner by a tree than by prepared lines
 
 
@@ -70,9 +69,9 @@ class Workspace:
     """
 
     bounds: Box
-    obstacles: tuple[Polygon | MultiPolygon, ...]
+    obstacles: tuple[Polygon | MultiPolygon, ...] = field(repr=False)
     squeeze: bool
-    free_space: Polygon | MultiPolygon
+    free_space: Polygon | MultiPolygon = field(repr=False)
 
     def __init__(self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False):
         bounds = as_bounds(bounds)
@@ -347,13 +346,5 @@ class Workspace:
 
 
 def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
-    if not isinstance(squeeze, bool | np.bool):
-        raise ValueError(f"squeeze must be True or False, got {shortened(squeeze)}.")
-    # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
-    parts = polygons_of(shapely.set_precision(free, grid_of(bounds)))
-    if not parts:
-        raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
-    # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
-    region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
-    region = shapely.simplify(region, 4 * grid_of(bounds))
-    vars(workspace).update(vars(Workspace.restored(bounds, obstacles, bool(squeeze), region)))
+    restored = Workspace.restored(bounds, obstacles, as_bool("squeeze", squeeze), region_of(free, bounds))
+    vars(workspace).update(vars(restored))
