@@ -184,6 +184,7 @@ READERS = {
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
+    "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
 }
 

@@ -13,6 +13,7 @@ from ._validate import ValidationReport as ValidationReport
 from ._validate import validate as validate
 from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
+from .geometry.free_space import FreeSpace as FreeSpace
 from .geometry.workspace import Workspace as Workspace
 from .optimize import Descent as Descent
 from .optimize import DescentStatus as DescentStatus

@@ -72,13 +72,6 @@ def table(results: dict[str, Any]) -> str:
     rows = [["rows", "s", "s of a processor", "MB", "JAX imported"]]
     for row in results["rows"]:
         memory = "-" if row["megabytes"] is None else f"{row['megabytes']:.0f}"
-        rows.append(
-            [
-                f"{row['rows']:,}",
-                f"{row['seconds']:.1f}",
-                f"{row['processor']:.1f}",
-                memory,
-                "yes" if row["jax"] else "no",
-            ]
-        )
+        seconds = [f"{row[key]:.1f}" for key in ("seconds", "processor")]
+        rows.append([f"{row['rows']:,}", *seconds, memory, "yes" if row["jax"] else "no"])
     return aligned(rows, 5)

@@ -9,11 +9,10 @@ from plr_jax._arrays import shortened
 from plr_jax._atomic import write_atomically
 from plr_jax.plr._assembly import from_bytes
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.container import MAGIC, MOST_BYTES
+from plr_jax.plr.file.reading import read_bytes
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_from_bytes
 
 Read = TypeVar("Read", PLR, PairPLR)
-_START = 2**12
 
 
 def save(plr: PLR | PairPLR, path: str | os.PathLike) -> None:
@@ -69,10 +68,6 @@ def load_pairs(path: str | os.PathLike) -> PairPLR:
 
 def _read(path: str | os.PathLike, what: str, from_data: Callable[[bytes], Read]) -> Read:
     try:
-        with open(path, "rb") as file:
-            data = file.read(_START)
-            if data.startswith(MAGIC):  # or there is nothing to read for, and it may not end
-                data += file.read(MOST_BYTES + 1 - len(data))
-        return from_data(data)
+        return from_data(read_bytes(path))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as {what}: {error}.") from error

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax.plr import Plane, _io, construct, from_bytes, load, save
-from plr_jax.plr.file import container
+from plr_jax.plr import Plane, construct, from_bytes, load, load_numpy, load_pairs, save
+from plr_jax.plr.file import container, reading
 
 
 def assert_same(one, other):
@@ -82,33 +82,36 @@ def test_a_missing_file_is_an_os_error(tmp_path):
         load(tmp_path / "none.plr")
 
 
-def refused_for_little(path, message, most):
+def refused_for_little(read, path, message, most):
     """Whether a file is refused for no more memory than what may be read of it."""
     tracemalloc.start()
     with pytest.raises(ValueError, match=message):
-        load(path)
+        read(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak < most
 
 
-def test_of_a_file_that_goes_on_no_more_is_read_than_a_plr_may_have(tmp_path, monkeypatch):
+@pytest.mark.parametrize("read", [load, load_numpy])
+def test_of_a_file_that_goes_on_no_more_is_read_than_a_plr_may_have(read, tmp_path, monkeypatch):
     path, data = tmp_path / "long.plr", construct(walled, UNIT, max_leaves=4).to_bytes()
     most = 2**20
-    for module in (_io, container):
+    for module in (reading, container):
         monkeypatch.setattr(module, "MOST_BYTES", most)
     with open(path, "wb") as file:
         file.write(data)
         file.truncate(1 << 40)
-    assert refused_for_little(path, "long.plr cannot be read as a PLR: it has more than 1,048,576 bytes", 3 * most)
+    message = "long.plr cannot be read as a PLR: it has more than 1,048,576 bytes"
+    assert refused_for_little(read, path, message, 3 * most)
 
 
+@pytest.mark.parametrize("read", [load, load_numpy, load_pairs])
 @pytest.mark.parametrize(
     ("start", "message"), [(b"", "does not start like a PLR file"), (b"PLR\n\x02", "a format version before 5")]
 )
-def test_of_other_files_only_the_start_is_read(start, message, tmp_path):
+def test_of_other_files_only_the_start_is_read(read, start, message, tmp_path):
     path = tmp_path / "long.plr"
     with open(path, "wb") as file:
         file.write(start)
         file.truncate(1 << 40)
-    assert refused_for_little(path, message, 2**18)
+    assert refused_for_little(read, path, message, 2**18)

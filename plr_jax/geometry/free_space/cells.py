@@ -13,7 +13,7 @@ from plr_jax._arrays import parts, run_members, runs
 from plr_jax.geometry.vectors import distance_to_segment
 
 _FEW = 4  # edges of a cell that is quartered no more
-_ENTRIES_AN_EDGE, _LEAST_ENTRIES = 64, 2**16  # of the lists of all cells together, which bound the tables' memory
+_ENTRIES_AN_EDGE, _LEAST_ENTRIES = 96, 2**16  # of the lists of all cells together, which bound the tables' memory
 _AT_ONCE = 2**17  # pairs of a cell and an edge
 _MARGIN = 2.0**-21  # of the square's side: how far beside its cell rounding may put a point
 

@@ -13,9 +13,12 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.free_space.cells import near_edges, slots_of_cells
+from plr_jax.geometry.vectors import turn_between
 
 _FEWEST_BITS, _MOST_BITS, _FINER = 4, 9, 3  # of blocks along an axis; of slots in a block
 _TOLERANCE = 1e-6  # of the longer side of the bounds
+_AT_END = 2.0**-20  # of an edge: what rounding may take for its end
+_HALF = 5 / 8  # of it, half the side of the square
 
 
 @jax.tree_util.register_dataclass
@@ -34,7 +37,8 @@ class FreeSpace:
         slots: The cell of each slot.
         first: Where the list of each cell begins.
         edge: The edges of all lists.
-        ends: First and last point of each edge, of which free space is on the left.
+        edges: First and last point of each edge, of which free space is on the left, and what is around either: 1 if
+            free space but for a tip, -1 if a wall but for one, 0 if neither.
         bits: How often the square is halved to blocks, along each axis.
     """
 
@@ -45,7 +49,7 @@ class FreeSpace:
     slots: UInt32[Array, "slots"]
     first: UInt32[Array, "cells"]
     edge: UInt32[Array, "entries"]
-    ends: Float[Array, "edges 4"]
+    edges: Float[Array, "edges 6"]
     bits: int = field(metadata={"static": True})
 
     def is_free(self, x: ArrayLike) -> Bool[Array, "*batch"]:
@@ -74,7 +78,7 @@ class FreeSpace:
         Returns:
             Distance to the boundary of free space, to 1e-6 of the longer side of the bounds: positive in free space,
             negative in an obstacle or outside the bounds; NaN for points that are not finite. Farther outside the
-            bounds than half their longer side it is minus the way to a point nearer by, and on from there: a little
+            bounds than an eighth of their longer side it is minus the way by a point nearer by, which is a little
             longer than the distance.
 
         Raises:
@@ -94,9 +98,9 @@ def _clearance(space: FreeSpace, x: Array) -> Float[Array, "*batch"]:
     x = jnp.where(is_finite[..., None], (x - first) - rest, 0)
     half = space.half.astype(x.dtype)
     inside = jnp.clip(x, -half, half)
-    ends = space.ends[_nearest_edge(space, jax.lax.stop_gradient(inside))].astype(x.dtype)
+    edge = space.edges[_nearest_edge(space, jax.lax.stop_gradient(inside))].astype(x.dtype)
     way = _norm(x[..., 0] - inside[..., 0], x[..., 1] - inside[..., 1])
-    return jnp.where(is_finite, _signed_distance(inside, ends) - way, jnp.nan)
+    return jnp.where(is_finite, _signed_distance(inside, edge) - way, jnp.nan)
 
 
 def _nearest_edge(space: FreeSpace, x: Float[Array, "*batch 2"]) -> UInt32[Array, "*batch"]:
@@ -108,11 +112,10 @@ def _nearest_edge(space: FreeSpace, x: Float[Array, "*batch 2"]) -> UInt32[Array
     begin, last = space.first[cell], space.first[cell + 1] - 1
 
     def look(number, best):
-        best_edge, best_square, best_across = best
+        _, best_square, best_across = best
         edge = space.edge[jnp.minimum(begin + number.astype(jnp.uint32), last)]
-        (wx, wy), across, length, _ = _to_edge(x, space.ends[edge].astype(x.dtype))
-        square = wx * wx + wy * wy
-        across = jnp.abs(across) / length
+        (wx, wy), left, _, _ = _to_edge(x, space.edges[edge].astype(x.dtype))
+        square, across = wx * wx + wy * wy, jnp.abs(left)
         is_better = (square < best_square) | ((square == best_square) & (across > best_across))
         new = edge, square, across
         return tuple(jnp.where(is_better, a, b) for a, b in zip(new, best, strict=True))
@@ -136,28 +139,37 @@ def _cell(space: FreeSpace, x: Float[Array, "*batch 2"]) -> UInt32[Array, "*batc
 
 
 def _to_edge(
-    x: Float[Array, "*batch 2"], ends: Float[Array, "*batch 4"]
+    x: Float[Array, "*batch 2"], edge: Float[Array, "*batch 6"]
 ) -> tuple[tuple[Array, Array], Float[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The way from the nearest point of each edge, its length times the distance of its line, its length, and
+    """Of points beside edges.
 
-    whether that point is none of its ends.
+    Returns:
+        The way from the nearest point of the edge; how far left of its line the point is; what is around the end that
+        is the nearest point, or all but is, else 0; and whether the nearest point is neither end.
     """
-    ax, ay, bx, by = jnp.moveaxis(ends, -1, 0)
+    ax, ay, bx, by, around_a, around_b = jnp.moveaxis(edge, -1, 0)
     dx, dy, ux, uy = bx - ax, by - ay, x[..., 0] - ax, x[..., 1] - ay
     square = dx * dx + dy * dy
-    is_point = square == 0
-    square = jnp.where(is_point, 1, square)
+    square = jnp.where(square == 0, 1, square)
     t = (ux * dx + uy * dy) / square
-    is_before, is_behind = t <= 0, t >= 1
-    wx = jnp.where(is_before, ux, jnp.where(is_behind, x[..., 0] - bx, ux - t * dx))
-    wy = jnp.where(is_before, uy, jnp.where(is_behind, x[..., 1] - by, uy - t * dy))
-    return (wx, wy), dx * uy - dy * ux, jnp.sqrt(square), ~(is_before | is_behind)
+    # From the nearer end: beside a tip, what is rounded far away would be more than the tip is thick.
+    is_first, is_between = t < 0.5, (t > 0) & (t < 1)
+    ux, uy = jnp.where(is_first, ux, x[..., 0] - bx), jnp.where(is_first, uy, x[..., 1] - by)
+    across = dx * uy - dy * ux
+    way = jnp.where(is_between, -dy * across / square, ux), jnp.where(is_between, dx * across / square, uy)
+    around = jnp.where((t < _AT_END) | (t > 1 - _AT_END), jnp.where(is_first, around_a, around_b), 0)
+    return way, across / jnp.sqrt(square), around, is_between
 
 
-def _signed_distance(x: Float[Array, "*batch 2"], ends: Float[Array, "*batch 4"]) -> Float[Array, "*batch"]:
-    """Distance to edges, positive on their left."""
-    way, across, length, is_between = _to_edge(x, ends)
-    return jnp.where(is_between, across / length, jnp.where(across >= 0, 1, -1) * _norm(*way))
+def _signed_distance(x: Float[Array, "*batch 2"], edge: Float[Array, "*batch 6"]) -> Float[Array, "*batch"]:
+    """Distance to edges, positive in free space.
+
+    Free space is on the left. But beyond the tip of a wedge, its edges may be too near one another to say which of
+    them is beside the point.
+    """
+    way, left, around, is_between = _to_edge(x, edge)
+    side = jnp.where(around == 0, jnp.where(left >= 0, 1, -1), around)
+    return jnp.where(is_between, jnp.where(side * left < 0, -left, left), side * _norm(*way))
 
 
 def _norm(x: Float[Array, "*batch"], y: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -171,20 +183,30 @@ def free_space_of(boundary: Boundary, bounds: Box) -> FreeSpace:
     middle, width = (bounds.lo + bounds.hi) / 2, float(bounds.width.max())
     segments = boundary.segments - middle
     bits = int(np.clip(np.ceil(np.log2(4 * len(segments)) / 2), _FEWEST_BITS, _MOST_BITS))
-    cells = near_edges(segments, np.full(2, -width), 2 * width, bits + _FINER)
+    cells = near_edges(segments, np.full(2, -_HALF * width), 2 * _HALF * width, bits + _FINER)
     blocks, slots = slots_of_cells(cells, bits)
+    edges = np.concatenate([segments.reshape(-1, 4), _around_vertices(boundary)[boundary.edges]], axis=1)
     single = partial(jnp.asarray, dtype=jnp.float32)
     return FreeSpace(
         origin=single(np.stack([middle, middle - middle.astype(np.float32)])),
-        half=single(width),
+        half=single(_HALF * width),
         tolerance=single(_TOLERANCE * width),
         blocks=_indices(blocks),
         slots=_indices(slots),
         first=_indices(cells.first),
         edge=_indices(cells.edge),
-        ends=single(padded(segments.reshape(-1, 4), size_in_eighths(len(segments)))),
+        edges=single(padded(edges, size_in_eighths(len(edges)))),
         bits=bits,
     )
+
+
+def _around_vertices(boundary: Boundary) -> Float[np.ndarray, "vertices"]:
+    """What is around each vertex: 1 if free space but for less than a right angle, -1 if walls but for that."""
+    at, leaving = boundary.edges.T
+    there, to, back = (boundary.vertices[which] for which in (at, leaving, boundary.sector_end))
+    free = np.bincount(at, turn_between(to - there, back - there), len(boundary.vertices))
+    # Where free space touches itself, that is told only if all but little is free, or all but little is not.
+    return np.where(free > 3 / 2 * np.pi, 1.0, np.where(free < np.pi / 2, -1.0, 0.0))
 
 
 def _indices(values: np.ndarray) -> UInt32[Array, "padded"]:

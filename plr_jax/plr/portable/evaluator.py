@@ -11,7 +11,7 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.container import MOST_BYTES
+from plr_jax.plr.file.reading import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.header import c_header
 from plr_jax.plr.portable.leaf_table import LeafTable
@@ -260,8 +260,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
         OSError: If the file cannot be read.
     """
     try:
-        with open(path, "rb") as file:
-            return NumpyPLR(file.read(MOST_BYTES + 1))
+        return NumpyPLR(read_bytes(path))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error
 
