@@ -26,7 +26,7 @@ def mean_error(found, true):
 @pytest.mark.parametrize(("origin", "width"), [(UTM, 2000.0), (np.array([1e8, 1e8]), 2000.0)])
 def test_64_bit_points_keep_what_the_origin_has(leaf, origin, width):
     (here, oracle), (there, moved) = maze(np.zeros(2), width), maze(origin, width)
-    options = {"leaf": leaf, "max_bytes": 1024, "certified": True}
+    options = {"leaf": leaf, "max_leaves": 300, "certified": True}
     near, far = construct(oracle, here.bounds, **options), construct(moved, there.bounds, **options)
     x = here.sample_free(3000, 0)
     distance = oracle(x)
