@@ -19,7 +19,7 @@ LAYERS = [
     ["_problem"],
     ["_validate"],
     ["oracles", "plr", "planners", "spaces"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal", "ompl"],
     ["cli"],
     ["__main__"],
 ]
