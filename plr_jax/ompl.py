@@ -55,8 +55,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         ValueError: If ``plr`` is none, nothing is proven of it, or coordinates must be given.
 
     References:
-        Gammell et al., "Batch Informed Trees (BIT*)", 2020. Bounds of ways between any two states by distances to one:
-        Goldberg and Harrelson, "Computing the shortest path: A* search meets graph theory", 2005.
+        Gammell et al., "Batch Informed Trees (BIT*)", 2020. Bounds of the way between two states by distances to a
+        third: Goldberg and Harrelson, "Computing the shortest path: A* search meets graph theory", 2005.
     """
     try:
         from ompl import base

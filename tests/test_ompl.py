@@ -47,12 +47,8 @@ def test_heuristics_never_exceed_the_truth_and_know_the_walls(maze, setup):
     x, y = problem.workspace.sample_free(150, 0), problem.workspace.sample_free(150, 1)
     y[:50] = problem.goals[0]
     true = oracle.between(x, y)
-    found = np.array(
-        [
-            objective.motionCostHeuristic(state_at(space, a), state_at(space, b)).value()
-            for a, b in zip(x, y, strict=True)
-        ]
-    )
+    states = zip(*([state_at(space, each) for each in points] for points in (x, y)), strict=True)
+    found = np.array([objective.motionCostHeuristic(*pair).value() for pair in states])
     straight = np.linalg.norm(x - y, axis=1)
     assert (found <= true + 1e-12).all() and (found >= straight - 1e-12).all()
     np.testing.assert_allclose(found[:50], true[:50], atol=4 * plr.max_error)  # the cost-to-go
@@ -93,6 +89,18 @@ def test_a_plr_of_which_nothing_is_proven_is_refused(setup):
         ompl_objective(setup.getSpaceInformation(), plr)
 
 
+def test_outside_the_domain_it_is_the_distance(maze):
+    space = base.RealVectorStateSpace(2)
+    bounds = base.RealVectorBounds(2)
+    bounds.setLow(-5.0)
+    bounds.setHigh(5.0)
+    space.setBounds(bounds)
+    objective = ompl_objective(base.SpaceInformation(space), maze[2])
+    inside, outside = state_at(space, maze[0].starts[0]), state_at(space, (-3, 0.5))
+    for pair in ((inside, outside), (outside, inside), (outside, outside)):
+        assert objective.motionCostHeuristic(*pair).value() == space.distance(*pair)
+
+
 def test_headings(maze):
     space = base.SE2StateSpace()
     bounds = base.RealVectorBounds(2)
@@ -110,6 +118,7 @@ def test_headings(maze):
     assert true - 4 * maze[2].max_error <= found <= true
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_wrong_arguments_are_named(maze, setup):
     information = setup.getSpaceInformation()
     with pytest.raises(ValueError, match="plr must be a PLR, got <function"):
