@@ -15,6 +15,7 @@ from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
 from .geometry.free_space import FreeSpace as FreeSpace
 from .geometry.workspace import Workspace as Workspace
+from .ompl import ompl_objective as ompl_objective
 from .optimize import Descent as Descent
 from .optimize import DescentStatus as DescentStatus
 from .optimize import OptimizationInterrupted as OptimizationInterrupted

@@ -19,7 +19,7 @@ LAYERS = [
     ["_problem"],
     ["_validate"],
     ["oracles", "plr", "planners", "spaces"],
-    ["optimize", "metrics", "plot", "scenes", "eikonal", "remote"],
+    ["optimize", "metrics", "plot", "scenes", "eikonal", "remote", "ompl"],
     ["cli"],
     ["__main__"],
 ]

@@ -35,6 +35,7 @@ SMOKED = [
         "pair_bounds",
         "portable",
         "edges",
+        "wire",
     ),
 ]
 TESTED_ELSEWHERE = {"benchmark", "proofs", "solve", "compare_summaries", "readme_tables", "hostile_files"}
