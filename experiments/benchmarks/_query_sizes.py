@@ -4,7 +4,7 @@ The function is the distance to a point off the center of the unit cube (a cone)
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -80,7 +80,7 @@ def _rows(plrs: dict[int, PLR], points: list[int], turns: int, seed: int) -> lis
     rows = {leaves: {"dim": dim, **size_of(plr), "nanoseconds": {}} for leaves, plr in plrs.items()}
     for n in points:
         x = jnp.asarray(np.random.default_rng(POINT_SEED + seed).random((n, dim)), jnp.float32)
-        calls = {str(leaves): partial(plr, x) for leaves, plr in plrs.items()}
+        calls: dict[str, Callable[[], Any]] = {str(leaves): partial(plr, x) for leaves, plr in plrs.items()}
         for leaves, seconds in interleaved(calls, turns).items():
             rows[int(leaves)]["nanoseconds"][str(n)] = [1e9 / n * s for s in seconds]
     return list(rows.values())

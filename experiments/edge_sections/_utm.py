@@ -8,6 +8,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs, scenes, stack
@@ -25,18 +26,18 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     for leaf in LEAVES:
         near, far = (construct(oracle, space.bounds, leaf=leaf, max_bytes=num_bytes) for space, oracle in maps)
         rows.append(_row(leaf, near(x), far(x + OFFSET), far(jnp.asarray(x + OFFSET)), distances))
-        both = [stack([plr, plr])(0, points) for plr, points in ((near, x), (far, x + OFFSET))]
+        both = stack([near, near])(0, x), stack([far, far])(0, x + OFFSET)
         rows.append(_row(f"stack, {leaf}", *both, stack([far, far])(0, jnp.asarray(x + OFFSET)), distances))
     y, x = maps[0][0].sample_free(num_pairs, seed + 1), x[:num_pairs]
     near, far = (construct_pairs(space, max_bytes=num_bytes) for space, _ in maps)
-    single = far(*(jnp.asarray(points + OFFSET) for points in (x, y)))
+    single = far(jnp.asarray(x + OFFSET), jnp.asarray(y + OFFSET))
     rows.append(_row("pairs", near(x, y), far(x + OFFSET, y + OFFSET), single, maps[0][1].between(x, y)))
     return {"bytes": num_bytes, "points": num_points, "pairs": num_pairs, "rows": rows}
 
 
 def _moved_maze(origin: Float[np.ndarray, "2"]) -> tuple[Workspace, VisibilityGraph]:
     maze = scenes.maze()
-    walls = [origin + WIDTH * np.array(wall.exterior.coords) for wall in maze.workspace.obstacles]
+    walls = [origin + WIDTH * shapely.get_coordinates(wall) for wall in maze.workspace.obstacles]
     workspace = Workspace((origin, origin + WIDTH), walls)
     return workspace, VisibilityGraph(workspace, origin + WIDTH * maze.goals[0])
 

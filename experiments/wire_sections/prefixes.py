@@ -19,58 +19,56 @@ _AT_ONCE = 250_000
 _KINDS = {"plane": 6, "continuous": 4, "smooth": 2, "cone": 5}
 """Leaf models, and up to how many dimensions they are tried in."""
 
-Truth = Callable[[np.ndarray], Any]
-
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     num_points, rows = (SMOKE_POINTS if smoke else NUM_POINTS), []
-    for number, (name, plr, truth, sample) in enumerate(files(smoke)):
+    for name, plr, parts in files(num_points, seed, smoke):
         data = plr.to_bytes()
-        violations = {}
+        beyond = {}
         for mark in (*plr.file_marks, len(data)):
             found = plr_jax.from_bytes(data[:mark])
             if found.to_bytes() != data[:mark]:
                 raise AssertionError(f"{name}: {mark} bytes are read as others")
             if mark < len(data) or found.max_error is not None:
-                violations[mark] = count_violations(found, truth, sample, num_points, seed + number)
-        rows.append({"file": name, "bytes": len(data), "violations": violations})
+                beyond[mark] = sum(_count_beyond(found, x, exact) for x, exact in parts)
+        rows.append({"file": name, "bytes": len(data), "beyond": beyond})
         print(_line(rows[-1]), flush=True)
     return {"points": num_points, "rows": rows}
 
 
-def count_violations(
-    plr: PLR, truth: Truth, sample: Callable[[int, int], np.ndarray], num_points: int, seed: int
-) -> int:
-    """Points at which the truth is beyond the bounds."""
-    count = 0
-    for part, begin in enumerate(range(0, num_points, _AT_ONCE)):
-        x = sample(min(_AT_ONCE, num_points - begin), seed * 100 + part)
-        exact = np.asarray(truth(x), np.float64)
-        lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
-        known = np.isfinite(exact)
-        count += int(np.count_nonzero((lower > np.maximum(exact, 0)) & known) + np.sum((exact > upper) & known))
-    return count
+def _count_beyond(plr: PLR, x: np.ndarray, exact: np.ndarray) -> int:
+    """At how many points the truth is beyond the bounds."""
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
+    is_beyond = (lower > np.maximum(exact, 0)) | (exact > upper)
+    return int(np.count_nonzero(is_beyond & np.isfinite(exact)))
 
 
-def files(smoke: bool) -> Iterator[tuple[str, PLR, Truth, Callable[[int, int], np.ndarray]]]:
-    """Names of files, their PLRs, the truth, and what draws points."""
+def _parts(
+    truth: Callable[[np.ndarray], Any], sample: Callable[[int, int], np.ndarray], num_points: int, seed: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Points and the truth there, in parts."""
+    sizes = np.diff([*range(0, num_points, _AT_ONCE), num_points]).tolist()
+    parts = [sample(size, seed * 100 + part) for part, size in enumerate(sizes)]
+    return [(x, np.asarray(truth(x), np.float64)) for x in parts]
+
+
+def files(num_points: int, seed: int, smoke: bool) -> Iterator[tuple[str, PLR, list[tuple[np.ndarray, np.ndarray]]]]:
+    """Names of files, their PLRs, and points with the truth there."""
     for name in ("maze",) if smoke else ("maze", "thin_maze", "floor_plan"):
         problem = getattr(scenes, name)()
         oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+        parts = _parts(oracle, problem.workspace.sample_free, num_points, seed)
         for leaf in _KINDS:
             for leaf_bounds in (False, True):
-                yield (
-                    f"{name}, {leaf}{', bounds of leaves' * leaf_bounds}",
-                    plr_jax.progressive(list(_certified(oracle, leaf, leaf_bounds))),
-                    oracle,
-                    problem.workspace.sample_free,
-                )
+                plr = plr_jax.progressive(list(_certified(oracle, leaf, leaf_bounds)))
+                yield f"{name}, {leaf}{', bounds of leaves' * leaf_bounds}", plr, parts
     for name, distance, domain, leaf in _others(smoke):
         plr = construct(distance, domain, leaf=leaf, max_bytes=1_500 if smoke else 6_000)
         sizes = [size for size in (LEAST, plr.num_bytes // STEP) if size <= plr.num_bytes // 2]
         layers = [plr_jax.coarsen(plr, size, leaf_bounds=bool(number)) for number, size in enumerate(sizes)]
         layers = [layer for layer, after in zip(layers, [*layers[1:], plr], strict=True) if _is_less(layer, after)]
-        yield f"{name}, {leaf}", plr_jax.progressive([*layers, plr]), plr, _of_box(Box.of(domain))
+        parts = _parts(plr, _of_box(Box.of(domain)), num_points, seed)
+        yield f"{name}, {leaf}", plr_jax.progressive([*layers, plr]), parts
 
 
 def _certified(oracle: VisibilityGraph, leaf: str, leaf_bounds: bool) -> Iterator[PLR]:
@@ -110,7 +108,7 @@ def _of_box(box: Box) -> Callable[[int, int], np.ndarray]:
 
 def table(results: dict[str, Any]) -> str:
     rows = results["rows"]
-    counts = [count for row in rows for count in row["violations"].values()]
+    counts = [count for row in rows for count in row["beyond"].values()]
     last = (
         f"{len(rows)} files, {len(counts)} prefixes; beyond bounds {sum(counts)} of {results['points']:,} points each"
     )
@@ -118,5 +116,5 @@ def table(results: dict[str, Any]) -> str:
 
 
 def _line(row: dict[str, Any]) -> str:
-    prefixes = "  ".join(f"{int(mark):,} B: {count}" for mark, count in row["violations"].items())
-    return f"{row['file']:40}{row['bytes']:>7,} B   violations of prefixes  {prefixes}"
+    prefixes = "  ".join(f"{int(mark):,} B: {count}" for mark, count in row["beyond"].items())
+    return f"{row['file']:40}{row['bytes']:>7,} B   beyond bounds  {prefixes}"

@@ -148,7 +148,7 @@ def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: S
     """
     size = at_least.shape[0]
     all_at_once = is_symbolic_dim(size) or size <= _GROUP
-    few = 0 if is_symbolic_dim(size) or size <= _FEWEST else size // _FEWER
+    few = 0 if is_symbolic_dim(size) or size <= _FEWEST else int(size) // _FEWER
     one = _round_of_all if all_at_once else _round_of_open
 
     def more(search: Search) -> Bool[Array, ""]:
