@@ -17,11 +17,9 @@ SHAPELY_POINTS = 50_000  # of the million, as it takes long
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    rows = []
+    rows, (num_points, num_runs) = [], (1000, 1) if smoke else (NUM_POINTS, NUM_RUNS)
     for name, workspace in _maps(seed, smoke):
-        rows.append(
-            {"map": name, **_measured(workspace, seed, 1000 if smoke else NUM_POINTS, 1 if smoke else NUM_RUNS)}
-        )
+        rows.append({"map": name, **_measured(workspace, seed, num_points, num_runs)})
         print(_line(rows[-1]), end="", flush=True)
     return {"points": num_points, "rows": rows}
 

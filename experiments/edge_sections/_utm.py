@@ -8,6 +8,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs, scenes, stack
@@ -24,9 +25,11 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     rows = []
     for leaf in LEAVES:
         near, far = (construct(oracle, space.bounds, leaf=leaf, max_bytes=num_bytes) for space, oracle in maps)
-        rows.append(_row(leaf, near(x), far(x + OFFSET), far(jnp.asarray(x + OFFSET)), distances))
-        both = [stack([plr, plr])(0, points) for plr, points in ((near, x), (far, x + OFFSET))]
-        rows.append(_row(f"stack, {leaf}", *both, stack([far, far])(0, jnp.asarray(x + OFFSET)), distances))
+        moved = x + OFFSET
+        rows.append(_row(leaf, near(x), far(moved), far(jnp.asarray(moved)), distances))
+        nears, fars = stack([near, near]), stack([far, far])
+        answers = nears(0, x), fars(0, moved), fars(0, jnp.asarray(moved))
+        rows.append(_row(f"stack, {leaf}", *answers, distances))
     y, x = maps[0][0].sample_free(num_pairs, seed + 1), x[:num_pairs]
     near, far = (construct_pairs(space, max_bytes=num_bytes) for space, _ in maps)
     single = far(*(jnp.asarray(points + OFFSET) for points in (x, y)))
@@ -36,7 +39,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
 
 def _moved_maze(origin: Float[np.ndarray, "2"]) -> tuple[Workspace, VisibilityGraph]:
     maze = scenes.maze()
-    walls = [origin + WIDTH * np.array(wall.exterior.coords) for wall in maze.workspace.obstacles]
+    walls = [origin + WIDTH * shapely.get_coordinates(wall) for wall in maze.workspace.obstacles]
     workspace = Workspace((origin, origin + WIDTH), walls)
     return workspace, VisibilityGraph(workspace, origin + WIDTH * maze.goals[0])
 
