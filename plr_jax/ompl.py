@@ -35,8 +35,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
     must open states again to which it finds a shorter way. Of RRT* and Informed RRT* it changes nothing: they ask for
     ``costToGo``, which OMPL's Python bindings let nobody set.
 
-    Every question runs under the Python interpreter: some ten microseconds for a state that was not asked for before,
-    about two for others. That pays where to test a motion takes longer.
+    Every question runs under the Python interpreter: some tens of microseconds for a state that was not asked for
+    before, one or two for others. That pays where testing motions takes longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``, of whose space the distance is what motions cost.

@@ -25,9 +25,11 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     rows = []
     for leaf in LEAVES:
         near, far = (construct(oracle, space.bounds, leaf=leaf, max_bytes=num_bytes) for space, oracle in maps)
-        rows.append(_row(leaf, near(x), far(x + OFFSET), far(jnp.asarray(x + OFFSET)), distances))
-        both = stack([near, near])(0, x), stack([far, far])(0, x + OFFSET)
-        rows.append(_row(f"stack, {leaf}", *both, stack([far, far])(0, jnp.asarray(x + OFFSET)), distances))
+        moved = x + OFFSET
+        rows.append(_row(leaf, near(x), far(moved), far(jnp.asarray(moved)), distances))
+        nears, fars = stack([near, near]), stack([far, far])
+        answers = nears(0, x), fars(0, moved), fars(0, jnp.asarray(moved))
+        rows.append(_row(f"stack, {leaf}", *answers, distances))
     y, x = maps[0][0].sample_free(num_pairs, seed + 1), x[:num_pairs]
     near, far = (construct_pairs(space, max_bytes=num_bytes) for space, _ in maps)
     single = far(jnp.asarray(x + OFFSET), jnp.asarray(y + OFFSET))

@@ -119,6 +119,16 @@ def test_numpy_points_are_answered_as_before():
     assert "tables" not in vars(workspace)
 
 
+def test_tables_place_points_of_numpy_in_64_bits():
+    origin = np.array([5e5, 4e6])
+    near = scenes.maze().workspace
+    walls = [origin + np.array(wall.exterior.coords) for wall in near.obstacles]
+    far = Workspace((origin, origin + 1), walls)
+    x = near.sample_free(500, 0)
+    np.testing.assert_allclose(far.tables.clearance(x + origin), near.clearance(x), atol=1e-6)
+    assert far.tables.is_free(x + origin).all()
+
+
 def test_wrong_shapes_are_named():
     workspace = scenes.maze().workspace
     for fn in (workspace.is_free, workspace.clearance, workspace.tables.is_free):

@@ -6,9 +6,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, UInt32
 
-from plr_jax._arrays import padded, size_in_eighths
+from plr_jax._arrays import is_of_jax, padded, size_in_eighths
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
@@ -73,7 +74,8 @@ class FreeSpace:
         Its gradient is a unit vector: away from the nearest point of a wall in free space, and toward it elsewhere.
 
         Args:
-            x: Points, ``(..., 2)``.
+            x: Points, ``(..., 2)``. NumPy's are placed in 64 bits; of JAX's 32-bit ones, far from the origin of
+                coordinates, the clearance is that of where rounding has put them.
 
         Returns:
             Distance to the boundary of free space, to 1e-6 of the longer side of the bounds: positive in free space,
@@ -84,18 +86,24 @@ class FreeSpace:
         Raises:
             ValueError: If ``x`` has another last axis.
         """
-        x = jnp.asarray(x)
+        on_host = not is_of_jax(x) and not isinstance(self.origin, Tracer)
+        x = np.asarray(x, np.float64) if on_host else jnp.asarray(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"x must be points of shape (..., 2), got {x.shape}.")
-        return _clearance(self, x)
+        return _clearance(self, x - np.asarray(self.origin, np.float64).sum(axis=0) if on_host else _placed(self, x))
+
+
+def _placed(space: FreeSpace, x: Array) -> Float[Array, "*batch 2"]:
+    """Points counted from the origin of the tables."""
+    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+    first, rest = space.origin.astype(x.dtype)
+    return (x - first) - rest
 
 
 @jax.jit
-def _clearance(space: FreeSpace, x: Array) -> Float[Array, "*batch"]:
-    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    first, rest = space.origin.astype(x.dtype)
+def _clearance(space: FreeSpace, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
     is_finite = jnp.isfinite(x).all(axis=-1)
-    x = jnp.where(is_finite[..., None], (x - first) - rest, 0)
+    x = jnp.where(is_finite[..., None], x, 0)
     half = space.half.astype(x.dtype)
     inside = jnp.clip(x, -half, half)
     edge = space.edges[_nearest_edge(space, jax.lax.stop_gradient(inside))].astype(x.dtype)

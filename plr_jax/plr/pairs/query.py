@@ -146,10 +146,9 @@ def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: S
 
     It ends, as each round strikes a corner off one of an open pair's two lists.
     """
-    size = at_least.shape[0]
-    all_at_once = is_symbolic_dim(size) or size <= _GROUP
-    few = 0 if is_symbolic_dim(size) or size <= _FEWEST else int(size) // _FEWER
-    one = _round_of_all if all_at_once else _round_of_open
+    size = 0 if is_symbolic_dim(at_least.shape[0]) else len(at_least)  # of a batch of any size, all are looked at
+    few = size // _FEWER if size > _FEWEST else 0
+    one = _round_of_all if size <= _GROUP else _round_of_open
 
     def more(search: Search) -> Bool[Array, ""]:
         return search.is_open.sum() > few
