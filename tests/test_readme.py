@@ -32,7 +32,7 @@ def run_command(command, patch):
         programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
         subprocess.run(command, shell=True, check=True, timeout=120, env={**os.environ, "PATH": programs})
         return
-    patch.setattr(sys, "stdin", io.StringIO("".join(shlex.split(echo)[1:]) + "\n"))
+    patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(f"{''.join(shlex.split(echo)[1:])}\n".encode())))
     patch.setattr(sys, "argv", shlex.split(program))
     with pytest.raises(SystemExit) as end:
         main()
