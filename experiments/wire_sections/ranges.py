@@ -30,7 +30,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         pairs = plr_jax.construct_pairs(workspace, max_bytes=4_000 if smoke else PAIRS)
         exact = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
         with _serving(pairs.to_bytes()) as (url, sent):
-            rows.append(_row(name, sent, plr_jax.open_url(url, goal=exact.goal, timeout=60), exact, seed))
+            rows.append(_row(name, sent, plr_jax.open_url(url, goal=exact.goal, timeout=60.0), exact, seed))
     return {"rows": rows}
 
 

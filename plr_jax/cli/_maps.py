@@ -84,11 +84,8 @@ class NamedMap:
         from plr_jax import scenes
 
         given = None if self.goal is None else parse_goal(self.goal)
-        if Path(self.name).suffix.lower() not in scenes.MAP_ENDINGS and self.name not in SCENES:
-            raise ValueError(
-                f"MAP must be a scene ({', '.join(SCENES)}) or a file ending in "
-                f"{', '.join(scenes.MAP_ENDINGS)}, got {self.name!r}."
-            )
+        if not Path(self.name).suffix and self.name not in SCENES:
+            raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         problem = self._problem()
         if problem is None:
             return scenes.read_workspace(self.name, **self._reading), given

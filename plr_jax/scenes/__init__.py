@@ -10,10 +10,9 @@ from plr_jax.scenes._perturbed import perturbed
 from plr_jax.scenes._pictures import read_image
 from plr_jax.scenes._polygons import read_polygons
 from plr_jax.scenes._published import cross, floor_plan, four_rooms, maze, single_door, tangle, thin_maze
-from plr_jax.scenes._workspaces import MAP_ENDINGS, read_workspace
+from plr_jax.scenes._workspaces import read_workspace
 
 __all__ = [
-    "MAP_ENDINGS",
     "Scenario",
     "cross",
     "crowd",

@@ -16,8 +16,7 @@ from plr_jax.scenes._movingai import read_map
 from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image
 from plr_jax.scenes._polygons import read_polygons
 
-MAP_ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
-"""How the names of files end that :func:`read_workspace` reads."""
+_ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
 
 
 def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
@@ -58,7 +57,7 @@ def _reader_of(path: Path) -> Callable[..., Workspace]:
                 return read_map_server if is_map_server(yaml_of(path)) else _workspace_of_problem
         case ending if ending in PICTURE_ENDINGS:
             return read_image
-    raise ValueError(f"{path}: expected a file that ends in one of {', '.join(MAP_ENDINGS)}.")
+    raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_ENDINGS)}.")
 
 
 def _reader_of_json(path: Path) -> Callable[..., Workspace]:
