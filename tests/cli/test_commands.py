@@ -186,7 +186,7 @@ def test_build_explains_mistakes(tmp_path):
     scenes.save(scenes.four_rooms(2), tmp_path / "team.json")
     (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
     out = ("-o", tmp_path / "out.plr")
-    assert "must be a scene (maze, thin_maze, floor_plan) or a file" in mistake("build", "mace", *out)
+    assert "must be a scene (maze, thin_maze, floor_plan) or a map's file" in mistake("build", "mace", *out)
     assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
     assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
     assert "one for each of several robots" in mistake("build", tmp_path / "team.json", *out)

@@ -30,7 +30,9 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(tmp_path):
     scenes.save(scenes.maze(), tmp_path / "c.json")
     np.testing.assert_array_equal(NamedMap(str(tmp_path / "c.json")).read()[1], scenes.maze().goals[0])
     with pytest.raises(ValueError, match="MAP must be a scene"):
-        NamedMap(str(tmp_path / "d.txt")).read()
+        NamedMap("d").read()
+    with pytest.raises(ValueError, match=r"d\.txt: expected a file that ends in \.map, "):
+        NamedMap("d.txt").read()
 
 
 def test_a_goal_that_is_given_wins():
