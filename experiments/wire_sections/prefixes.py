@@ -64,7 +64,7 @@ def files(num_points: int, seed: int, smoke: bool) -> Iterator[tuple[str, PLR, l
                 yield f"{name}, {leaf}{', bounds of leaves' * leaf_bounds}", plr, parts
     for name, distance, domain, leaf in _others(smoke):
         plr = construct(distance, domain, leaf=leaf, max_bytes=1_500 if smoke else 6_000)
-        sizes = [size for size in (LEAST, plr.num_bytes // STEP) if size <= plr.num_bytes // 2]
+        sizes = [size for size in (LEAST, plr.num_bytes // STEP) if LEAST <= size <= plr.num_bytes // 2]
         layers = [plr_jax.coarsen(plr, size, leaf_bounds=bool(number)) for number, size in enumerate(sizes)]
         layers = [layer for layer, after in zip(layers, [*layers[1:], plr], strict=True) if _is_less(layer, after)]
         parts = _parts(plr, _of_box(Box.of(domain)), num_points, seed)
@@ -95,7 +95,7 @@ def _others(smoke: bool) -> Iterator[tuple[str, Any, Any, str]]:
 
 
 def _bent(x: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(x - 0.3, axis=1) + np.abs(x[:, 0] - 0.6) / 2
+    return np.linalg.norm(x - 0.3, axis=1) + np.sin(5 * x[:, 0]) / 4
 
 
 def _is_less(layer: PLR, after: PLR) -> bool:

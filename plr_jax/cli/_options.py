@@ -1,13 +1,11 @@
 """Arguments and options that several commands have."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from plr_jax.cli._inputs import SCENES
-
-_READING = "How MAP is read"
 
 MapArgument = Annotated[
     str,
@@ -18,35 +16,22 @@ MapArgument = Annotated[
         show_default=False,
     ),
 ]
-ResolutionOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Side of a pixel of a picture, in workspace units.", show_default="1", rich_help_panel=_READING
-    ),
-]
+
+
+def _of_reading(told: str, default: str) -> Any:
+    """An option of how MAP is read."""
+    return typer.Option(help=told, show_default=default, rich_help_panel="How MAP is read")
+
+
+ResolutionOption = Annotated[float | None, _of_reading("Side of a pixel of a picture, in workspace units.", "1")]
 ThresholdOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Lightness above which a pixel of a picture is free: 0 is black, 1 white.",
-        show_default="0.5",
-        rich_help_panel=_READING,
-    ),
+    float | None, _of_reading("Lightness above which a pixel of a picture is free: 0 is black, 1 white.", "0.5")
 ]
 DropSpecksOption = Annotated[
-    int | None,
-    typer.Option(
-        help="Drop obstacles, and places to be, of at most so many pixels.",
-        show_default="0",
-        rich_help_panel=_READING,
-    ),
+    int | None, _of_reading("Drop obstacles, and places to be, of at most so many pixels.", "0")
 ]
 PolygonsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="What polygons of GeoJSON are: 'obstacles' or 'free'.",
-        show_default="obstacles",
-        rich_help_panel=_READING,
-    ),
+    str | None, _of_reading("What polygons of GeoJSON are: 'obstacles' or 'free'.", "obstacles")
 ]
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
 GoalOption = Annotated[

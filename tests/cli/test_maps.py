@@ -31,7 +31,7 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(tmp_path):
     np.testing.assert_array_equal(NamedMap(str(tmp_path / "c.json")).read()[1], scenes.maze().goals[0])
     with pytest.raises(ValueError, match="MAP must be a scene"):
         NamedMap("d").read()
-    with pytest.raises(ValueError, match=r"d\.txt: expected a file that ends in \.map, "):
+    with pytest.raises(ValueError, match=r"d\.txt: expected a file that ends in one of \.map, "):
         NamedMap("d.txt").read()
 
 

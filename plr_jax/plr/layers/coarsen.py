@@ -58,7 +58,12 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
     build = partial(construct, lambda x: np.asarray(unfolded(x)), unfolded.domain, leaf=plr.leaf.name, seed=seed)
     room = int(max_bytes) - around - proof.num_bits(1) // 8
     for _ in range(_MOST_TRIES):
-        found = build(max_bytes=room)._contents
+        try:
+            found = build(max_bytes=room)._contents
+        except ValueError as error:
+            raise ValueError(
+                f"max_bytes={max_bytes:,} leaves {room:,} of them for one without proof and folding: {error}"
+            ) from error
         size = len(plr_of_leaves(found).to_bytes()) + around + -(-proof.num_bits(len(found.cells)) // 8)
         if size <= max_bytes:
             break

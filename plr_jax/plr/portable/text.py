@@ -1,6 +1,7 @@
 """Operations that write a program: values are its expressions, and those that have a name are its statements."""
 
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -88,7 +89,7 @@ class Text:
         return Text(text, _CONDITION, "int", self.language)
 
 
-class Writer:
+class Writer(ABC):
     """Operations that write statements, one a name."""
 
     conjunction: str
@@ -117,13 +118,13 @@ class Writer:
         self.statements.append(self.definition(unique, value))
         return self.atom(unique, value.type)
 
+    @abstractmethod
     def literal(self, value: Any) -> str:
         """A number."""
-        raise NotImplementedError
 
+    @abstractmethod
     def definition(self, name: str, value: Text) -> str:
         """The statement that gives a value its name."""
-        raise NotImplementedError
 
 
 class PythonWriter(Writer):
