@@ -1,202 +1,13 @@
-import json
-import re
 import subprocess
 import sys
-import warnings
 
 import numpy as np
 import pytest
-from PIL import Image
-from typer.testing import CliRunner
+from cli_helpers import mistake, run
 
 import plr_jax
-from plr_jax import Box, VisibilityGraph, construct, scenes
-from plr_jax.cli import load_app
-from plr_jax.oracles.cells.cell_sources import VisibleSources
-from plr_jax.plr import from_bytes, load, save
-from plr_jax.plr.leaves import leaf_names
-
-runner, app = CliRunner(), load_app()
-
-
-def run(*arguments, **kwargs):
-    return runner.invoke(app, [str(argument) for argument in arguments], **kwargs)
-
-
-def mistake(*arguments, **kwargs):
-    """What a command says about a mistake; fails unless that is one line with exit code 2."""
-    result = run(*arguments, **kwargs)
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("Error: ")
-    assert result.stderr.count("\n") == 1
-    return result.stderr
-
-
-def built(leaf, folder):
-    path = folder / f"{leaf}.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", leaf)
-    assert result.exit_code == 0, result.output
-    return path
-
-
-@pytest.fixture(scope="module", params=["plane", "continuous", "smooth"])
-def maze(request, tmp_path_factory):
-    """A file of each kind."""
-    return built(request.param, tmp_path_factory.mktemp("maze"))
-
-
-@pytest.fixture(scope="module")
-def plane(tmp_path_factory):
-    """A file, where its kind makes no difference."""
-    return built("plane", tmp_path_factory.mktemp("plane"))
-
-
-def test_build_makes_every_kind(maze):
-    assert load(maze).leaf.name == maze.stem
-    assert maze.stat().st_size <= 300
-
-
-def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
-    path = tmp_path / "out.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 700)
-    assert result.exit_code == 0
-    assert path.stat().st_size <= 700
-    plr = load(path)
-    assert f"{path}: {path.stat().st_size} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}" in result.stdout
-    assert plr.label == "maze --goal=0.06,0.07"
-    assert f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven (" in result.stdout
-    largest, mean = map(float, re.search(r"error   max (\S+), mean (\S+) over", result.stdout).groups())
-    assert 0 < mean < largest <= plr.max_error
-    for word in ("% of the largest distance", "s to build"):
-        assert word in result.stdout
-
-
-def test_a_picture_is_built_and_drawn_and_its_specks_are_told(tmp_path):
-    gray = np.full((400, 400), 255, np.uint8)
-    gray[50:60, :150], gray[100, 100] = 0, 0
-    Image.fromarray(gray).save(tmp_path / "scan.png")
-    path, options = tmp_path / "scan.plr", ["--goal", "1,1", "--resolution", 0.05]
-    result = run("build", tmp_path / "scan.png", *options, "-o", path, "--max-leaves", 40, "--leaf", "plane")
-    assert result.exit_code == 0, result.output
-    assert "map     12 vertices, 4 of them of specks (1; --drop-specks N drops" in result.stdout
-    assert result.stderr == ""
-    np.testing.assert_allclose(load(path).domain.hi, 20)
-    result = run("plot", path, "--map", tmp_path / "scan.png", *options, "-o", tmp_path / "scan.svg")
-    assert result.exit_code == 0, result.output
-    dropped = run("build", tmp_path / "scan.png", *options, "--drop-specks", 1, "-o", path, "--max-leaves", 8)
-    assert "map     8 vertices\n" in dropped.stdout
-
-
-def test_a_budget_that_cannot_name_the_corners_is_not_tried_with_leaves_that_do(tmp_path):
-    gray = np.full((60, 60), 255, np.uint8)
-    gray[3::6, 3::6] = 0
-    Image.fromarray(gray).save(tmp_path / "dots.png")
-    for max_bytes, is_tried in ((300, False), (2000, True)):
-        options = ["--goal", "1,1", "-o", tmp_path / "dots.plr", "--max-bytes", max_bytes]
-        result = run("build", tmp_path / "dots.png", *options)
-        assert result.exit_code == 0, result.output
-        assert ("cone" in result.stdout) == is_tried
-
-
-def test_build_takes_every_kind_of_map(tmp_path):
-    (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
-    scenes.save(scenes.maze(), tmp_path / "scene.json")
-    (tmp_path / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
-    for name, goal in [("small.map", "0.5,0.5"), ("scene.json", None), ("polygons.json", "1,1")]:
-        path = tmp_path / f"{name}.plr"
-        given = ["--goal", goal] if goal else []
-        result = run("build", tmp_path / name, *given, "-o", path, "--max-leaves", 8)
-        assert result.exit_code == 0, result.output
-        assert load(path).num_leaves <= 8
-
-
-def test_build_is_deterministic_and_its_goal_can_be_chosen(tmp_path):
-    for name, extra in [("a", []), ("b", []), ("c", ["--goal", "0.9,0.1"])]:
-        assert run("build", "maze", "-o", tmp_path / name, "--max-leaves", 20, *extra).exit_code == 0
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    at_goal = np.asarray(load(tmp_path / "c")(np.array([[0.9, 0.1]])))
-    assert at_goal[0] < 0.1 < np.asarray(load(tmp_path / "a")(np.array([[0.9, 0.1]])))[0]
-
-
-def test_build_prepares_a_map_once(tmp_path, monkeypatch):
-    out, oracle = tmp_path / "out.plr", tmp_path / "maze.npz"
-    limits = ("-o", out, "--max-leaves", 20)
-    assert run("build", "maze", *limits, "--oracle", oracle, "--goal", "0.9,0.1").exit_code == 0
-    assert run("build", "maze", *limits).exit_code == 0
-    expected = out.read_bytes()
-    monkeypatch.setattr("plr_jax.oracles._visibility_graph.corner_visibility", None)
-    assert run("build", "maze", *limits, "--oracle", oracle).exit_code == 0
-    assert out.read_bytes() == expected
-    assert "maze.npz was prepared for another map" in mistake("build", "thin_maze", *limits, "--oracle", oracle)
-    assert "cannot be read as a visibility graph" in mistake("build", "maze", *limits, "--oracle", out)
-
-
-def test_build_names_its_file_after_the_map(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run("build", "maze", "--max-depth", 3).exit_code == 0
-    assert load(tmp_path / "maze.plr").depth <= 3
-
-
-def test_build_is_construct(tmp_path):
-    limits = {"max_bytes": 700, "max_leaves": 9, "max_depth": 4, "tolerance": 0.01, "seed": 3}
-    options = [word for name, value in limits.items() for word in (f"--{name.replace('_', '-')}", value)]
-    workspace = scenes.maze().workspace
-    oracle = VisibilityGraph(workspace, scenes.maze().goals[0])
-    label = "maze --goal=0.06,0.07"
-    limits["max_bytes"] -= len(label) + 4  # for which there is room in the file
-    built = {leaf: construct(oracle, workspace.bounds, leaf=leaf, certified=True, **limits) for leaf in leaf_names()}
-    for leaf, plr in built.items():
-        assert run("build", "maze", "--leaf", leaf, "-o", tmp_path / "out.plr", *options).exit_code == 0
-        assert (tmp_path / "out.plr").read_bytes() == plr.with_label(label).to_bytes()
-    assert run("build", "maze", "-o", tmp_path / "best.plr", *options).exit_code == 0
-    assert load(tmp_path / "best.plr").max_error == min(plr.max_error for plr in built.values())
-
-
-def test_build_begins_a_file_with_coarser_ones(tmp_path):
-    path, prefixes = tmp_path / "out.plr", (300, 1000)
-    options = [word for prefix in prefixes for word in ("--prefix", prefix)]
-    result = run("build", "maze", "-o", path, "--leaf", "cone", "--max-bytes", 4000, *options)
-    assert result.exit_code == 0, result.output
-    plr, data = load(path), path.read_bytes()
-    assert len(data) <= 4000 and len(plr.file_marks) == 2
-    x = scenes.maze().workspace.sample_free(2000, seed=0)
-    exact, errors = VisibilityGraph(scenes.maze().workspace, scenes.maze().goals[0])(x), []
-    for most, mark in zip((*prefixes, 4000), (*plr.file_marks, len(data)), strict=True):
-        assert most - 100 < mark <= most
-        found = from_bytes(data[:mark])
-        errors.append(found.max_error)
-        assert np.abs(np.asarray(found(x)) - exact).max() <= found.max_error
-        assert found.label == plr.label
-    assert errors == sorted(errors, reverse=True)
-    assert f"coarser in its first {plr.file_marks[0]}, {plr.file_marks[1]}" in result.stdout
-    assert f"in its first {plr.file_marks[0]}, " in run("info", path).stdout
-    assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--prefix", 500, "--prefix", 400)
-    assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--max-bytes", 500, "--prefix", 500)
-
-
-def test_build_knows_the_floor_plan(tmp_path):
-    path = tmp_path / "out.plr"
-    assert run("build", "floor_plan", "-o", path, "--max-leaves", 4).exit_code == 0
-    assert load(path).domain == scenes.floor_plan().workspace.bounds
-
-
-def test_build_explains_mistakes(tmp_path):
-    (tmp_path / "small.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
-    scenes.save(scenes.four_rooms(2), tmp_path / "team.json")
-    (tmp_path / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
-    out = ("-o", tmp_path / "out.plr")
-    assert "must be a scene (maze, thin_maze, floor_plan) or a map's file" in mistake("build", "mace", *out)
-    assert "none.map: No such file or directory" in mistake("build", tmp_path / "none.map", "--goal", "1,1", *out)
-    assert "give one with --goal X,Y" in mistake("build", tmp_path / "small.map", *out)
-    assert "one for each of several robots" in mistake("build", tmp_path / "team.json", *out)
-    assert "--goal must be two numbers X,Y" in mistake("build", "maze", "--goal", "1;2", *out)
-    assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
-    assert "goal [0.5, 0.45] lies in an obstacle" in mistake("build", "maze", "--goal", "0.5,0.45", *out)
-    assert "goal [1.5, 0.5] lies outside the bounds" in mistake("build", "maze", "--goal", "1.5,0.5", *out)
-    for leaf in ("plane", "continuous", "smooth"):
-        assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", "--leaf", leaf, *out)
-    assert not (tmp_path / "out.plr").exists()
+from plr_jax import Box, construct, scenes
+from plr_jax.plr import load, save
 
 
 def test_query_prints_what_the_plr_answers(maze, tmp_path):
@@ -256,12 +67,6 @@ def test_export_writes_a_header(plane, tmp_path):
     assert "No such folder" in mistake("export", tmp_path / "none.plr", "--c", "-o", tmp_path / "none" / "a.h")
 
 
-@pytest.mark.parametrize("goal", [("3", "28"), ("3,", "28"), ("-3", "2.5")])
-def test_a_goal_of_two_arguments_is_told_how_to_be_one(goal):
-    result = run("build", "maze", "--goal", *goal)
-    assert result.exit_code == 2 and "a goal is one argument X,Y" in result.output.replace("\n", " ")
-
-
 def test_info_says_what_is_in_the_file(maze):
     result = run("info", maze)
     plr = load(maze)
@@ -280,44 +85,6 @@ def test_info_names_periodic_axes(tmp_path):
     assert "[0.0, -1.0] to [1.0, 1.0] (2-D, periodic along axes [1])" in result.stdout
 
 
-@pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])
-def test_plot_writes_pictures(kind, plane, tmp_path):
-    path = tmp_path / "picture.png"
-    result = run("plot", plane, "--map", "maze", "--kind", kind, "-o", path)
-    assert result.exit_code == 0, result.output
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert f"wrote {path}" in result.stdout
-
-
-@pytest.mark.parametrize("kind", ["distance", "error"])
-def test_plot_knows_map_and_goal_from_the_file(kind, plane, tmp_path):
-    for name, options in (("own", []), ("given", ["--map", "maze"])):
-        result = run("plot", plane, *options, "--kind", kind, "-o", tmp_path / f"{name}.png")
-        assert result.exit_code == 0, result.output
-    assert (tmp_path / "own.png").read_bytes() == (tmp_path / "given.png").read_bytes()
-
-
-def test_plot_finds_a_map_beside_the_file(tmp_path, monkeypatch):
-    (tmp_path / "maps").mkdir()
-    (tmp_path / "maps" / "a.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
-    monkeypatch.chdir(tmp_path / "maps")
-    assert run("build", "a.map", "--goal", "0.5,0.5", "--leaf", "cone").exit_code == 0
-    monkeypatch.chdir(tmp_path)
-    result = run("plot", tmp_path / "maps" / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
-    assert result.exit_code == 0, result.output
-
-
-def test_plot_needs_no_map(plane, tmp_path):
-    assert run("plot", plane, "-o", tmp_path / "picture.svg").exit_code == 0
-    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
-
-
-def test_plot_says_which_file_it_wrote(plane, tmp_path):
-    result = run("plot", plane, "-o", tmp_path / "pic")
-    assert result.stdout == f"wrote {tmp_path / 'pic.png'}\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["pic.png"]
-
-
 def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypatch):
     def work(*_):
         pytest.fail("this is work")
@@ -334,17 +101,6 @@ def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypat
     (tmp_path / "folder.png").mkdir()
     assert "No such folder" in mistake("plot", "a.plr", "-o", tmp_path / "none" / "a.png")
     assert "folder.png: Is a directory" in mistake("plot", "a.plr", "-o", tmp_path / "folder.png")
-
-
-def test_plot_explains_mistakes(plane, tmp_path):
-    unlabeled = tmp_path / "unlabeled.plr"
-    save(load(plane).with_label(""), unlabeled)
-    assert "give --map" in mistake("plot", unlabeled, "--kind", "error", "-o", tmp_path / "a.png")
-    assert "a.docx must end in .png or .pdf or .svg" in mistake("plot", plane, "-o", tmp_path / "a.docx")
-    assert "none: No such folder" in mistake("plot", plane, "-o", tmp_path / "none" / "a.png")
-    assert "--goal needs --map" in mistake("plot", unlabeled, "--goal", "0,0", "-o", tmp_path / "a.png")
-    save(load(plane).with_label("elsewhere.png --goal=0,0"), unlabeled)
-    assert "elsewhere.png" in mistake("plot", unlabeled, "-o", tmp_path / "a.png")
 
 
 def test_demo_writes_what_it_says(tmp_path, monkeypatch):
@@ -368,69 +124,9 @@ def test_demo_writes_what_it_says(tmp_path, monkeypatch):
         assert word in result.stdout
 
 
-def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, monkeypatch):
-    calls, last_call = [], 4
-    parts = VisibleSources.parts
-
-    def interrupt_later(self, *arguments):
-        calls.append(len(arguments))
-        if len(calls) == last_call:
-            raise KeyboardInterrupt
-        return parts(self, *arguments)
-
-    monkeypatch.setattr(VisibleSources, "parts", interrupt_later)
-    result = run("build", "maze", "-o", tmp_path / "out.plr")
-    assert result.exit_code == 130
-    assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
-    assert len(calls) > last_call, "what there is, is proven"
-    plr = plr_jax.load(tmp_path / "out.plr")
-    assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
-
-
-def test_bounds_of_cells_are_narrower_and_need_a_proof(tmp_path):
-    widths = []
-    for options in ([], ["--leaf-bounds"]):
-        assert (
-            run("build", "maze", "--leaf", "cone", "--max-bytes", 400, *options, "-o", tmp_path / "a.plr").exit_code
-            == 0
-        )
-        result = run("query", tmp_path / "a.plr", "-", "--bounds", input="0.3,0.85\n0.9,0.9\n")
-        distance, lower, upper = np.loadtxt(result.stdout.splitlines(), delimiter=",").T
-        assert ((lower <= distance) & (distance <= upper)).all()
-        widths.append((upper - lower).mean())
-    assert widths[1] < widths[0]
-    save(construct(lambda x: np.hypot(*x.T), ([0, 0], [1, 1]), max_leaves=4), tmp_path / "b.plr")
-    result = run("query", tmp_path / "b.plr", "-", "--bounds", input="0.3,0.85\n")
-    assert result.exit_code == 2 and "Nothing is proven" in result.stderr
-
-
 def test_the_package_runs_as_a_module():
     done = subprocess.run([sys.executable, "-m", "plr_jax", "--help"], check=False, capture_output=True, text=True)
     assert done.returncode == 0 and "build" in done.stdout
-
-
-def test_a_warning_of_something_else_does_not_end_a_build(tmp_path, monkeypatch):
-    cell_sources = plr_jax.VisibilityGraph.cell_sources
-
-    def with_warning(self, domain):
-        warnings.warn("of something else", RuntimeWarning, stacklevel=1)
-        return cell_sources(self, domain)
-
-    monkeypatch.setattr(plr_jax.VisibilityGraph, "cell_sources", with_warning)
-    with pytest.warns(RuntimeWarning, match="of something else"):
-        result = run("build", "maze", "--max-bytes", 300, "-o", tmp_path / "out.plr")
-    assert result.exit_code == 0 and "leaf    cone: no error above" in result.stdout
-
-
-def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatch):
-    def interrupt(self, domain):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("plr_jax.oracles.VisibilityGraph.cell_sources", interrupt)
-    result = run("build", "maze", "-o", tmp_path / "out.plr")
-    assert result.exit_code == 130
-    assert result.stderr == "Interrupted.\n"
-    assert not (tmp_path / "out.plr").exists()
 
 
 @pytest.mark.parametrize("command", [[], ["build"], ["query"], ["export"], ["info"], ["plot"], ["plan"], ["demo"]])

@@ -1,12 +1,13 @@
 import json
 from dataclasses import replace
+from functools import partial
 
+import cli_helpers
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from plr_jax import Problem, Solution, Workspace, makespan, scenes, validate
-from plr_jax.cli import _planning, load_app
+from plr_jax.cli import _planning
 from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_writable
 from plr_jax.oracles import robot_distance_fns
 from plr_jax.planners import BLOptions, Status, bl_plan, straight_line
@@ -16,7 +17,7 @@ from plr_jax.robots.point import PointRobot
 from plr_jax.robots.polygon import PolygonRobot
 from plr_jax.robots.rectangle import RectangleRobot
 
-runner, app = CliRunner(), load_app()
+run, mistake = (partial(command, "plan") for command in (cli_helpers.run, cli_helpers.mistake))
 SQUARE = Workspace(((0, 0), (10, 10)))
 YAML = """
 environment:
@@ -27,20 +28,6 @@ environment:
 robots:
 - {type: unicycle_first_order_0_sphere, start: [1, 1, 0], goal: [3, 1, 0]}
 """
-
-
-def run(*arguments):
-    return runner.invoke(app, ["plan", *map(str, arguments)])
-
-
-def mistake(*arguments):
-    """What the command says about a mistake; fails unless that is one line with exit code 2, before any work."""
-    result = run(*arguments)
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("Error: ")
-    assert result.stderr.count("\n") == 1
-    return result.stderr
 
 
 @pytest.fixture(scope="module")
