@@ -64,10 +64,11 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
             raise ValueError(
                 f"max_bytes={max_bytes:,} leaves {room:,} of them for one without proof and folding: {error}"
             ) from error
-        size = len(plr_of_leaves(found).to_bytes()) + around + -(-proof.num_bits(len(found.cells)) // 8)
+        taken = len(plr_of_leaves(found).to_bytes())
+        size = taken + around + -(-proof.num_bits(len(found.cells)) // 8)
         if size <= max_bytes:
             break
-        room = min(room - 1, room * int(max_bytes) // size)
+        room = min(taken - 1, room * int(max_bytes) // size)  # at least a leaf less
     else:
         raise ValueError(f"max_bytes={max_bytes:,} is too small for a coarser PLR with a proof.")
     coarse = replace(found, folding=fine.folding)
