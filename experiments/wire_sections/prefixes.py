@@ -6,6 +6,7 @@ distance; else layers are coarsened from the file's PLR, and the truth is what t
 """
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ def files(num_points: int, seed: int, smoke: bool) -> Iterator[tuple[str, PLR, l
         plr = construct(distance, domain, leaf=leaf, max_bytes=1_500 if smoke else 6_000)
         sizes = [size for size in (LEAST, plr.num_bytes // STEP) if LEAST <= size <= plr.num_bytes // 2]
         layers = [plr_jax.coarsen(plr, size, leaf_bounds=bool(number)) for number, size in enumerate(sizes)]
-        layers = [layer for layer, after in zip(layers, [*layers[1:], plr], strict=True) if _is_less(layer, after)]
+        layers = [layer for layer, after in pairwise([*layers, plr]) if _is_less(layer, after)]
         parts = _parts(plr, _of_box(Box.of(domain)), num_points, seed)
         yield f"{name}, {leaf}", plr_jax.progressive([*layers, plr]), parts
 
