@@ -18,7 +18,8 @@ from plr_jax.geometry.vectors import turn_between
 
 _FEWEST_BITS, _MOST_BITS, _FINER = 4, 9, 3  # of blocks along an axis; of slots in a block
 _TOLERANCE = 1e-6  # of the longer side of the bounds
-_AT_END = 2.0**-20  # of an edge: what rounding may take for its end
+_AT_END = 2.0**-20  # of the way to the end of an edge: how near it the foot may be because of rounding
+_IN_LINE = np.pi / 50  # between two edges, about
 _HALF = 5 / 8  # of it, half the side of the square
 
 
@@ -38,8 +39,8 @@ class FreeSpace:
         slots: The cell of each slot.
         first: Where the list of each cell begins.
         edge: The edges of all lists.
-        edges: First and last point of each edge, of which free space is on the left, and what is around either: 1 if
-            free space but for a tip, -1 if a wall but for one, 0 if neither.
+        edges: First and last point of each edge, of which free space is on the left, and where points are to which
+            either is the nearest of all edges: 1 in free space, -1 in a wall, 0 if the edges have to say.
         bits: How often the square is halved to blocks, along each axis.
     """
 
@@ -61,7 +62,8 @@ class FreeSpace:
 
         Returns:
             True where free, walls included, and within ``tolerance``, 1e-6 of the longer side of the bounds, of free
-            space; False for points twice as far outside, and such as are not finite. In between it may be either.
+            space; False for points twice as far outside, and such as are not finite. In between it may be either. But
+            see :meth:`clearance` for what is thinner than that.
 
         Raises:
             ValueError: If ``x`` has another last axis.
@@ -81,7 +83,8 @@ class FreeSpace:
             Distance to the boundary of free space, to 1e-6 of the longer side of the bounds: positive in free space,
             negative in an obstacle or outside the bounds; NaN for points that are not finite. Farther outside the
             bounds than an eighth of their longer side it is minus the way by a point nearer by, which is a little
-            longer than the distance.
+            longer than the distance. Its sign may be wrong where what is nearest is a wall or a gap thinner than
+            1e-6 of that side, as the tip of a needle is, whose sides 32 bits do not tell apart.
 
         Raises:
             ValueError: If ``x`` has another last axis.
@@ -152,20 +155,23 @@ def _to_edge(
     """Of points beside edges.
 
     Returns:
-        The way from the nearest point of the edge; how far left of its line the point is; what is around the end that
-        is the nearest point, or all but is, else 0; and whether the nearest point is neither end.
+        The way from the nearest point of the edge; how far left of its line the point is; where points are to which
+        the end is nearest that is the nearest point, or all but is, else 0; whether the nearest point is neither end.
     """
     ax, ay, bx, by, around_a, around_b = jnp.moveaxis(edge, -1, 0)
     dx, dy, ux, uy = bx - ax, by - ay, x[..., 0] - ax, x[..., 1] - ay
+    vx, vy = x[..., 0] - bx, x[..., 1] - by
     square = dx * dx + dy * dy
     square = jnp.where(square == 0, 1, square)
-    t = (ux * dx + uy * dy) / square
-    # From the nearer end: beside a tip, what is rounded far away would be more than the tip is thick.
-    is_first, is_between = t < 0.5, (t > 0) & (t < 1)
-    ux, uy = jnp.where(is_first, ux, x[..., 0] - bx), jnp.where(is_first, uy, x[..., 1] - by)
+    # Counted from the nearer end: beside a tip, what is rounded far away would be more than the tip is thick.
+    after, before = (ux * dx + uy * dy) / square, -(vx * dx + vy * dy) / square
+    is_first = after < before
+    t, ux, uy = (jnp.where(is_first, a, b) for a, b in ((after, before), (ux, vx), (uy, vy)))
     across = dx * uy - dy * ux
+    is_between = t > 0
     way = jnp.where(is_between, -dy * across / square, ux), jnp.where(is_between, dx * across / square, uy)
-    around = jnp.where((t < _AT_END) | (t > 1 - _AT_END), jnp.where(is_first, around_a, around_b), 0)
+    is_at_end = ~is_between | (t * t * square < _AT_END**2 * (ux * ux + uy * uy))
+    around = jnp.where(is_at_end, jnp.where(is_first, around_a, around_b), 0)
     return way, across / jnp.sqrt(square), around, is_between
 
 
@@ -186,6 +192,7 @@ def _norm(x: Float[Array, "*batch"], y: Float[Array, "*batch"]) -> Float[Array, 
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
+@jax.ensure_compile_time_eval()  # they are kept, so that they must not be parts of a function that is being traced
 def free_space_of(boundary: Boundary, bounds: Box) -> FreeSpace:
     """The tables of free space with that boundary, in bounds."""
     middle, width = (bounds.lo + bounds.hi) / 2, float(bounds.width.max())
@@ -209,12 +216,17 @@ def free_space_of(boundary: Boundary, bounds: Box) -> FreeSpace:
 
 
 def _around_vertices(boundary: Boundary) -> Float[np.ndarray, "vertices"]:
-    """What is around each vertex: 1 if free space but for less than a right angle, -1 if walls but for that."""
+    """What points are in to which a vertex is the nearest of all edges: 1 if free space, -1 if a wall.
+
+    0 where the edges beside it say so themselves, as they lie in a line, or where it cannot be said: where free space
+    touches itself, unless all but less than a right angle is free, or is not.
+    """
     at, leaving = boundary.edges.T
     there, to, back = (boundary.vertices[which] for which in (at, leaving, boundary.sector_end))
     free = np.bincount(at, turn_between(to - there, back - there), len(boundary.vertices))
-    # Where free space touches itself, that is told only if all but little is free, or all but little is not.
-    return np.where(free > 3 / 2 * np.pi, 1.0, np.where(free < np.pi / 2, -1.0, 0.0))
+    touches = np.bincount(at, minlength=len(boundary.vertices)) > 1
+    unsaid = np.where(touches, np.pi / 2, _IN_LINE)
+    return np.where(free > np.pi + unsaid, 1.0, np.where(free < np.pi - unsaid, -1.0, 0.0))
 
 
 def _indices(values: np.ndarray) -> UInt32[Array, "padded"]:
