@@ -77,7 +77,7 @@ def test_clearance_is_that_of_shapely_and_of_all_edges(workspace):
     expected, apart = workspace.clearance(x), are_sides_apart(workspace, x)
     np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6 * width + far)
     np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-6 * width + far)
-    assert apart[: len(x) // 3].mean() > 0.99  # of those anywhere
+    assert apart[: len(x) // 3].mean() > 0.9  # of those anywhere: to some of them a tip is nearest
     x, found = x[apart], found[apart]
     np.testing.assert_allclose(found[::20], by_all_edges(workspace, x[::20]), atol=1e-6 * width + far)
 
