@@ -3,7 +3,9 @@
 Any server of static files will do. One that knows no ranges is not read farther than is wanted.
 """
 
-from urllib.parse import urlsplit
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from plr_jax._arrays import as_finite_point, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike
@@ -25,7 +27,8 @@ def open_url(
 
     A file made by :func:`progressive` is one of a coarser PLR, with its proof, wherever it is cut off at one of its
     marks. With ``max_bytes`` only so many bytes are fetched, in one request. Of a PairPLR the first part is enough to
-    answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of the distance to the goal.
+    answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of the distance to the goal,
+    which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many corners.
 
     Args:
         url: An address that begins with ``http://`` or ``https://``.
@@ -37,47 +40,80 @@ def open_url(
         A PLR; or a PairPLR, if the file is one and no goal is given. Nothing is proven of a PLR to a goal.
 
     Raises:
-        OSError: If the server cannot be reached, answers with an error, breaks off or takes too long.
+        OSError: If the server cannot be reached, answers with an error, breaks off or takes too long; or if all
+            is asked for and there is more than is read: 256 MiB, or 32 MiB if the server does not say how much.
         ValueError: If an argument is out of its range; what is sent is corrupt, is no such file, changed between two
             requests, or has no mark within ``max_bytes``; or nothing reaches the goal.
     """
-    if not isinstance(url, str) or urlsplit(url).scheme not in ("http", "https"):
-        raise ValueError(f"url must begin with http:// or https://, got {shortened(url)}; use load for a file.")
+    if not isinstance(url, str) or not url.isascii() or not url.startswith(("http://", "https://")):
+        raise ValueError(
+            f"url must begin with http:// or https:// and be of ASCII, others as %XX, got {shortened(url)}; use load "
+            "for a file."
+        )
     if max_bytes is not None:
         require_integer("max_bytes", max_bytes, 1)
-    timeout = as_number("timeout", timeout, "a positive number of seconds", lambda seconds: seconds > 0)
+    limit = threading.TIMEOUT_MAX
+    timeout = as_number("timeout", timeout, f"seconds from 0 to {limit:g}", lambda seconds: 0 < seconds <= limit)
     most = MOST_BYTES if max_bytes is None else min(int(max_bytes), MOST_BYTES)
-    goal = None if goal is None else as_finite_point("The goal", goal, 2)
-    fetched = fetch(url, most if goal is None else min(most, _FIRST_BYTES), timeout)
-    try:
+    if goal is not None:
+        return _to_goal(*_first_part(url, most, timeout), as_finite_point("The goal", goal, 2))
+    fetched = fetch(url, most, timeout)
+    while max_bytes is None and not fetched.is_complete:  # a server may send less than what it was asked for
+        known = len(fetched.data)
+        if known < min(most, fetched.size or 0):
+            fetched = fetch(url, most, timeout, fetched)
+        if len(fetched.data) == known:
+            raise OSError(
+                f"{url} has more than the {known:,} bytes that were sent: give max_bytes for the first ones."
+            )
+    with _named(url):
         header = Header.read(fetched.data)
-        if goal is not None:
-            if header.leaf_code != PAIRS_CODE or not header.marks:
-                raise ValueError("it holds no distances of pairs, of which a goal is one point")
-            if (mark := header.marks[0]) > most:
-                raise ValueError(f"what a goal needs are its first {mark:,} bytes, more than max_bytes={most:,}")
-            if mark > len(fetched.data):
-                fetched = fetch(url, mark, timeout, fetched)
-            return _to_goal(Stored.from_bytes(fetched.data[:mark]), goal, mark)
-        data = fetched.data[: _cut(fetched, header, most)]
+        data = fetched.data[: _cut(fetched, header, max_bytes)]
         return (pairs_from_bytes if header.leaf_code == PAIRS_CODE else from_bytes)(data)
+
+
+@contextmanager
+def _named(url: str) -> Iterator[None]:
+    try:
+        yield
     except ValueError as error:
         raise ValueError(f"{url} cannot be read as a PLR: {error}.") from error
 
 
-def _cut(fetched: Fetched, header: Header, most: int) -> int:
+def _cut(fetched: Fetched, header: Header, max_bytes: int | None) -> int:
     """Where to cut what was fetched: nowhere if it is all, else at the last mark in it."""
+    size = len(fetched.data)
+    if max_bytes is None and fetched.has_ended and header.marks and header.marks[-1] >= size:
+        raise ValueError(f"it goes on to beyond {header.marks[-1]:,} bytes, of which the server sent {size:,}")
     if fetched.is_complete:
-        return len(fetched.data)
-    marks = [mark for mark in header.marks if mark <= len(fetched.data)]
+        return size
+    marks = [mark for mark in header.marks if mark <= size]
     if not marks:
-        size = "more" if fetched.size is None else f"{fetched.size:,}"
+        of_file = "more" if fetched.size is None else f"{fetched.size:,}"
         least = f", and its first mark is at {header.marks[0]:,}" if header.marks else " and no marks"
-        raise ValueError(f"it has {size} bytes{least}: give a larger max_bytes, got {most:,}")
+        sent = f"got {max_bytes}, of which {size:,} were sent"
+        raise ValueError(f"it has {of_file} bytes{least}: give a larger max_bytes, {sent}")
     return marks[-1]
 
 
-def _to_goal(stored: Stored, goal: ArrayLike, num_bytes: int) -> PLR:
+def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
+    """What the first part of a file of pairs holds, and its bytes."""
+    fetched = fetch(url, min(most, _FIRST_BYTES), timeout)
+    with _named(url):
+        header = Header.read(fetched.data)
+        if header.leaf_code != PAIRS_CODE or not header.marks:
+            raise ValueError("it holds no distances of pairs, of which a goal is one point")
+        if (mark := header.marks[0]) > most:
+            raise ValueError(f"what a goal needs are its first {mark:,} bytes, more than max_bytes={most:,}")
+    while mark > (known := len(fetched.data)):
+        fetched = fetch(url, mark, timeout, fetched)
+        if len(fetched.data) == known:
+            raise OSError(f"{url} broke off after {known:,} of {mark:,} bytes.")
+    with _named(url):
+        return Stored.from_bytes(fetched.data[:mark]), mark
+
+
+def _to_goal(stored: Stored, num_bytes: int, goal: ArrayLike) -> PLR:
     """The distance to a goal in the workspace that pairs are of, in a file about as large as what was fetched."""
     workspace = stored.workspace
     exact = VisibilityGraph(workspace, goal)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from http.client import HTTPException, HTTPResponse
 
 _CHUNK = 1 << 16
+_MOST_UNTOLD = 1 << 25
+"""Bytes that are read of an answer that does not say how many it has."""
 _PARTIAL, _UNSATISFIABLE = 206, 416
 _CONTENT_RANGE = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})")
 
@@ -20,16 +22,18 @@ class Fetched:
         data: Those bytes.
         size: Bytes of all of it; None if the server did not say.
         version: What tells this version of the file from others; empty if the server did not say.
+        has_ended: Whether a server that did not say how many bytes there are sent no more.
     """
 
     data: bytes = b""
     size: int | None = None
     version: str = ""
+    has_ended: bool = False
 
     @property
     def is_complete(self) -> bool:
-        """Whether that is known to be all of it."""
-        return self.size is not None and len(self.data) == self.size
+        """Whether that is all of it, as far as the server tells."""
+        return self.has_ended or len(self.data) == self.size
 
 
 def fetch(url: str, end: int, timeout: float, known: Fetched | None = None) -> Fetched:
@@ -43,10 +47,11 @@ def fetch(url: str, end: int, timeout: float, known: Fetched | None = None) -> F
     """
     known = Fetched() if known is None else known
     outcome: list[Fetched | BaseException] = []
+    given_up = threading.Event()
 
     def request() -> None:
         try:
-            outcome.append(_request(url, end, timeout, known))
+            outcome.append(_request(url, end, timeout, known, given_up))
         except BaseException as error:  # to be raised where it was asked for
             outcome.append(error)
 
@@ -55,18 +60,19 @@ def fetch(url: str, end: int, timeout: float, known: Fetched | None = None) -> F
     thread.start()
     thread.join(timeout)
     if not outcome:
+        given_up.set()
         raise TimeoutError(f"{url} did not send what was asked for within {timeout:g} s.")
     if isinstance(outcome[0], BaseException):
         raise outcome[0]
     return outcome[0]
 
 
-def _request(url: str, end: int, timeout: float, known: Fetched) -> Fetched:
+def _request(url: str, end: int, timeout: float, known: Fetched, given_up: threading.Event) -> Fetched:
     start = len(known.data)
     headers = {"Range": f"bytes={start}-{end - 1}", "Accept-Encoding": "identity", "User-Agent": "plr_jax"}
     try:
         with _opener().open(urllib.request.Request(url, headers=headers), timeout=timeout) as response:
-            return _answer(url, response, end, known)
+            return _answer(url, response, end, known, given_up)
     except urllib.error.HTTPError as error:
         error.close()
         if error.code == _UNSATISFIABLE:
@@ -94,9 +100,9 @@ def _opener() -> urllib.request.OpenerDirector:
     return opener
 
 
-def _answer(url: str, response: HTTPResponse, end: int, known: Fetched) -> Fetched:
+def _answer(url: str, response: HTTPResponse, end: int, known: Fetched, given_up: threading.Event) -> Fetched:
     """What was known, and what an answer adds to it."""
-    if (encoding := response.headers.get("Content-Encoding", "identity")) != "identity":
+    if (encoding := response.headers.get("Content-Encoding", "identity")).lower() != "identity":
         raise ValueError(f"{url} is sent as {encoding!r}; the server should send it as it is.")
     version = response.headers.get("ETag") or response.headers.get("Last-Modified") or ""
     start, size = 0, response.length
@@ -106,22 +112,20 @@ def _answer(url: str, response: HTTPResponse, end: int, known: Fetched) -> Fetch
             raise ValueError(f"{url} was asked for bytes {len(known.data)} to {end - 1}, and sent others.")
         start, size = int(match[1]), int(match[3])
         end = int(match[2]) + 1
-    if size is not None:
-        end = min(end, size)
-    sent = _read(response, end - start)
+    end = min(end, start + _MOST_UNTOLD if size is None else size)
+    sent = _read(response, end - start, given_up)
     data = known.data[:start] + sent
     is_changed = start == 0 and not data.startswith(known.data)
     if is_changed or (known.data and (size, version) != (known.size, known.version)):
         raise ValueError(f"{url} has changed since it was first asked for.")
     if len(data) < end and size is not None:
         raise OSError(f"{url} broke off after {len(data)} of {end} bytes.")
-    return Fetched(data, len(data) if size is None and len(data) < end else size, version)
+    return Fetched(data, size, version, has_ended=size is None and len(data) < end)
 
 
-def _read(response: HTTPResponse, count: int) -> bytes:
-    """So many bytes, or what there is."""
-    parts, missing = [], count
-    while missing > 0 and (part := response.read(min(missing, _CHUNK))):
-        parts.append(part)
-        missing -= len(part)
-    return b"".join(parts)
+def _read(response: HTTPResponse, count: int, given_up: threading.Event) -> bytes:
+    """So many bytes, or what there is until nobody waits for them any more."""
+    data = bytearray()
+    while len(data) < count and not given_up.is_set() and (part := response.read1(min(count - len(data), _CHUNK))):
+        data += part
+    return bytes(data)

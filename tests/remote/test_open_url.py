@@ -256,6 +256,49 @@ def test_a_stream_without_end_is_not_read_to_its_end():
         plr_jax.open_url(url, max_bytes=1000)
 
 
+def test_all_of_a_file_is_all_of_it(layers):
+    """A server may send less than what it was asked for; then the rest is asked for, or it is an error."""
+    data = layers[1]
+    mark = Header.read(data).marks[1]
+
+    class Sparing(Static):
+        def do_GET(self):
+            first, last = map(int, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"]).groups())
+            self.headers.replace_header("Range", f"bytes={first}-{min(last, first + 999)}")
+            super().do_GET()
+
+    with serving(Sparing, file=data) as (server, url):
+        assert plr_jax.open_url(url).to_bytes() == data
+        assert len(server.requests) == -(-len(data) // 1000)
+    promised = b"HTTP/1.1 206 X\r\nContent-Range: bytes 0-%d/%d\r\nConnection: close\r\n\r\n"
+    for head, error in (
+        (b"HTTP/1.1 200 OK\r\nConnection: close\r\n\r\n", "goes on to beyond"),
+        (promised % (mark - 1, len(data)), "and sent others"),
+        (promised % (mark - 1, 10**17), "and sent others"),
+    ):
+        with serving(raw(head, data[:mark])) as (_, url), pytest.raises((ValueError, OSError), match=error):
+            plr_jax.open_url(url)
+
+
+def test_nobody_reads_on_after_a_timeout():
+    before = threading.active_count()
+    with serving(raw(b"HTTP/1.1 200 OK\r\n\r\n", *[b"x"] * 100, pause=0.05)) as (_, url):
+        with pytest.raises(TimeoutError):
+            plr_jax.open_url(url, timeout=0.2)
+        deadline = time.monotonic() + 5
+        while threading.active_count() > before + 1 and time.monotonic() < deadline:
+            time.sleep(0.05)
+    names = [thread.name for thread in threading.enumerate()]
+    assert not any("request" in name and "process_request" not in name for name in names), names
+
+
+@pytest.mark.parametrize("timeout", [0, -1, float("inf"), 1e300, float("nan"), "1"])
+@pytest.mark.usefixtures("unchecked_types")
+def test_times_that_are_none_are_refused(timeout):
+    with pytest.raises(ValueError, match="timeout must be"):
+        plr_jax.open_url("http://127.0.0.1/file", timeout=timeout)
+
+
 def test_a_file_that_changes_between_requests(pairs):
     data = pairs.to_bytes()
 
