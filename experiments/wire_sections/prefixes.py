@@ -2,7 +2,7 @@
 
 Files are of all leaf models, in one to six dimensions, among obstacles and without, with periodic axes, folded, and
 far from the origin. Among obstacles coarser layers are built with their own proofs, and the truth is the exact
-distance; else layers are coarsened from the file's PLR, and the truth is what that answers.
+distance; else layers are coarsened from the file's PLR, and what they are held against is what that answers.
 """
 
 from collections.abc import Callable, Iterator

@@ -23,7 +23,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     problem = scenes.maze()
     oracle, domain = VisibilityGraph(problem.workspace, problem.goals[0]), problem.workspace.bounds
     sizes = (PREFIX - 40, FILE // (16 if smoke else 1))
-    plrs = [construct(oracle, domain, leaf="cone", max_bytes=size, certified=True) for size in sizes]
+    plrs = [construct(oracle, domain, leaf="plane", max_bytes=size, certified=True) for size in sizes]
     with _serving(plr_jax.progressive(plrs).to_bytes()) as (url, sent):
         rows = [_row("first 1 KB of 64 KB", sent, plr_jax.open_url(url, max_bytes=PREFIX), oracle, seed)]
     for name, workspace in _maps(seed, smoke):

@@ -1,9 +1,10 @@
 """Bytes of a progressive file over those of a file of its last PLR alone, which errs alike; and bytes of headers.
 
-Layers are smaller than the file by a factor to some power, down to 256 bytes: 8, with which a file has a coarser PLR
-at every eighth of what was fetched, or 36.
+All have proofs. Layers are smaller than the file by a factor to some power, down to 256 bytes: 8, with which a file
+has a coarser PLR at every eighth of what was fetched; or 36, with which there is one coarser PLR or two.
 """
 
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -12,23 +13,22 @@ import plr_jax
 from plr_jax import Box, VisibilityGraph, construct, scenes
 from plr_jax.plr.file.container import frame_size
 
-BYTES, LEAST, FACTORS = 65_536, 256, (8, 36)
+BYTES, SMOKE_BYTES, LEAST, FACTORS = 65_536, 4_096, 256, (8, 36)
 NUM_BOXES = 20_000
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     problem = scenes.maze()
     oracle, rows = VisibilityGraph(problem.workspace, problem.goals[0]), []
+    bounds, factors = problem.workspace.bounds, FACTORS[: 1 if smoke else None]
     for leaf in ("plane",) if smoke else ("plane", "continuous", "smooth", "cone"):
-        size, plrs = (8_192 if smoke else BYTES), {}
-        for factor in FACTORS:
-            sizes = [size]
+        build = cache(partial(construct, oracle, bounds, leaf=leaf, certified=True))
+        alone = build(max_bytes=SMOKE_BYTES if smoke else BYTES)
+        for factor in factors:
+            sizes = [alone.num_bytes // factor]
             while sizes[0] // factor >= LEAST:
                 sizes.insert(0, sizes[0] // factor)
-            for each in sizes:
-                if each not in plrs:
-                    plrs[each] = construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=each)
-            whole, alone = plr_jax.progressive([plrs[each] for each in sizes]), plrs[size]
+            whole = plr_jax.progressive([*(build(max_bytes=size) for size in sizes), alone])
             marks = [*whole.file_marks, whole.num_bytes]
             rows.append({"leaf": leaf, "factor": factor, "marks": marks, "ratio": whole.num_bytes / alone.num_bytes})
             print(_line(rows[-1]), flush=True)
