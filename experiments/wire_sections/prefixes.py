@@ -60,7 +60,7 @@ def files(num_points: int, seed: int, smoke: bool) -> Iterator[tuple[str, PLR, l
         oracle = VisibilityGraph(problem.workspace, problem.goals[0])
         parts = _parts(oracle, problem.workspace.sample_free, num_points, seed)
         for leaf in _KINDS:
-            for leaf_bounds in (False, True):
+            for leaf_bounds in (False,) if smoke else (False, True):
                 plr = plr_jax.progressive(list(_certified(oracle, leaf, leaf_bounds)))
                 yield f"{name}, {leaf}{', bounds of leaves' * leaf_bounds}", plr, parts
     for name, distance, domain, leaf in _others(smoke):
