@@ -43,7 +43,7 @@ class NamedMap:
 
     def __str__(self) -> str:
         given = {name: value for name, value in vars(self).items() if name != "name" and value is not None}
-        return shlex.join([self.name, *(f"--{name.replace('_', '-')}={value}" for name, value in given.items())])
+        return shlex.join([self.name, *(f"{_option(name)}={value}" for name, value in given.items())])
 
     @classmethod
     def of(cls, text: str) -> "NamedMap":
@@ -105,24 +105,42 @@ class NamedMap:
         return None
 
 
-def map_of_label(
-    label: str, file: Path, goal: str | None
-) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """The map and the goal that the label of a PLR's file names, or another goal; None where it names none.
+def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> NamedMap | None:
+    """The map and the goal of a PLR's file; None if neither its label nor the user names a map.
 
-    A map's own file is looked for as it was named, and beside the PLR's.
+    Args:
+        file: The file. A map that its label names is looked for as it was named, and beside the file.
+        label: The file's label.
+        name: MAP, which the user names instead.
+        **options: The goal and options of the reader that the user gives. Where they are None they are the label's;
+            those of the reader if the map has the name of the label's.
+
+    Raises:
+        ValueError: If there are options of a map, but no map.
     """
+    given = {key: value for key, value in options.items() if value is not None}
     try:
-        named = NamedMap.of(label)
+        own = NamedMap.of(label)
     except ValueError:
-        if goal is not None:
-            raise ValueError(f"{file} does not say of which map it is: --goal needs --map.") from None
-        return None, None
-    named = named if goal is None else replace(named, goal=goal)
-    beside = file.parent / Path(named.name).name
-    if named.name not in SCENES and not Path(named.name).exists() and beside.exists():
-        named = replace(named, name=str(beside))
-    return named.read()
+        own = None
+    if name is None and own is None:
+        if given:
+            raise ValueError(f"{file} does not say of which map it is: {', '.join(map(_option, given))} needs --map.")
+        return None
+    if own is None:
+        return NamedMap(str(name), **given)
+    if name is None:
+        beside = file.parent / Path(own.name).name
+        is_moved = own.name not in SCENES and not Path(own.name).exists() and beside.exists()
+        name = str(beside) if is_moved else own.name
+    elif Path(name).name != Path(own.name).name:
+        own = NamedMap(name, own.goal)
+    return replace(own, name=name, **given)
+
+
+def _option(key: str) -> str:
+    """The option of a command that a field of a map is given by."""
+    return f"--{key.replace('_', '-')}"
 
 
 def say_vertices(workspace: "Workspace") -> None:
