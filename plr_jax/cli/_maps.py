@@ -1,7 +1,7 @@
 """The MAP of a command: what is read, how, and which goal is in it."""
 
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,18 +81,30 @@ class NamedMap:
         ``ValueError`` if MAP is neither the name of a scene nor the path of a file that can be read, or has no such
         option.
         """
-        from plr_jax import scenes
-
         given = None if self.goal is None else parse_goal(self.goal)
         if not Path(self.name).suffix and self.name not in SCENES:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         problem = self._problem()
         if problem is None:
-            return scenes.read_workspace(self.name, **self._reading), given
+            return self._read_file(), given
         if self._reading:
-            raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {', '.join(self._reading)}.")
+            options = ", ".join(map(_option, self._reading))
+            raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
         own = problem.goals[0, :2] if len(problem.robots) == 1 else None
         return problem.workspace, own if given is None else given
+
+    def _read_file(self) -> "Workspace":
+        """The workspace in a file that is no scene, by those of the options that its reader knows."""
+        from plr_jax.scenes._workspaces import options_of, reader_of
+
+        reader = reader_of(Path(self.name))
+        known = options_of(reader)
+        if unknown := ", ".join(_option(key) for key in self._reading if key not in known):
+            others = ", ".join(_option(field.name) for field in fields(self) if field.name in known)
+            raise ValueError(
+                f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
+            )
+        return reader(Path(self.name), **self._reading)
 
     def _problem(self) -> "Problem | None":
         """The scene that it is, if it is one."""
