@@ -86,15 +86,16 @@ class NamedMap:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         problem = self._problem()
         if problem is None:
-            return self._read_file(), given
+            return self._read_file(given), given
         if self._reading:
             options = ", ".join(map(_option, self._reading))
             raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
         own = problem.goals[0, :2] if len(problem.robots) == 1 else None
         return problem.workspace, own if given is None else given
 
-    def _read_file(self) -> "Workspace":
-        """The workspace in a file that is no scene, by those of the options that its reader knows."""
+    def _read_file(self, goal: Float[np.ndarray, "2"] | None) -> "Workspace":
+        """The workspace in a file that is no scene, by options that its reader knows, and with room for the goal."""
+        from plr_jax.scenes import read_geojson
         from plr_jax.scenes._workspaces import options_of, reader_of
 
         reader = reader_of(Path(self.name))
@@ -104,7 +105,13 @@ class NamedMap:
             raise ValueError(
                 f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
             )
-        return reader(Path(self.name), **self._reading)
+        workspace = reader(Path(self.name), **self._reading)
+        if reader is read_geojson and goal is not None and not workspace.bounds.contains(goal[None])[0]:
+            raise ValueError(
+                f"The goal {goal.tolist()} lies outside the bounds {workspace.bounds} of {self.name}: give the file "
+                'a "bbox" with room for it; without one the bounds are those of its polygons.'
+            )
+        return workspace
 
     def _problem(self) -> "Problem | None":
         """The scene that it is, if it is one."""

@@ -137,6 +137,17 @@ def test_build_begins_a_file_with_coarser_ones(tmp_path):
     assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--max-bytes", 500, "--prefix", 500)
 
 
+def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(tmp_path):
+    path, ring = tmp_path / "yard.geojson", [[2, 2], [4, 2], [4, 3], [2, 2]]
+    yard, out = {"type": "Polygon", "coordinates": [ring]}, ("-o", tmp_path / "out.plr", "--max-leaves", 4)
+    path.write_text(json.dumps(yard))
+    error = mistake("build", path, "--goal", "1,1", *out)
+    assert "goal [1.0, 1.0] lies outside the bounds Box([2.0, 2.0], [4.0, 3.0])" in error and '"bbox"' in error
+    path.write_text(json.dumps({**yard, "bbox": [0, 0, 6, 5]}))
+    assert run("build", path, "--goal", "1,1", *out).exit_code == 0
+    assert '"bbox"' in run("build", "--help").stdout
+
+
 def test_build_knows_the_floor_plan(tmp_path):
     path = tmp_path / "out.plr"
     assert run("build", "floor_plan", "-o", path, "--max-leaves", 4).exit_code == 0
