@@ -94,6 +94,9 @@ def _discard_output() -> None:
         os.close(null)
 
 
+_LINE_ERASED = "\r\x1b[K"  # back to the beginning of the line, and all of it erased
+
+
 @contextmanager
 def saying(what: str) -> Iterator[None]:
     """Say on a terminal what is being done, until it is."""
@@ -105,11 +108,22 @@ def saying(what: str) -> Iterator[None]:
     try:
         yield
     finally:
-        sys.stderr.write("\r\x1b[K")  # back to the beginning of the line, and all of it erased
+        sys.stderr.write(_LINE_ERASED)
         sys.stderr.flush()
+
+
+def warn(message: str) -> None:
+    """Say one line on standard error, whatever the message, and go on."""
+    if sys.stderr.isatty():
+        sys.stderr.write(_LINE_ERASED)
+    typer.echo("Warning: " + _as_line(message), err=True)
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
     """End with one line on standard error, whatever the message."""
-    typer.echo("Error: " + " ".join(line.strip() for line in message.splitlines()), err=True)
+    typer.echo("Error: " + _as_line(message), err=True)
     raise typer.Exit(code)
+
+
+def _as_line(message: str) -> str:
+    return " ".join(line.strip() for line in message.splitlines())

@@ -1,5 +1,6 @@
 """What ``plr-jax build`` builds: a PLR with a proof, of the model asked for or of the least error; and from what."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,21 +54,34 @@ def build_file(
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof and a label, in a file that begins with coarser ones, and what :func:`build_proven` says.
 
-    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer.
+    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer. ``ValueError``
+    names the option that is too small, and how many bytes are enough for a leaf with all that is around it.
     """
     from plr_jax.plr import progressive
+    from plr_jax.plr.growth.limits import BudgetTooSmall
 
     if sorted(set(prefixes)) != list(prefixes) or (max_bytes is not None and prefixes and prefixes[-1] >= max_bytes):
         raise ValueError(f"Prefixes must rise, up to less than --max-bytes, got {', '.join(map(str, prefixes))}.")
     extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
     plrs: list[PLR] = []
-    for size in (*prefixes, max_bytes):
-        of_file = {} if len(plrs) < len(prefixes) else limits
-        if size is not None:
-            size = max(1, size - extension - sum(plr.num_bytes for plr in plrs))
-        plr, errors, interrupted = build_proven(
-            oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=size, **of_file
-        )
+    for option, size in (*(("--prefix", size) for size in prefixes), ("--max-bytes", max_bytes)):
+        of_file = limits if option == "--max-bytes" else {}
+        taken = extension + sum(plr.num_bytes for plr in plrs)
+        budget = None if size is None else max(1, size - taken)
+        if plrs and budget is not None and budget <= (coarser := plrs[-1].num_bytes):
+            raise ValueError(
+                f"{option} {size} is too small: {taken} bytes are for what comes before, and a finer one takes more "
+                f"than {coarser}; allow more than {taken + coarser}."
+            )
+        try:
+            plr, errors, interrupted = build_proven(
+                oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=budget, **of_file
+            )
+        except BudgetTooSmall as error:
+            raise ValueError(
+                f"{option} {size} is too small: one leaf takes {error.num_bytes} bytes, the label and what "
+                f"else comes before it {taken}; allow at least {error.num_bytes + taken}."
+            ) from error
         plrs.append(plr)
         if interrupted:
             break
@@ -86,14 +100,15 @@ def build_proven(
     from plr_jax.plr import ConstructionInterrupted, construct
 
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
-    best, errors, refused, interrupted = None, {}, None, False
+    best, errors, interrupted = None, {}, False
+    refused: list[ValueError] = []
     for name in _tried(oracle, limits.get("max_bytes")) if leaf == BEST else [leaf]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ConstructionInterrupted)
             try:
                 plr = construct(oracle, domain, leaf=name, **options)
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
-                refused = error
+                refused.append(error)
                 continue
         errors[name] = float("inf") if plr.max_error is None else plr.max_error  # if interrupted in its proof
         if best is None or errors[name] < errors[best.leaf.name]:
@@ -106,8 +121,7 @@ def build_proven(
         if interrupted:
             break
     if best is None:
-        assert refused is not None, "there are leaf models"
-        raise refused
+        raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     return best, errors, interrupted
 
 

@@ -7,20 +7,20 @@ import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command, saying
+from plr_jax.cli._app import command, saying, warn
 from plr_jax.cli._build import BEST, build_file, prepared_oracle
 from plr_jax.cli._inputs import (
     DEFAULT_BYTES,
     PICTURES,
     require_writable,
 )
-from plr_jax.cli._maps import NamedMap, map_of_label, say_vertices
+from plr_jax.cli._maps import NamedMap, map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
     FileArgument,
@@ -32,7 +32,11 @@ from plr_jax.cli._options import (
 )
 from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
 
+if TYPE_CHECKING:
+    from plr_jax.geometry.box import Box
+
 _ERROR_POINTS = 20_000
+_SAME = 1e-6  # in shares of their width boxes that are called the same may differ
 
 
 @command(
@@ -192,14 +196,19 @@ def query(
 
 
 def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
-    """The gradients at points, which JAX differentiates; compiled for few sizes."""
+    """The gradients at points, NaN for NaN, which JAX differentiates; compiled for few sizes."""
     import jax
 
     from plr_jax._arrays import padded, padded_size
     from plr_jax.plr import load
 
     gradients = jax.jit(jax.vmap(jax.grad(load(file))))
-    return lambda x: np.asarray(gradients(padded(x, padded_size(len(x)))))[: len(x)]
+
+    def answers(x: np.ndarray) -> np.ndarray:
+        found = np.asarray(gradients(padded(x, padded_size(len(x)))))[: len(x)]
+        return np.where(np.isnan(x).any(axis=1, keepdims=True), np.nan, found)
+
+    return answers
 
 
 @command("plr-jax export maze.plr --c -o plr_maze.h", "plr-jax export maze.plr --c -o include/maze.h --name level_1")
@@ -287,12 +296,14 @@ def plot(
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES)
     plr = load(file)
-    workspace = goal_point = None
-    given = map is not None or goal is not None
-    if map is not None:
-        workspace, goal_point = NamedMap(map, goal, resolution, threshold, drop_specks, polygons).read()
-    elif plr.label or given:
-        workspace, goal_point = map_of_label(plr.label, file, goal)
+    reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
+    named = map_of_file(file, plr.label, map, goal=goal, **reading)
+    workspace, goal_point = (None, None) if named is None else named.read()
+    if workspace is not None and not _same_box(workspace.bounds, plr.domain):
+        warn(
+            f"the map is {workspace.bounds}, but {file} covers {plr.domain}: it may be of another map, or of this "
+            "one read with other options, such as --resolution."
+        )
     from plr_jax import metrics
     from plr_jax import plot as draw
 
@@ -312,6 +323,12 @@ def plot(
             ax = draw.plot_error(errors, workspace)
     draw.save(ax, output)
     typer.echo(f"wrote {output}")
+
+
+def _same_box(one: "Box", other: "Box") -> bool:
+    return one.dim == other.dim and all(
+        np.allclose(a, b, rtol=0, atol=_SAME * one.width.max()) for a, b in ((one.lo, other.lo), (one.hi, other.hi))
+    )
 
 
 @command("plr-jax demo --output pictures")

@@ -1,7 +1,7 @@
 """The MAP of a command: what is read, how, and which goal is in it."""
 
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ class NamedMap:
 
     def __str__(self) -> str:
         given = {name: value for name, value in vars(self).items() if name != "name" and value is not None}
-        return shlex.join([self.name, *(f"--{name.replace('_', '-')}={value}" for name, value in given.items())])
+        return shlex.join([self.name, *(f"{_option(name)}={value}" for name, value in given.items())])
 
     @classmethod
     def of(cls, text: str) -> "NamedMap":
@@ -81,18 +81,37 @@ class NamedMap:
         ``ValueError`` if MAP is neither the name of a scene nor the path of a file that can be read, or has no such
         option.
         """
-        from plr_jax import scenes
-
         given = None if self.goal is None else parse_goal(self.goal)
         if not Path(self.name).suffix and self.name not in SCENES:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         problem = self._problem()
         if problem is None:
-            return scenes.read_workspace(self.name, **self._reading), given
+            return self._read_file(given), given
         if self._reading:
-            raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {', '.join(self._reading)}.")
+            options = ", ".join(map(_option, self._reading))
+            raise ValueError(f"{self.name} is a scene, which is read as it is: leave out {options}.")
         own = problem.goals[0, :2] if len(problem.robots) == 1 else None
         return problem.workspace, own if given is None else given
+
+    def _read_file(self, goal: Float[np.ndarray, "2"] | None) -> "Workspace":
+        """The workspace in a file that is no scene, by options that its reader knows, and with room for the goal."""
+        from plr_jax.scenes import read_geojson
+        from plr_jax.scenes._workspaces import options_of, reader_of
+
+        reader = reader_of(Path(self.name))
+        known = options_of(reader)
+        if unknown := ", ".join(_option(key) for key in self._reading if key not in known):
+            others = ", ".join(_option(field.name) for field in fields(self) if field.name in known)
+            raise ValueError(
+                f"{self.name}: {unknown} is no option of maps of this kind; they have {others or 'none of these'}."
+            )
+        workspace = reader(Path(self.name), **self._reading)
+        if reader is read_geojson and goal is not None and not workspace.bounds.contains(goal[None])[0]:
+            raise ValueError(
+                f"The goal {goal.tolist()} lies outside the bounds {workspace.bounds} of {self.name}: give the file "
+                'a "bbox" with room for it; without one the bounds are those of its polygons.'
+            )
+        return workspace
 
     def _problem(self) -> "Problem | None":
         """The scene that it is, if it is one."""
@@ -105,24 +124,42 @@ class NamedMap:
         return None
 
 
-def map_of_label(
-    label: str, file: Path, goal: str | None
-) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """The map and the goal that the label of a PLR's file names, or another goal; None where it names none.
+def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> NamedMap | None:
+    """The map and the goal of a PLR's file; None if neither its label nor the user names a map.
 
-    A map's own file is looked for as it was named, and beside the PLR's.
+    Args:
+        file: The file. A map that its label names is looked for as it was named, and beside the file.
+        label: The file's label.
+        name: MAP, which the user names instead.
+        **options: The goal and options of the reader that the user gives. Where they are None they are the label's;
+            those of the reader if the map has the name of the label's.
+
+    Raises:
+        ValueError: If there are options of a map, but no map.
     """
+    given = {key: value for key, value in options.items() if value is not None}
     try:
-        named = NamedMap.of(label)
+        own = NamedMap.of(label)
     except ValueError:
-        if goal is not None:
-            raise ValueError(f"{file} does not say of which map it is: --goal needs --map.") from None
-        return None, None
-    named = named if goal is None else replace(named, goal=goal)
-    beside = file.parent / Path(named.name).name
-    if named.name not in SCENES and not Path(named.name).exists() and beside.exists():
-        named = replace(named, name=str(beside))
-    return named.read()
+        own = None
+    if name is None and own is None:
+        if given:
+            raise ValueError(f"{file} does not say of which map it is: {', '.join(map(_option, given))} needs --map.")
+        return None
+    if own is None:
+        return NamedMap(str(name), **given)
+    if name is None:
+        beside = file.parent / Path(own.name).name
+        is_moved = own.name not in SCENES and not Path(own.name).exists() and beside.exists()
+        name = str(beside) if is_moved else own.name
+    elif Path(name).name != Path(own.name).name:
+        own = NamedMap(name, own.goal)
+    return replace(own, name=name, **given)
+
+
+def _option(key: str) -> str:
+    """The option of a command that a field of a map is given by."""
+    return f"--{key.replace('_', '-')}"
 
 
 def say_vertices(workspace: "Workspace") -> None:

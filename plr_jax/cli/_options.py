@@ -12,7 +12,8 @@ MapArgument = Annotated[
     typer.Argument(
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml), "
-        "GeoJSON (.geojson, .json), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
+        'GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI grid (.map), '
+        "polygons with holes (.json), a scene (.json).",
         show_default=False,
     ),
 ]

@@ -1,5 +1,6 @@
 """How far an approximation of a distance function is from the distance function, in value."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import FreeTest
 
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
+_DIGITS = 4  # of the largest distance, to which a place is told, however far from the origin it is
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class ErrorReport:
     num_invented: int
 
     def __str__(self) -> str:
-        where = ", ".join(f"{c:.4g}" for c in self.max_at)
+        decimals = _DIGITS - math.floor(math.log10(self.max_distance or 1.0))
+        where = ", ".join(f"{round(c, max(decimals, 0)):.15g}" for c in self.max_at)
         text = (
             f"max error {self.max:.3g} at ({where}), mean {self.mean:.3g}, "
             f"over {self.num_points - self.num_unreachable:,} points"

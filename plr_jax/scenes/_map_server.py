@@ -14,6 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._pictures import OPAQUE, bands, opened
 
 _REQUIRED = ("image", "resolution", "origin")
+_OPTIONAL = ("negate", "occupied_thresh", "free_thresh", "mode")
 _MODES = ("trinary", "scale", "raw")
 _RAW_FULL, _RAW_MOST = 255, 100  # a raw pixel is a share of occupancy in percent; unknown is what is beyond
 
@@ -70,8 +71,8 @@ def read_map_server(
 
 
 def is_map_server(document: Any) -> bool:
-    """Whether what a YAML file holds is to be such a map."""
-    return isinstance(document, dict) and "image" in document and "resolution" in document
+    """Whether what a YAML file holds is to be such a map: it has a key of one, if perhaps not all that it needs."""
+    return isinstance(document, dict) and any(key in document for key in (*_REQUIRED, *_OPTIONAL))
 
 
 def _free_pixels(image: Path, entry: dict[str, Any], unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:

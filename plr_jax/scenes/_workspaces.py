@@ -37,14 +37,20 @@ def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
         OSError: If the file cannot be read.
     """
     path = Path(path)
-    reader = _reader_of(path)
-    known = list(inspect.signature(reader).parameters)[1:]
+    reader = reader_of(path)
+    known = options_of(reader)
     if unknown := ", ".join(name for name in options if name not in known):
         raise ValueError(f"{path}: {unknown} is no option of files of this kind; they have {known or 'none'}.")
     return reader(path, **options)
 
 
-def _reader_of(path: Path) -> Callable[..., Workspace]:
+def options_of(reader: Callable[..., Workspace]) -> list[str]:
+    """What a reader can be told besides the path."""
+    return list(inspect.signature(reader).parameters)[1:]
+
+
+def reader_of(path: Path) -> Callable[..., Workspace]:
+    """The reader of a file; ``ValueError`` if there is none."""
     match path.suffix.lower():
         case ".map":
             return read_map

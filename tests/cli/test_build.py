@@ -137,6 +137,17 @@ def test_build_begins_a_file_with_coarser_ones(tmp_path):
     assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--max-bytes", 500, "--prefix", 500)
 
 
+def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(tmp_path):
+    path, ring = tmp_path / "yard.geojson", [[2, 2], [4, 2], [4, 3], [2, 2]]
+    yard, out = {"type": "Polygon", "coordinates": [ring]}, ("-o", tmp_path / "out.plr", "--max-leaves", 4)
+    path.write_text(json.dumps(yard))
+    error = mistake("build", path, "--goal", "1,1", *out)
+    assert "goal [1.0, 1.0] lies outside the bounds Box([2.0, 2.0], [4.0, 3.0])" in error and '"bbox"' in error
+    path.write_text(json.dumps({**yard, "bbox": [0, 0, 6, 5]}))
+    assert run("build", path, "--goal", "1,1", *out).exit_code == 0
+    assert '"bbox"' in run("build", "--help").stdout
+
+
 def test_build_knows_the_floor_plan(tmp_path):
     path = tmp_path / "out.plr"
     assert run("build", "floor_plan", "-o", path, "--max-leaves", 4).exit_code == 0
@@ -156,9 +167,32 @@ def test_build_explains_mistakes(tmp_path):
     assert "bow.json" in mistake("build", tmp_path / "bow.json", "--goal", "0.5,0.1", *out)
     assert "goal [0.5, 0.45] lies in an obstacle" in mistake("build", "maze", "--goal", "0.5,0.45", *out)
     assert "goal [1.5, 0.5] lies outside the bounds" in mistake("build", "maze", "--goal", "1.5,0.5", *out)
-    for leaf in ("plane", "continuous", "smooth"):
-        assert "max_bytes" in mistake("build", "maze", "--max-bytes", "3", "--leaf", leaf, *out)
     assert not (tmp_path / "out.plr").exists()
+
+
+@pytest.mark.parametrize("leaf", ["best", *leaf_names()])
+def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough(leaf, tmp_path):
+    def said(option, size, *others):
+        error = mistake("build", "maze", "--leaf", leaf, "-o", path, option, size, *others)
+        assert f"Error: {option} {size} is too small: " in error
+        return int(re.search(r"allow at least ([0-9]+)\.", error).group(1))
+
+    path = tmp_path / "out.plr"
+    enough = said("--max-bytes", 3)
+    assert said("--max-bytes", enough - 1) == enough
+    assert run("build", "maze", "--leaf", leaf, "-o", path, "--max-bytes", enough).exit_code == 0
+    assert path.stat().st_size <= enough
+    with_mark = said("--prefix", 3)
+    assert said("--prefix", with_mark - 1) == with_mark > enough
+
+
+def test_a_file_that_has_no_room_for_finer_ones_is_told_how_much_is_too_little(tmp_path):
+    options = ["--leaf", "plane", "-o", tmp_path / "out.plr", "--prefix", 300]
+    error = mistake("build", "maze", *options, "--max-bytes", 350)
+    assert "--max-bytes 350 is too small" in error
+    least = int(re.search(r"allow more than ([0-9]+)\.", error).group(1))
+    assert f"allow more than {least}." in mistake("build", "maze", *options, "--max-bytes", least)
+    assert run("build", "maze", *options, "--max-bytes", least + 20).exit_code == 0
 
 
 @pytest.mark.parametrize("goal", [("3", "28"), ("3,", "28"), ("-3", "2.5")])

@@ -31,6 +31,12 @@ def test_query_reads_standard_input_and_prints_gradients(maze):
     assert outside[0] == np.inf
 
 
+def test_the_gradient_of_nan_is_nan(maze):
+    result = run("query", maze, "--gradient", input="nan,0.1\na,b\n0.1,0.1\n0.1,nan\n")
+    rows = [list(map(float, line.split(","))) for line in result.stdout.splitlines()]
+    np.testing.assert_array_equal(np.isnan(rows), np.array([[True], [True], [False], [True]]) & np.ones(3, bool))
+
+
 def test_one_bad_row_is_one_bad_row(plane):
     result = run("query", plane, input="0.1,0.2\na,b\nnan,1\n0.3,0.4\n")
     assert result.exit_code == 0

@@ -64,6 +64,23 @@ def test_scenes_and_grids_have_no_options_of_pictures(tmp_path):
             NamedMap(name, resolution=2.0).read()
 
 
+def test_options_are_refused_by_the_names_they_have_in_a_command(tmp_path):
+    (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    (tmp_path / "b.yaml").write_text("image: b.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    given = {"resolution": 0.05, "polygons": "free", "drop_specks": 3}
+    for name, said in (
+        (
+            "a.map",
+            "--resolution, --drop-specks, --polygons is no option of maps of this kind; they have none of these.",
+        ),
+        ("b.yaml", "--resolution, --polygons is no option of maps of this kind; they have --drop-specks."),
+    ):
+        with pytest.raises(ValueError, match=f"{name}: {said}"):
+            NamedMap(str(tmp_path / name), "0.5,0.5", **given).read()
+    with pytest.raises(ValueError, match=r"leave out --resolution, --drop-specks, --polygons\."):
+        NamedMap("maze", **given).read()
+
+
 def test_a_picture_is_read_as_the_options_say(tmp_path):
     gray = np.full((4, 6), 200, np.uint8)
     gray[1, 2] = 0

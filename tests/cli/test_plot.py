@@ -1,5 +1,7 @@
+import numpy as np
 import pytest
 from cli_helpers import mistake, run
+from PIL import Image
 
 from plr_jax.plr import load, save
 
@@ -29,6 +31,39 @@ def test_plot_finds_a_map_beside_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = run("plot", tmp_path / "maps" / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
     assert result.exit_code == 0, result.output
+
+
+def test_plot_takes_goal_and_options_of_a_map_from_the_file(tmp_path):
+    gray = np.full((40, 60), 255, np.uint8)
+    gray[10:30, 30:33] = 0
+    Image.fromarray(gray).save(tmp_path / "scan.png")
+    Image.fromarray(gray).save(tmp_path / "copy.png")
+    path, options = tmp_path / "scan.plr", ["--resolution", 0.05]
+    result = run("build", tmp_path / "scan.png", "--goal", "0.3,0.3", *options, "-o", path, "--max-bytes", 500)
+    assert result.exit_code == 0, result.output
+    pictures = []
+    for number, given in enumerate(
+        ([], ["--map", tmp_path / "scan.png"], ["--map", tmp_path / "copy.png", *options])
+    ):
+        picture = tmp_path / f"{number}.png"
+        result = run("plot", path, *given, "--kind", "error", "-o", picture)
+        assert (result.exit_code, result.stderr) == (0, "")
+        pictures.append(picture.read_bytes())
+    assert pictures[0] == pictures[1] == pictures[2]
+    for given in (["--resolution", 1], ["--map", tmp_path / "copy.png"]):
+        result = run("plot", path, *given, "-o", tmp_path / "other.png")
+        assert result.exit_code == 0 and result.stderr.count("\n") == 1
+        assert "Warning: the map is Box([0.0, 0.0], [60.0, 40.0])" in result.stderr
+        assert "covers Box([0.0, 0.0], [3.0, 2.0])" in result.stderr
+
+
+def test_the_error_is_drawn_for_the_goal_of_the_file(tmp_path):
+    path = tmp_path / "maze.plr"
+    assert run("build", "maze", "--goal", "0.9,0.1", "-o", path, "--max-bytes", 500).exit_code == 0
+    for name, given in (("a", []), ("b", ["--map", "maze"]), ("c", ["--goal", "0.06,0.07"])):
+        assert run("plot", path, *given, "--kind", "error", "-o", tmp_path / f"{name}.png").exit_code == 0
+    a, b, c = ((tmp_path / f"{name}.png").read_bytes() for name in "abc")
+    assert a == b != c
 
 
 def test_plot_needs_no_map(plane, tmp_path):

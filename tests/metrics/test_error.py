@@ -36,6 +36,23 @@ def test_known_errors_give_known_numbers():
     assert "max error 0.3 at (2, 0), mean 0.1, over 4 points" in str(report)
 
 
+@pytest.mark.parametrize(
+    ("scale", "origin", "said"),
+    [
+        (1.0, (691104.23456, 5334012.65432), "691106.2346, 5334012.6543"),
+        (1e3, (691104.23456, 5334012.65432), "693104.2, 5334012.7"),
+        (1e6, (691104.23456, 5334012.65432), "2691104, 5334013"),
+        (1e-3, (0.0, 0.5), "0.002, 0.5"),
+        (0.0, (691104.23456, 0.5), "691104.2346, 0.5"),
+    ],
+)
+def test_the_place_of_the_largest_error_is_told_as_finely_as_distances(scale, origin, said):
+    points = np.array(origin) + scale * np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+    distance = scale * np.arange(4.0)
+    report = metrics.error_map(lambda x: distance + scale * np.eye(4)[2], lambda x: distance, points)
+    assert f"at ({said}), mean" in str(report)
+
+
 def test_infinite_answers_are_counted_and_not_averaged():
     inf, nan = np.inf, np.nan
     distance = np.array([1.0, 1.0, 1.0, 1.0, inf, inf, inf])

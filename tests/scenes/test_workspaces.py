@@ -22,6 +22,13 @@ def test_files_are_known_by_their_ending_and_what_is_in_them(tmp_path):
         assert scenes.read_workspace(tmp_path / name).free_space.area == pytest.approx(area)
 
 
+@pytest.mark.parametrize("text", ["image: a.pgm\norigin: [0, 0, 0]", "resolution: 0.05", "negate: 0", "mode: raw"])
+def test_a_map_server_file_that_lacks_a_key_is_told_so(text, tmp_path):
+    (tmp_path / "map.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"map\.yaml: expected the keys image, resolution, origin; missing "):
+        scenes.read_workspace(tmp_path / "map.yaml")
+
+
 def test_what_cannot_be_read_is_said_by_name(tmp_path):
     with pytest.raises(ValueError, match=r"a\.doc: expected a file that ends in one of \.map, \.json"):
         scenes.read_workspace(tmp_path / "a.doc")

@@ -111,17 +111,13 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
     """Leaves of the best tree within the limits, and the bits to store them with.
 
     Raises:
-        ValueError: If the budget of bytes is too small for one leaf.
+        BudgetTooSmall: If the budget of bytes is too small for one leaf.
     """
+    limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
     within = [(_leaves_within(nodes, order, limits.max_bytes, encoding, bits), bits) for bits in encoding.choices]
     leaf, bits = min(within, key=lambda choice: (_expected_error(nodes, encoding, *choice), -choice[1]))
-    if len(leaf) == 0:
-        smallest = encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices))
-        raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {smallest} bytes; allow at least that."
-        )
     return leaf, bits
 
 

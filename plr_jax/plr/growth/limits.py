@@ -22,6 +22,22 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)
 """A partition under construction; its length is its number of leaves."""
 
 
+class BudgetTooSmall(ValueError):
+    """A budget of bytes is too small even for one leaf.
+
+    Attributes:
+        num_bytes: How many bytes are enough.
+    """
+
+    def __init__(self, max_bytes: float, num_bytes: int, what: str = "one leaf"):
+        super().__init__(max_bytes, num_bytes, what)  # all of them, so that it can be pickled
+        self.num_bytes = num_bytes
+
+    def __str__(self) -> str:
+        max_bytes, num_bytes, what = self.args
+        return f"max_bytes={max_bytes:g} is too small: {what} takes {num_bytes} bytes; allow at least that."
+
+
 class ConstructionInterrupted(UserWarning):
     """Ctrl-C ended a construction early; what it returns is the PLR built so far."""
 
@@ -45,6 +61,11 @@ class Limits:
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
         """Bytes of a file of so many leaves, of which the model keeps so many bits."""
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves))
+
+    def require_room(self, num_bytes: int) -> None:
+        """Raise ``BudgetTooSmall`` if a file of one leaf, of so many bytes, is larger than ``max_bytes``."""
+        if num_bytes > self.max_bytes:
+            raise BudgetTooSmall(self.max_bytes, num_bytes)
 
 
 def check_limits(

@@ -107,14 +107,11 @@ def best_partition(root: Boxes, limits: Limits, size: Callable[[Any], int], num_
             less far beyond its limits.
 
     Raises:
-        ValueError: If the budget of bytes is too small for one leaf.
+        BudgetTooSmall: If the budget of bytes is too small for one leaf.
     """
     search = _Search(root, limits, size, num_sources)
     tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
-    if not search.fits(tree):
-        raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {tree.num_bytes} bytes; allow as many."
-        )
+    limits.require_room(tree.num_bytes)
     return grow(tree, search.next, limits).leaves
 
 

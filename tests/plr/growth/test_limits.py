@@ -1,3 +1,4 @@
+import pickle
 import warnings
 
 import jax.numpy as jnp
@@ -7,7 +8,7 @@ from plr_helpers import UNIT, walled
 
 from plr_jax.plr import ConstructionInterrupted, construct
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth.limits import check_limits, check_memory, grow
+from plr_jax.plr.growth.limits import BudgetTooSmall, check_limits, check_memory, grow
 
 NAMES = ("max_depth", "max_leaves", "max_bytes", "tolerance")
 
@@ -136,3 +137,12 @@ def test_a_construction_that_ends_warns_of_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         construct(walled, UNIT, max_leaves=5)
+
+
+def test_a_budget_that_is_too_small_says_how_much_is_enough_in_other_processes_too():
+    found = limits(max_bytes=40)
+    found.require_room(40)
+    with pytest.raises(BudgetTooSmall, match=r"^max_bytes=40 is too small: one leaf takes 41 bytes; allow") as caught:
+        found.require_room(41)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.num_bytes) == (str(caught.value), 41)

@@ -51,14 +51,11 @@ def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> Sto
     """Split and fit in rounds, smaller ones at the end, up to the limits.
 
     Raises:
-        ValueError: If the budget of bytes is too small for one leaf.
+        BudgetTooSmall: If the budget of bytes is too small for one leaf.
     """
     rounds = _Rounds(order, sampler, rules, limits)
     root = rounds.fitted(sampler.root())
-    if root.num_bytes > limits.max_bytes:
-        raise ValueError(
-            f"max_bytes={limits.max_bytes:g} is too small: one leaf takes {root.num_bytes} bytes; allow that."
-        )
+    limits.require_room(root.num_bytes)
     return grow(root, rounds.next, limits).stored
 
 

@@ -1,5 +1,6 @@
 """Members of a family: of each, the best tree that its limits allow."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -9,7 +10,7 @@ from jaxtyping import Float, Int, UInt64
 from plr_jax._types import FamilyCellSources, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.limits import BudgetTooSmall, Limits
 from plr_jax.plr.growth.optimal import LEAST_SHARE, LEAST_SHARE_PROVEN
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, fitted_boxes, only_sources
 from plr_jax.plr.leaves.cone.codec import StoredCones, cones_bits
@@ -229,10 +230,8 @@ class _Growth:
         ):
             member.is_done = True
         elif not fits and (num_leaves == 1 or member.target <= 1):
-            raise ValueError(
-                f"max_bytes={self.limits.max_bytes:g} is too small: a tree of {num_leaves} leaves takes "
-                f"{num_bytes:g} bytes; allow as many."
-            )
+            enough = math.ceil(num_bytes * (_ROOM + 1) / _ROOM)
+            raise BudgetTooSmall(self.limits.max_bytes, enough, f"a tree of {num_leaves} leaves")
         else:
             fixed = self.limits.file_size(2, 1, 0)
             aim = num_leaves * (most - fixed) / max(num_bytes - fixed, 1.0) if num_bytes else np.inf
