@@ -84,6 +84,9 @@ def test_in_the_mode_scale_transparent_pixels_are_unknown(tmp_path):
         ("[1, 2]", "missing image"),
         (YAML.replace("0.5", "0"), "resolution must be a positive"),
         (YAML.replace("0.5", ".nan"), "resolution must be a finite number, got nan"),
+        (YAML.replace("0.5", "1e-300"), "resolution must be at least 1.6e-11 at coordinates up to 2"),
+        (YAML.replace("0.5", "1e-09").replace("-1.0", "1e6"), "resolution must be at least .* choose an origin"),
+        (YAML.replace("0.5", "1e308"), "choose a larger unit"),
         (YAML.replace("0.5", "[1]"), "resolution must be a finite number"),
         (YAML.replace("[-1.0, 2.0, 0.0]", "3"), r"origin must be \[x, y, yaw\], got 3"),
         (YAML.replace("2.0, ", "x, "), "origin must be a finite number, got 'x'"),
@@ -95,7 +98,7 @@ def test_in_the_mode_scale_transparent_pixels_are_unknown(tmp_path):
         (YAML + "a: &a [x]\nb: *a\n", "neither aliases nor tags"),
         (YAML + "a: " + "[" * 5000, "at most 32 deep"),
     ],
-    ids=range(14),
+    ids=range(17),
 )
 def test_what_is_no_map_is_refused_by_name(yaml, message, tmp_path):
     path = written(tmp_path, yaml)
