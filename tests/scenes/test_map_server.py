@@ -93,12 +93,14 @@ def test_in_the_mode_scale_transparent_pixels_are_unknown(tmp_path):
         (YAML.replace("negate: 0", "negate: 2"), "negate must be 0 or 1"),
         (YAML.replace("0.65", "high"), "occupied_thresh must be a finite number"),
         (YAML + "mode: new\n", "mode must be one of trinary, scale, raw"),
-        (YAML.replace("map.pgm", "[map.pgm]"), "image must be the name of a file"),
+        (YAML.replace("map.pgm", "[map.pgm]"), r"image must be the name of a picture, got \['map.pgm'\]"),
+        (YAML.replace("map.pgm", "''"), "image must be the name of a picture, got ''"),
+        (YAML.replace("map.pgm", ".."), "image must be the name of a picture, got '..'"),
         (YAML.replace("map.pgm", "map.yaml"), "expected a picture"),
         (YAML + "a: &a [x]\nb: *a\n", "neither aliases nor tags"),
         (YAML + "a: " + "[" * 5000, "at most 32 deep"),
     ],
-    ids=range(17),
+    ids=range(19),
 )
 def test_what_is_no_map_is_refused_by_name(yaml, message, tmp_path):
     path = written(tmp_path, yaml)
