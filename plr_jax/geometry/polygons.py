@@ -20,7 +20,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product
 
 LARGEST_COORDINATE = 1e100
-"""Areas, and products of two of them, are finite below."""
+"""Areas, and products of two of them, are finite below; and of sides above its inverse they are not 0."""
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
@@ -108,8 +108,13 @@ def as_components(
 
 
 def rounding_of(bounds: Box) -> float:
-    """Error to expect of coordinates: 1e-12 of the larger side, or more for bounds far from the origin."""
-    return float(max(1e-12 * bounds.width.max(), 1e-15 * np.abs([bounds.lo, bounds.hi]).max()))
+    """Error to expect of coordinates within bounds."""
+    return rounding_at(bounds.width.max(), np.abs([bounds.lo, bounds.hi]).max())
+
+
+def rounding_at(width: float, reach: float) -> float:
+    """Error to expect of coordinates up to ``reach``: 1e-12 of the larger side, or more far from the origin."""
+    return float(max(1e-12 * width, 1e-15 * reach))
 
 
 def grid_of(bounds: Box) -> float:
@@ -127,6 +132,10 @@ def as_bounds(value: Box | ArrayLike) -> Box:
     if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
         raise ValueError(
             f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
+        )
+    if bounds.width.max() < 1 / LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's longer side is at least {1 / LARGEST_COORDINATE:g}, got {bounds}: choose a smaller unit."
         )
     return bounds
 

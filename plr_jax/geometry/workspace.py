@@ -126,7 +126,7 @@ class Workspace:
 
         Args:
             free: Which pixels are free, booleans ``(rows, columns)``. What is beyond them is not free.
-            resolution: Side of a pixel, in workspace units.
+            resolution: Side of a pixel, in workspace units; 8e-12 of the largest coordinate at least.
             origin: The outer corner ``(x, y)`` of the first column's lowest pixel, or ``(x, y, yaw)``: the grid is
                 then turned about that corner by ``yaw`` radians, counterclockwise.
             row0: Whether the first row is the one of least ``y``, ``"bottom"``, or of most, as in images, ``"top"``.

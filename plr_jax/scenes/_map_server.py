@@ -60,10 +60,9 @@ def read_map_server(
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
             raise ValueError(f"expected the keys {', '.join(_REQUIRED)}; missing {', '.join(missing)}.")
-        if not isinstance(entry["image"], str):
-            raise ValueError(f"image must be the name of a file, got {shortened(entry['image'])}.")
+        if not isinstance(entry["image"], str) or (image := path.parent / entry["image"]).is_dir():
+            raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         resolution, (x, y, yaw) = _number(entry, "resolution"), _origin(entry["origin"])
-        image = path.parent / entry["image"]
         with errors_named(image):
             free = _free_pixels(image, entry, unknown_is_free)
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}

@@ -234,6 +234,8 @@ def test_an_invalid_obstacle_is_refused_by_its_index():
 def test_bounds_whose_area_is_no_number_are_refused():
     with pytest.raises(ValueError, match="coordinates go to 1e"):
         Workspace(((0, 0), (1, 1e155)))
+    with pytest.raises(ValueError, match=r"longer side is at least 1e-100, .* choose a smaller unit"):
+        Workspace(((0, 0), (1e-160, 1e-160)))
 
 
 @pytest.mark.parametrize(

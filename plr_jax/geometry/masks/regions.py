@@ -12,8 +12,10 @@ from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks.simplification import simplified
 from plr_jax.geometry.masks.tracing import PixelRings, pixel_rings
+from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_at
 
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
+_LEAST_PIXEL = 8e3  # roundings of its side: the tolerance of a workspace is 1e3, a wall a quarter of a pixel at least
 
 
 def placed_region(
@@ -39,6 +41,7 @@ def placed_region(
     pose = as_numbers("origin", origin, "(x, y) or (x, y, yaw)")
     if pose.shape not in ((2,), (3,)) or not np.isfinite(pose).all():
         raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
+    _require_resolved(free.shape, resolution, np.abs(pose[:2]).max())
     free = free if row0 == "bottom" else free[::-1]
     free = without_specks(free, drop_specks) if drop_specks else free
     if not free.any():
@@ -46,6 +49,23 @@ def placed_region(
     yaw = pose[2] if len(pose) == 3 else 0.0
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     return shapely.transform(region_of_mask(free, tolerance), lambda points: pose[:2] + resolution * points @ turn)
+
+
+def _require_resolved(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+    """Refuse pixels that coordinates of double precision cannot tell apart where the grid lies."""
+    size = resolution * math.hypot(*shape)
+    reach = float(origin) + size
+    if not reach <= LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got pixels of side {resolution:g} as far out "
+            f"as {reach:g}: choose a larger unit."
+        )
+    least = _LEAST_PIXEL * rounding_at(size, reach)
+    if resolution < least:
+        raise ValueError(
+            f"resolution must be at least {least:.2g} at coordinates up to {reach:g}, which are no finer, got "
+            f"{resolution:g}: choose an origin nearer to zero, or check the unit of both."
+        )
 
 
 def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:

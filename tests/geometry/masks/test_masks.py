@@ -160,6 +160,24 @@ def test_masks_are_placed_turned_and_read_from_the_top():
     np.testing.assert_array_equal(turned.is_free([(0.75, 2.75), (0.25, 2.75)]), [True, False])
 
 
+@pytest.mark.parametrize("origin", [(0, 0), (1e6, -1e6), (3e5, 5e6, 0.3)])
+@pytest.mark.parametrize("resolution", [1e-90, 9e-6, 0.05, 1e90])
+def test_pixels_are_read_as_small_as_they_are_told_apart(resolution, origin):
+    """At whatever scale: a mask is refused, or its pixels are free and blocked as given."""
+    free = np.kron(np.random.default_rng(0).random((6, 7)) < 0.7, np.ones((2, 2), bool))
+    if resolution < 8e-12 * np.abs(origin).max():
+        with pytest.raises(ValueError, match="resolution must be at least"):
+            Workspace.from_mask(free, resolution, origin)
+        return
+    workspace = Workspace.from_mask(free, resolution, origin)
+    yaw = (*origin, 0)[2]
+    turn = np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
+    row, column = np.indices(free.shape)
+    middles = np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5
+    x = np.array(origin[:2]) + resolution * middles @ turn
+    np.testing.assert_array_equal(workspace.is_free(x), free.ravel())
+
+
 def test_contacts_are_for_squeezing():
     for squeeze in (False, True):
         oracle = VisibilityGraph(Workspace.from_mask(drawn(".#", "#."), squeeze=squeeze), (0.5, 0.5))
@@ -181,6 +199,10 @@ def test_contacts_are_for_squeezing():
         (np.eye(3) > 0, {"drop_specks": 9}, "No pixel"),
         (np.eye(3) > 0, {"drop_specks": 0.5}, "drop_specks must be an integer"),
         (np.eye(3) > 0, {"resolution": 0}, "resolution must be a positive"),
+        (np.eye(3) > 0, {"resolution": 1e-300}, "longer side is at least 1e-100, .* choose a smaller unit"),
+        (np.eye(3) > 0, {"resolution": 1e307}, r"go to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
+        (np.eye(3) > 0, {"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
+        (np.eye(3) > 0, {"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
         (np.eye(3) > 0, {"tolerance": -1}, "tolerance must be"),
         (np.eye(3) > 0, {"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
         (np.eye(3) > 0, {"origin": 3}, "origin must be"),
