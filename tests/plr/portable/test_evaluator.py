@@ -33,6 +33,16 @@ def test_answers_are_those_of_the_words(plr):
     assert same_bits(plr.numpy()(wide), SlowReader(plr)(wide))
 
 
+@pytest.mark.parametrize("name", ["maze of cones", "cones in space", "far cones"])
+def test_waypoints_are_those_of_the_words(name):
+    plr = case(name)
+    x = hard_points(plr, 80)
+    answer, expected = plr.numpy().waypoint(x), SlowReader(plr).waypoint(x)
+    assert answer.dtype == expected.dtype == (np.float64 if is_far(plr) else np.float32)
+    np.testing.assert_array_equal(answer, expected)  # any NaN is like any other
+    assert (answer.view(np.uint8) == expected.view(np.uint8))[~np.isnan(expected).any(axis=1)].all()
+
+
 def test_single_points_are_answered_as_in_batches(plr):
     f, x = plr.numpy(), hard_points(plr, 40).astype(np.float64)
     batch = f(x)
