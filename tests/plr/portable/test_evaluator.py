@@ -54,9 +54,10 @@ def test_single_points_are_answered_as_in_batches(plr):
 def test_answers_are_those_of_jax_bit_for_bit(plr):
     x = hard_points(plr, 4000, seed=2)
     x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
-    x = x[~(np.abs(x) > 1e9).any(axis=1) | np.isinf(x).any(axis=1)]
+    if is_far(plr):  # in 64 bits, host code wraps by an exact remainder: farther around, it is elsewhere
+        x = x[~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)]
     answer, expected = np.asarray(plr(x)), plr.numpy()(x)
-    if is_far(plr):  # in 64 bits, host code wraps by an exact remainder
+    if is_far(plr):
         np.testing.assert_allclose(answer, expected, rtol=3e-7)
         assert np.mean(answer == expected) > 0.99 * np.mean(~np.isnan(expected))
         return
