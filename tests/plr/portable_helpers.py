@@ -135,6 +135,20 @@ class SlowReader:
         with np.errstate(all="ignore"):
             return np.array([self._value(list(point)) for point in x], np.float32)
 
+    def waypoint(self, x):
+        """The sources of leaves of cones."""
+        with np.errstate(all="ignore"):
+            return np.array([self._waypoint(list(point)) for point in x], np.float64 if self.is_far else np.float32)
+
+    def _waypoint(self, x):
+        z = None if any(np.isnan(x)) else self._placed(x)
+        if z is None:
+            return [np.nan] * len(x)
+        source = self.numbers[self._leaf(z)[0], 1:]
+        if self.is_far:
+            return [origin + np.float64(along) for origin, along in zip(self.origin, source, strict=True)]
+        return [np.float32(lo) + along for lo, along in zip(self.lo, source, strict=True)]
+
     def _value(self, x):
         if any(np.isnan(x)):
             return np.float32(np.nan)

@@ -51,13 +51,14 @@ def write() -> None:
         every = hard_points(plr, 60)
         x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]
         save(plr, FOLDER / f"{file}.plr")
+        reader = SlowReader(plr)
         table = {
             "type": x.dtype.name,
             "points": [[float(along).hex() for along in point] for point in x],
-            "distances": [f"{bits:08x}" for bits in SlowReader(plr)(x).view(np.uint32)],
+            "distances": [f"{bits:08x}" for bits in reader(x).view(np.uint32)],
         }
-        if name in ("maze of cones", "far cones"):
-            table["waypoints"] = [[float(along).hex() for along in point] for point in plr.numpy().waypoint(x)]
+        if plr.leaf.name == "cone":
+            table["waypoints"] = [[float(along).hex() for along in point] for point in reader.waypoint(x)]
         (FOLDER / f"{file}.json").write_text(json.dumps(table, indent=0) + "\n")
 
 

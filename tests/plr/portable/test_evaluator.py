@@ -33,6 +33,16 @@ def test_answers_are_those_of_the_words(plr):
     assert same_bits(plr.numpy()(wide), SlowReader(plr)(wide))
 
 
+@pytest.mark.parametrize("name", ["maze of cones", "cones in space", "far cones"])
+def test_waypoints_are_those_of_the_words(name):
+    plr = case(name)
+    x = hard_points(plr, 80)
+    answer, expected = plr.numpy().waypoint(x), SlowReader(plr).waypoint(x)
+    assert answer.dtype == expected.dtype == (np.float64 if is_far(plr) else np.float32)
+    np.testing.assert_array_equal(answer, expected)  # any NaN is like any other
+    assert (answer.view(np.uint8) == expected.view(np.uint8))[~np.isnan(expected).any(axis=1)].all()
+
+
 def test_single_points_are_answered_as_in_batches(plr):
     f, x = plr.numpy(), hard_points(plr, 40).astype(np.float64)
     batch = f(x)
@@ -44,9 +54,10 @@ def test_single_points_are_answered_as_in_batches(plr):
 def test_answers_are_those_of_jax_bit_for_bit(plr):
     x = hard_points(plr, 4000, seed=2)
     x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
-    x = x[~(np.abs(x) > 1e9).any(axis=1) | np.isinf(x).any(axis=1)]
+    if is_far(plr):  # in 64 bits, host code wraps by an exact remainder: farther around, it is elsewhere
+        x = x[~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)]
     answer, expected = np.asarray(plr(x)), plr.numpy()(x)
-    if is_far(plr):  # in 64 bits, host code wraps by an exact remainder
+    if is_far(plr):
         np.testing.assert_allclose(answer, expected, rtol=3e-7)
         assert np.mean(answer == expected) > 0.99 * np.mean(~np.isnan(expected))
         return

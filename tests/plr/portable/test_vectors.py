@@ -24,6 +24,13 @@ def of_bits(texts):
     return np.array([int(text, 16) for text in texts], np.uint32).view(np.float32)
 
 
+def require_same_bits(answer, expected):
+    """Arrays are equal to the bit, but any NaN is like any other."""
+    np.testing.assert_array_equal(answer, expected)
+    is_number = ~np.isnan(expected)
+    np.testing.assert_array_equal(np.signbit(answer)[is_number], np.signbit(expected)[is_number])
+
+
 def test_there_are_some_and_they_are_small():
     assert len(NAMES) >= 8
     assert sum(path.stat().st_size for path in Path(FOLDER).iterdir()) < 100_000
@@ -32,15 +39,17 @@ def test_there_are_some_and_they_are_small():
 def test_answers_are_equal_to_the_bit(vector):
     path, x, table = vector
     f = load_numpy(path)
-    expected = of_bits(table["distances"])
-    np.testing.assert_array_equal(f(x), expected)  # any NaN is like any other
-    is_number = ~np.isnan(expected)
-    np.testing.assert_array_equal(f(x)[is_number].view(np.uint32), expected[is_number].view(np.uint32))
+    require_same_bits(f(x), of_bits(table["distances"]))
     if "waypoints" in table:
         expected = [[float.fromhex(along) for along in point] for point in table["waypoints"]]
-        np.testing.assert_array_equal(f.waypoint(x), np.array(expected, table["type"]))
+        require_same_bits(f.waypoint(x), np.array(expected, table["type"]))
 
 
 def test_files_are_read_by_jax_alike(vector):
     path, x, table = vector
-    np.testing.assert_allclose(load(path)(x), of_bits(table["distances"]), rtol=1e-5, atol=1e-5)
+    answer, expected = np.asarray(load(path)(x)), of_bits(table["distances"])
+    known = ((x == 0) | ~(np.abs(x) < np.finfo(np.float32).tiny)).all(axis=1)  # XLA takes what is smaller for 0
+    if x.dtype == np.float64:  # host code wraps by an exact remainder: that far around, it is elsewhere
+        known &= ~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)
+    assert known.mean() > 0.8
+    require_same_bits(answer[known], expected[known])
