@@ -54,8 +54,9 @@ def build_file(
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof and a label, in a file that begins with coarser ones, and what :func:`build_proven` says.
 
-    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer. ``ValueError``
-    names the option that is too small, and how many bytes are enough for a leaf with all that is around it.
+    Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer. A coarser one
+    that is as large as what comes after it is left out, with a warning. ``ValueError`` names the option that is too
+    small, and how many bytes are enough for a leaf with all that is around it.
     """
     from plr_jax.plr import progressive
     from plr_jax.plr.growth.limits import BudgetTooSmall
@@ -64,6 +65,7 @@ def build_file(
         raise ValueError(f"Prefixes must rise, up to less than --max-bytes, got {', '.join(map(str, prefixes))}.")
     extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
     plrs: list[PLR] = []
+    errors: dict[str, float] = {}
     for option, size in (*(("--prefix", size) for size in prefixes), ("--max-bytes", max_bytes)):
         of_file = limits if option == "--max-bytes" else {}
         taken = extension + sum(plr.num_bytes for plr in plrs)
@@ -74,7 +76,7 @@ def build_file(
                 f"than {coarser}; allow more than {taken + coarser}."
             )
         try:
-            plr, errors, interrupted = build_proven(
+            plr, of_models, interrupted = build_proven(
                 oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=budget, **of_file
             )
         except BudgetTooSmall as error:
@@ -82,10 +84,21 @@ def build_file(
                 f"{option} {size} is too small: one leaf takes {error.num_bytes} bytes, the label and what "
                 f"else comes before it {taken}; allow at least {error.num_bytes + taken}."
             ) from error
-        plrs.append(plr)
+        if not (interrupted and plrs and _body_size(plr) <= _body_size(plrs[-1])):  # which is better
+            smaller = [coarser for coarser in plrs if _body_size(coarser) < _body_size(plr)]
+            if len(smaller) < len(plrs):
+                warnings.warn(
+                    "prefixes as large as what comes after them are left out: the limits allow no larger file.",
+                    stacklevel=2,
+                )
+            plrs, errors = [*smaller, plr], of_models
         if interrupted:
             break
     return progressive(plrs).with_label(label), errors, interrupted
+
+
+def _body_size(plr: "PLR") -> int:
+    return len(plr.container.last.body)
 
 
 def build_proven(
@@ -94,8 +107,8 @@ def build_proven(
     """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
     Of several, those that cannot be built are left out, and those that name corners where these would take several
-    times the budget; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what
-    is being built and leaves the rest untried.
+    times the budget; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what is being built and leaves
+    the rest untried.
     """
     from plr_jax.plr import ConstructionInterrupted, construct
 

@@ -111,8 +111,8 @@ def build(
     output = output or Path(f"{Path(map).stem}.plr")
     if leaf != BEST:
         leaf_model(leaf)
-    require_writable(output)
-    require_writable(oracle)
+    require_writable(output, inputs=(map, oracle))
+    require_writable(oracle, inputs=(map,))
     named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons)
     with saying(f"reading {map}"):
         workspace, goal_point = named.read()
@@ -227,7 +227,7 @@ def export(
 
     if not c:
         raise ValueError("Say as what: --c is for a header of C99.")
-    require_writable(output, (".h", ".hpp"))
+    require_writable(output, (".h", ".hpp"), inputs=(file,))
     text = load_numpy(file).c_header(output.stem if name is None else name)
     write_atomically(output, text.encode())
     typer.echo(f"wrote {output}: {len(text):,} bytes")
@@ -294,7 +294,7 @@ def plot(
     from plr_jax.plr import load
 
     output = output if output.suffix else output.with_name(f"{output.name}.png")
-    require_writable(output, PICTURES)
+    require_writable(output, PICTURES, inputs=(file, map))
     plr = load(file)
     reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
     named = map_of_file(file, plr.label, map, goal=goal, **reading)

@@ -57,10 +57,12 @@ def read_problem(name: str, num_robots: int | None) -> "Problem":
     )
 
 
-def require_writable(path: Path | None, endings: Sequence[str] = ()) -> None:
+def require_writable(
+    path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
+) -> None:
     """Refuse a file that cannot be written before the work that it would hold is done, or whose name ends otherwise.
 
-    None is nothing to write; where there are no endings, any will do.
+    None is nothing to write; where there are no endings, any will do. No file is written over one of the inputs.
     """
     if path is None:
         return
@@ -73,6 +75,9 @@ def require_writable(path: Path | None, endings: Sequence[str] = ()) -> None:
     folder = path.resolve().parent
     if mode is not None and stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    for file in inputs:
+        if mode is not None and file is not None and os.path.exists(file) and os.path.samefile(file, path):
+            raise ValueError(f"{path} is read, and would be written over: name another file to write.")
     if not folder.is_dir():
         raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
     # A file is replaced by a new one in its folder, but a device or a pipe is written to.

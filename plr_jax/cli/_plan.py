@@ -110,7 +110,7 @@ def plan(
     Exit code 1: no path was found.
     """
     began = time.perf_counter()
-    require_writable(output, (".json",))
+    require_writable(output, (".json",), inputs=(scene,))
     require_writable(animation, (".gif", ".html"))
     require_writable(picture, PICTURES)
     from plr_jax.cli import _planning

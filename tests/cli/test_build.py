@@ -220,6 +220,30 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, mo
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
 
 
+def test_a_prefix_as_large_as_what_comes_after_it_is_left_out(tmp_path):
+    path = tmp_path / "out.plr"
+    result = run("build", "maze", "-o", path, "--tolerance", 0.2, "--prefix", 300, "--leaf", "plane")
+    assert result.exit_code == 0 and load(path).file_marks == () and load(path).max_error <= 0.2
+    assert "prefixes as large as what comes after them are left out" in result.stderr + str(result.exception)
+
+
+def test_an_interrupt_keeps_the_prefixes_that_are_done(tmp_path, monkeypatch):
+    build, calls = plr_jax.plr.construct, []
+
+    def interrupted(*arguments, **limits):
+        calls.append(limits["max_bytes"])
+        if len(calls) == 1:
+            return build(*arguments, **limits)
+        warnings.warn("interrupted", plr_jax.plr.ConstructionInterrupted, stacklevel=1)
+        return build(*arguments, **{**limits, "max_bytes": 100})
+
+    monkeypatch.setattr(plr_jax.plr, "construct", interrupted)
+    path = tmp_path / "out.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 900, "--prefix", 300, "--leaf", "plane")
+    assert result.exit_code == 130 and len(calls) == 2
+    assert load(path).max_error > 0 and 200 < load(path).num_bytes <= 300
+
+
 def test_bounds_of_cells_are_narrower_and_need_a_proof(tmp_path):
     widths = []
     for options in ([], ["--leaf-bounds"]):

@@ -109,6 +109,23 @@ def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypat
     assert "folder.png: Is a directory" in mistake("plot", "a.plr", "-o", tmp_path / "folder.png")
 
 
+def test_what_is_read_is_not_written_over(plane, tmp_path):
+    (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    scenes.save(scenes.four_rooms(2), tmp_path / "team.json")
+    (tmp_path / "header.h").symlink_to(plane)
+    (tmp_path / "oracle.npz").write_bytes(b"oracle")
+    files = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    commands = [
+        ("build", tmp_path / "a.map", "--goal", "1,0.5", "-o", tmp_path / "a.map"),
+        ("build", "maze", "--oracle", tmp_path / "oracle.npz", "-o", tmp_path / "oracle.npz"),
+        ("export", plane, "--c", "-o", tmp_path / "header.h"),
+        ("plan", tmp_path / "team.json", "-o", tmp_path / "team.json"),
+    ]
+    for command in commands:
+        assert "is read, and would be written over" in mistake(*command)
+    assert files == {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+
 def test_demo_writes_what_it_says(tmp_path, monkeypatch):
     from plr_jax.cli import _demo
 
