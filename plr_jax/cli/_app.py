@@ -4,6 +4,7 @@ import contextlib
 import functools
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, NoReturn
@@ -43,13 +44,17 @@ def options(
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130."""
+    """Register a command that answers a user's mistake with a line and exit code 2, Ctrl-C with 130.
+
+    Warnings are lines as well.
+    """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(function)
         def run(*args: object, **kwargs: object) -> None:
             try:
-                function(*args, **kwargs)
+                with _warnings_as_lines():
+                    function(*args, **kwargs)
             except KeyboardInterrupt:
                 typer.echo("Interrupted.", err=True)
                 raise typer.Exit(INTERRUPTED_EXIT) from None
@@ -117,6 +122,21 @@ def warn(message: str) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(_LINE_ERASED)
     typer.echo("Warning: " + _as_line(message), err=True)
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Show warnings once each, without the line of code that they came from."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if (text := str(message)) not in told:
+            told.add(text)
+            warn(text)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def fail(message: str, code: int = 2) -> NoReturn:

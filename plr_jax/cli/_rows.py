@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import typer
 from jaxtyping import Float
+
+from plr_jax.cli._app import warn
 
 _CHUNK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
@@ -53,7 +54,7 @@ class PointTable:
         if is_empty:
             raise ValueError(f"{self.name} has no points: expected {self._expected} a line.")
         if self.num_bad > _MOST_WARNINGS:
-            typer.echo(f"Warning: {self.name} has {self.num_bad:,} rows that are no points.", err=True)
+            warn(f"{self.name} has {self.num_bad:,} rows that are no points.")
 
     @property
     def _expected(self) -> str:
@@ -120,9 +121,9 @@ class PointTable:
                 return points[:index]
             self.num_bad += 1
             if self.num_bad <= _MOST_WARNINGS:
-                typer.echo(f"Warning: {message}; the answer is nan.", err=True)
+                warn(f"{message}; the answer is nan.")
             if self.num_bad == _MOST_WARNINGS:
-                typer.echo("Warning: of further such rows only their number is told.", err=True)
+                warn("of further such rows only their number is told.")
         return points
 
 

@@ -148,6 +148,21 @@ def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(tmp_path):
     assert '"bbox"' in run("build", "--help").stdout
 
 
+def test_what_a_reader_warns_of_is_a_line(tmp_path):
+    town = [[11.40, 48.10], [11.41, 48.10], [11.41, 48.11], [11.40, 48.10]]
+    path, out = tmp_path / "town.geojson", tmp_path / "town.plr"
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": [town]}))
+    limits = ("--max-leaves", 4, "--leaf", "plane")
+    for command in (
+        ["build", path, "--goal", "11.401,48.109", "-o", out, *limits],
+        ["plot", out, "-o", f"{out}.png"],
+    ):
+        result = run(*command)
+        assert result.exit_code == 0, result.output
+        assert result.stderr.startswith(f"Warning: {path}: coordinates look like degrees")
+        assert result.stderr.count("\n") == 1 and ".py" not in result.stderr
+
+
 def test_build_knows_the_floor_plan(tmp_path):
     path = tmp_path / "out.plr"
     assert run("build", "floor_plan", "-o", path, "--max-leaves", 4).exit_code == 0
@@ -269,8 +284,8 @@ def test_a_warning_of_something_else_does_not_end_a_build(tmp_path, monkeypatch)
         return cell_sources(self, domain)
 
     monkeypatch.setattr(plr_jax.VisibilityGraph, "cell_sources", with_warning)
-    with pytest.warns(RuntimeWarning, match="of something else"):
-        result = run("build", "maze", "--max-bytes", 300, "-o", tmp_path / "out.plr")
+    result = run("build", "maze", "--max-bytes", 300, "-o", tmp_path / "out.plr")
+    assert result.stderr == "Warning: of something else\n"
     assert result.exit_code == 0 and "leaf    cone: no error above" in result.stdout
 
 
