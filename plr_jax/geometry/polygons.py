@@ -210,13 +210,15 @@ def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
     return of_owner[name]
 
 
-def region_of(free: Any, bounds: Box) -> Polygon | MultiPolygon:
+def region_of(
+    free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision
+) -> Polygon | MultiPolygon:
     """Free space as a workspace keeps it: rounded, normalized, without collinear vertices.
 
-    ``ValueError`` if there is none.
+    ``rounded`` moves vertices to multiples of a number. ``ValueError`` if there is no free space.
     """
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
-    parts = polygons_of(shapely.set_precision(free, grid_of(bounds)))
+    parts = polygons_of(rounded(free, grid_of(bounds)))
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.

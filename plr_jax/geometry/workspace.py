@@ -1,7 +1,7 @@
 """A 2-D region with polygonal obstacles: what is free, how far it is to a wall, what can be seen."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.masks.regions import placed_region
+from plr_jax.geometry.masks.regions import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
     as_bounds,
     as_components,
@@ -78,7 +78,8 @@ class Workspace:
         polygons = as_polygons("Obstacle", obstacles)
         region, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
         free = shapely.difference(region, shapely.union_all(merged))
-        _assign(self, bounds, polygons, squeeze, free)
+        made = Workspace.restored(bounds, polygons, as_bool("squeeze", squeeze), region_of(free, bounds))
+        vars(self).update(vars(made))
 
     @classmethod
     def from_polygons(cls, components: Sequence[Any], *, squeeze: bool = False) -> "Workspace":
@@ -144,14 +145,14 @@ class Workspace:
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
         x0, y0, x1, y1 = region.bounds
-        return cls._from_free_space(as_bounds(((x0, y0), (x1, y1))), region, squeeze)
+        return cls._from_free_space(as_bounds(((x0, y0), (x1, y1))), region, squeeze, rounded_one_by_one)
 
     @classmethod
-    def _from_free_space(cls, bounds: Box, free: Any, squeeze: bool) -> "Workspace":
-        workspace = object.__new__(cls)
-        blocked = shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)
-        _assign(workspace, bounds, polygons_of(blocked), squeeze, free)
-        return workspace
+    def _from_free_space(
+        cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
+    ) -> "Workspace":
+        blocked = polygons_of(shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
+        return cls.restored(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
 
     @classmethod
     def restored(cls, bounds: Box, obstacles: tuple, squeeze: bool, free_space: Any) -> "Workspace":
@@ -343,8 +344,3 @@ class Workspace:
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)
         return sample_triangles(self._triangles, n, seed)
-
-
-def _assign(workspace: Workspace, bounds: Box, obstacles: tuple, squeeze: bool, free: Any) -> None:
-    restored = Workspace.restored(bounds, obstacles, as_bool("squeeze", squeeze), region_of(free, bounds))
-    vars(workspace).update(vars(restored))

@@ -6,7 +6,7 @@ import scipy.ndimage
 import shapely
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.masks.regions import region_of_mask, without_specks
+from plr_jax.geometry.masks.regions import placed_region, region_of_mask, rounded_one_by_one, without_specks
 from plr_jax.geometry.masks.simplification import CLEARANCE
 from plr_jax.geometry.masks.tracing import pixel_rings
 
@@ -176,6 +176,23 @@ def test_pixels_are_read_as_small_as_they_are_told_apart(resolution, origin):
     middles = np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5
     x = np.array(origin[:2]) + resolution * middles @ turn
     np.testing.assert_array_equal(workspace.is_free(x), free.ravel())
+
+
+@pytest.mark.parametrize(
+    ("resolution", "origin"), [(0.05, (-10.3, 7.7)), (0.1, (0.1, 0.2, 1.0)), (5e-5, (3e5, 5e6, 2))]
+)
+def test_vertices_rounded_one_by_one_make_the_region_that_shapely_makes(resolution, origin):
+    """With noise, thin walls and contacts, down to the smallest pixels."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        free = np.kron(rng.random((15, 20)) < 0.7, np.ones((2, 2), bool)) | (rng.random((30, 40)) < 0.1)
+        for tolerance in TOLERANCES:
+            options = {"row0": "bottom", "tolerance": tolerance, "drop_specks": 0}
+            region = placed_region(free, resolution, origin, **options)
+            grid = 2.0 ** np.floor(np.log2(resolution / 4e3))  # as coarse as a workspace's may be
+            rounded, expected = rounded_one_by_one(region, grid), shapely.set_precision(region, grid)
+            assert rounded.is_valid and not (shapely.get_coordinates(rounded) % grid).any()
+            assert shapely.equals_exact(rounded.normalize(), expected.normalize())
 
 
 def test_contacts_are_for_squeezing():
