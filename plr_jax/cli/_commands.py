@@ -237,6 +237,7 @@ def export(
 @command("plr-jax info maze.plr")
 def info(file: FileArgument) -> None:
     """Say what is in a .plr file."""
+    from plr_jax._arrays import told
     from plr_jax.plr import from_bytes, load
 
     plr = load(file)
@@ -245,7 +246,7 @@ def info(file: FileArgument) -> None:
     typer.echo(f"leaf       {plr.leaf.name}")
     axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
     periodic = f", periodic along axes {axes}" if axes else ""
-    typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D{periodic})")
+    typer.echo(f"domain     {told(plr.domain.lo)} to {told(plr.domain.hi)} ({plr.domain.dim}-D{periodic})")
     typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
     typer.echo(f"proof      {_proof_of(plr)}")
