@@ -217,6 +217,11 @@ def mixed(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.
     return bits ^ (bits >> np.uint64(31))
 
 
+def told(numbers: Float[np.ndarray, "n"]) -> list[float]:
+    """Numbers as a message tells them: to 12 digits, without what arithmetic made of the last ones."""
+    return [float(f"{number:.12g}") for number in numbers.tolist()]
+
+
 def shortened(value: object) -> str:
     """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
     try:

@@ -34,6 +34,7 @@ from plr_jax.cli._rows import PointTable, open_table, print_answers, require_sta
 
 if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
+    from plr_jax.plr import PLR
 
 _ERROR_POINTS = 20_000
 _SAME = 1e-6  # in shares of their width boxes that are called the same may differ
@@ -236,7 +237,8 @@ def export(
 @command("plr-jax info maze.plr")
 def info(file: FileArgument) -> None:
     """Say what is in a .plr file."""
-    from plr_jax.plr import load
+    from plr_jax._arrays import told
+    from plr_jax.plr import from_bytes, load
 
     plr = load(file)
     typer.echo(f"file       {file}")
@@ -244,13 +246,19 @@ def info(file: FileArgument) -> None:
     typer.echo(f"leaf       {plr.leaf.name}")
     axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
     periodic = f", periodic along axes {axes}" if axes else ""
-    typer.echo(f"domain     {plr.domain.lo.tolist()} to {plr.domain.hi.tolist()} ({plr.domain.dim}-D{periodic})")
+    typer.echo(f"domain     {told(plr.domain.lo)} to {told(plr.domain.hi)} ({plr.domain.dim}-D{periodic})")
     typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
     typer.echo(f"depth      {plr.depth}")
-    typer.echo(f"proof      {'none' if plr.max_error is None else f'largest error {plr.max_error:.3g}'}")
+    typer.echo(f"proof      {_proof_of(plr)}")
     typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
-    if plr.file_marks:
-        typer.echo(f"coarser    in its first {', '.join(f'{mark:,}' for mark in plr.file_marks)} bytes")
+    for mark in plr.file_marks:
+        if mark < plr.num_bytes:  # else this is a file that was cut off there
+            part = from_bytes(plr.to_bytes()[:mark])
+            typer.echo(f"coarser    in its first {mark:,} bytes: {part.num_leaves:,} leaves, proof {_proof_of(part)}")
+
+
+def _proof_of(plr: "PLR") -> str:
+    return "none" if plr.max_error is None else f"largest error {plr.max_error:.3g}"
 
 
 class Picture(StrEnum):

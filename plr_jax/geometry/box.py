@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite_point, as_numbers, as_points, require_integer, shortened, told
 from plr_jax._types import ArrayLike
 
 _TIE = 1 - 2.0**-40  # with which rounding moves no point that is half a period away
@@ -201,8 +201,14 @@ class Box:
         return hash((self.lo.tobytes(), self.hi.tobytes(), self.periodic))
 
     def __repr__(self) -> str:
+        return self._written(self.lo.tolist(), self.hi.tolist())
+
+    def __str__(self) -> str:
+        return self._written(told(self.lo), told(self.hi))
+
+    def _written(self, lo: list[float], hi: list[float]) -> str:
         periodic = f", periodic={self.periodic}" if self.is_periodic else ""
-        return f"Box({self.lo.tolist()}, {self.hi.tolist()}{periodic})"
+        return f"Box({lo}, {hi}{periodic})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,13 @@ def test_build_begins_a_file_with_coarser_ones(tmp_path):
         assert found.label == plr.label
     assert errors == sorted(errors, reverse=True)
     assert f"coarser in its first {plr.file_marks[0]}, {plr.file_marks[1]}" in result.stdout
-    assert f"in its first {plr.file_marks[0]}, " in run("info", path).stdout
+    told = run("info", path).stdout
+    for mark in plr.file_marks:
+        part = from_bytes(data[:mark])
+        proof = f"{part.num_leaves:,} leaves, proof largest error {part.max_error:.3g}\n"
+        assert f"coarser    in its first {mark} bytes: {proof}" in told
+    (tmp_path / "cut.plr").write_bytes(data[: plr.file_marks[0]])
+    assert "coarser" not in run("info", tmp_path / "cut.plr").stdout
     assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--prefix", 500, "--prefix", 400)
     assert "Prefixes must rise" in mistake("build", "maze", "-o", path, "--max-bytes", 500, "--prefix", 500)
 

@@ -91,6 +91,11 @@ def test_info_names_periodic_axes(tmp_path):
     assert "[0.0, -1.0] to [1.0, 1.0] (2-D, periodic along axes [1])" in result.stdout
 
 
+def test_info_tells_domains_without_what_arithmetic_made_of_their_last_digits(tmp_path):
+    save(construct(lambda x: x[:, 0], Box((0,), (146 * 0.05,)), max_leaves=2), tmp_path / "line.plr")
+    assert "domain     [0.0] to [7.3] (1-D)\n" in run("info", tmp_path / "line.plr").stdout
+
+
 def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypatch):
     def work(*_):
         pytest.fail("this is work")

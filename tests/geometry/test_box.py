@@ -88,6 +88,12 @@ def test_which_axes_are_periodic_is_a_part_of_a_box():
     assert len({Box((0, 0), (1, 1), (True, False)), Box((0, 0), (1, 1), (False, True)), Box((0, 0), (1, 1))}) == 3
     assert repr(Box((0, 0), (1, 1), (True, False))) == "Box([0.0, 0.0], [1.0, 1.0], periodic=(True, False))"
     assert repr(Box((0,), (1,))) == "Box([0.0], [1.0])"
+
+
+def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
+    box = Box((0.1 + 0.2, -1), (146 * 0.05, 5334012.654321), (False, True))
+    assert f"{box}" == "Box([0.3, -1.0], [7.3, 5334012.65432], periodic=(False, True))"
+    assert eval(repr(box)) == box
     assert Box.of(TURN) is TURN
 
 
