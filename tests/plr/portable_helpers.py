@@ -46,6 +46,7 @@ CASES = {
     "deep": lambda: _random(2, "plane", 4, cells=chain([0, 1] * 12)),
     "a third of the way": lambda: construct(_waves, ((1000.1, 0.1), (1001.1, 0.7)), max_leaves=40),
     "around": lambda: construct(_waves, Box((-0.3, 1), (3, 1.7), periodic=(False, True)), max_leaves=40),
+    "smooth around": lambda: _random(2, "smooth", 6, periodic=(False, True)),
     "around twice": lambda: _random(2, "continuous", 5, periodic=(True, True)),
     "car": lambda: construct(ReedsShepp((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
     "car of planes": lambda: construct(ReedsShepp((1, 0.5, 0.6), 1), ASIDE, leaf="plane", max_leaves=100),

@@ -20,16 +20,18 @@ _CHOSEN = (
     "maze of values",
     "maze of gradients",
     "maze of cones",
+    "cones in space",
     "random planes",
     "random values",
     "deep",
     "around",
+    "smooth around",
     "car",
     "car of planes",
     "far cones",
     "far car",
 )
-_POINTS = 40
+_POINTS = 200
 
 
 def vector_names() -> list[str]:
