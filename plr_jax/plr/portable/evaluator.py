@@ -77,6 +77,12 @@ class NumpyPLR:
         self._cell_columns = np.ascontiguousarray(np.moveaxis(self._cells, 0, 2))
         self.dim = program.dim
 
+    def __repr__(self) -> str:
+        program, proof = self._program, "" if self.max_error is None else f", max_error={self.max_error:.3g}"
+        return (
+            f"NumpyPLR({program.leaf.name!r}, dim={self.dim}, num_leaves={len(program.cells)}{proof}, {self.domain})"
+        )
+
     @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
