@@ -311,8 +311,7 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
 
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
-    everywhere, and zero where the distance is ``inf``. Where a coordinate is NaN the gradient is not defined: of
-    some leaf models it has finite numbers there.
+    everywhere, and zero where the distance is ``inf``; where a coordinate is NaN, any numbers or NaN.
 
     An optimizer that may leave the domain asks with ``outside="clamp"``: there the value is that at the nearest point
     of the domain and the way to it, in a straight line, so that to descend is to return::

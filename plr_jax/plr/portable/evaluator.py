@@ -78,10 +78,9 @@ class NumpyPLR:
         self.dim = program.dim
 
     def __repr__(self) -> str:
-        program, proof = self._program, "" if self.max_error is None else f", max_error={self.max_error:.3g}"
-        return (
-            f"NumpyPLR({program.leaf.name!r}, dim={self.dim}, num_leaves={len(program.cells)}{proof}, {self.domain})"
-        )
+        proof = "" if self.max_error is None else f", max_error={self.max_error:.3g}"
+        num_leaves = len(self._program.cells)
+        return f"NumpyPLR({self._program.leaf.name!r}, dim={self.dim}, num_leaves={num_leaves}{proof}, {self.domain})"
 
     @property
     def domain(self) -> Box:
