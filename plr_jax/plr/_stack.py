@@ -311,7 +311,7 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     """Approximate distance at each point: the function of the leaf that holds it (Section III-A of the paper).
 
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
-    everywhere, zero where the distance is ``inf``, and not defined where a coordinate is NaN.
+    everywhere, and zero where the distance is ``inf``; where a coordinate is NaN, any numbers or NaN.
 
     An optimizer that may leave the domain asks with ``outside="clamp"``: there the value is that at the nearest point
     of the domain and the way to it, in a straight line, so that to descend is to return::

@@ -77,6 +77,11 @@ class NumpyPLR:
         self._cell_columns = np.ascontiguousarray(np.moveaxis(self._cells, 0, 2))
         self.dim = program.dim
 
+    def __repr__(self) -> str:
+        proof = "" if self.max_error is None else f", max_error={self.max_error:.3g}"
+        num_leaves = len(self._program.cells)
+        return f"NumpyPLR({self._program.leaf.name!r}, dim={self.dim}, num_leaves={num_leaves}{proof}, {self.domain})"
+
     @property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""

@@ -10,6 +10,10 @@ from plr_jax.plr.portable.text import CWriter, Text
 
 _FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
 _WIDTH = 100  # of a line
+_WHY = {
+    "float": "double is for domains that reach farther from 0 than 4 times their width",
+    "double": "this domain reaches farther from 0 than 4 times its width, where float is too coarse",
+}
 
 
 def c_header(program: Program, name: str) -> str:
@@ -59,6 +63,7 @@ class _Header:
             f"   {name}_distance: distance from a point {' x '.join(ends)};",
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
             *(waypoint.splitlines() if self.is_sourced else []),
+            f"   Coordinates are {self.type}: {_WHY[self.type]}.",
             "",
             "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
             "   -ffp-contract=off, as GCC else fuses some where a processor can. */",

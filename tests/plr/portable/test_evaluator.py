@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from portable_helpers import CASES, SlowReader, case, hard_points, is_far
 
-from plr_jax import Box, construct, load_numpy, save
+from plr_jax import Box, VisibilityGraph, certify, construct, load_numpy, save, scenes
 from plr_jax.plr.portable.leaf_table import LeafTable
 
 
@@ -64,6 +64,16 @@ def test_answers_are_those_of_jax_bit_for_bit(plr):
     np.testing.assert_array_equal(answer, expected)  # but for the sign of zero
     assert same_bits(answer[expected != 0], expected[expected != 0])
     np.testing.assert_array_equal(jax.jit(lambda x: 2 * plr(x))(x), 2 * expected)
+
+
+def test_its_text_says_what_it_is():
+    oracle = VisibilityGraph(scenes.maze().workspace, scenes.maze().goals[0])
+    plr = construct(oracle, oracle.workspace.bounds, max_bytes=200)
+    size = f"dim=2, num_leaves={plr.num_leaves}"
+    assert repr(plr.numpy()) == f"NumpyPLR('plane', {size}, Box([0.0, 0.0], [1.0, 1.0]))"
+    proven = certify(plr, oracle)
+    said = f"NumpyPLR('plane', {size}, max_error={proven.max_error:.3g}, Box([0.0, 0.0], [1.0, 1.0]))"
+    assert repr(proven.numpy()) == said
 
 
 def test_bounds_and_waypoints_are_those_of_the_plr():

@@ -77,6 +77,13 @@ def test_answers_are_those_of_numpy_bit_for_bit(plr, tmp_path, compiler):
         np.testing.assert_array_equal(called(library.waypoints, x, np.empty_like(x)), f.waypoint(x))
 
 
+def test_the_comment_says_of_which_type_coordinates_are(plr):
+    text = plr.c_header("plr_here")
+    real = re.search(r"float plr_here_distance\(const (float|double) x\[", text)[1]
+    assert real == ("double" if is_far(plr) else "float")
+    assert f"\n   Coordinates are {real}: " in text[: text.index("*/")]
+
+
 def test_headers_are_valid_c_plus_plus_too(plr, tmp_path, compiler):
     if (plus := shutil.which("c++")) is None:
         pytest.skip("headers are compiled as C++ where there is a compiler called c++")
