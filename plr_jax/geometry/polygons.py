@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import compress
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -162,6 +163,13 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
+
+
+def thicker_than(width: float, geometry: Any) -> tuple[Polygon, ...]:
+    """The polygons of a geometry without slivers: less area than a strip of such a width, as long as half around."""
+    polygons = polygons_of(geometry)
+    is_thick = shapely.area(polygons) > width / 2 * shapely.length(polygons)
+    return tuple(compress(polygons, is_thick.tolist()))
 
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:

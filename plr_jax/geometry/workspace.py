@@ -23,11 +23,11 @@ from plr_jax.geometry.polygons import (
     as_polygons,
     grid_of,
     merge_vertices,
-    polygons_of,
     prepared,
     region_of,
     rounding_of,
     sample_triangles,
+    thicker_than,
     triangulate,
     united_within,
 )
@@ -151,7 +151,7 @@ class Workspace:
     def _from_free_space(
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
-        blocked = polygons_of(shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
+        blocked = thicker_than(grid_of(bounds), shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
         return cls.restored(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
 
     @classmethod

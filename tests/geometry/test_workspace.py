@@ -151,6 +151,16 @@ def test_free_polygons_that_differ_by_rounding_are_joined():
         assert isinstance(workspace.free_space, shapely.Polygon)
 
 
+def test_what_rounding_closes_is_no_obstacle():
+    """A sliver between free polygons, too thin to be an obstacle of another workspace, which files make of it."""
+    parts = [shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, -1, 2, 2)]
+    parts += [shapely.box(0, y, 1.5, y + 1) for y in (-1, 1)]
+    workspace = Workspace.from_polygons([*parts, shapely.box(3, -1, 4, 2)])
+    (obstacle,) = workspace.obstacles
+    assert obstacle.equals(shapely.box(2, -1, 3, 2))
+    assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
+
+
 def test_inflated_sides_are_exact_and_corners_inscribed():
     inflated = BLOCK.inflate(0.5)
     assert inflated.bounds == Box((0.5, 0.5), (9.5, 9.5))
