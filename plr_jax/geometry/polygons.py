@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import compress
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -90,21 +91,39 @@ def as_components(
 ) -> tuple[list[Polygon | MultiPolygon], list[list[Polygon | MultiPolygon]]]:
     """The outer rings, and the holes of each, of components ``{"outer": ring, "holes": [ring, ...]}``.
 
+    A Shapely polygon is a component, too, its own holes being a part of what is called its outer ring here.
+
     Raises:
         ValueError: If there is no component, or one has another form or an invalid ring.
     """
     outers, holes = [], []
     for i, part in enumerate(components):
+        if isinstance(part, BaseGeometry):
+            outers.append(as_polygon(f"Component {i}", part))
+            holes.append([])
+            continue
         rings = part.get("holes", ()) if isinstance(part, Mapping) and "outer" in part else None
         if not isinstance(rings, list | tuple | np.ndarray):
             raise ValueError(
-                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', got {shortened(part)}."
+                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', or a Shapely polygon, "
+                f"got {shortened(part)}."
             )
         outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
         holes.append([as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)])
     if not outers:
         raise ValueError("Free space needs at least one component, got none.")
     return outers, holes
+
+
+def united_within(bounds: Box, outers: list[Any], holes: list[list[Any]]) -> Any:
+    """What outer rings less the holes of each cover of bounds, up to rounding, as a MultiPolygon."""
+    box = shapely.box(*bounds.lo, *bounds.hi)
+    rings = [box, *outers, *(hole for of_one in holes for hole in of_one)]
+    merged = iter(merge_vertices(rings, 8 * grid_of(bounds)))
+    box, outers = next(merged), [next(merged) for _ in outers]
+    blocked = [shapely.union_all([next(merged) for _ in of_one]) for of_one in holes]
+    united = shapely.union_all(shapely.difference(outers, blocked))
+    return MultiPolygon(polygons_of(shapely.intersection(box, united)))
 
 
 def rounding_of(bounds: Box) -> float:
@@ -144,6 +163,13 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
     """The polygons of a geometry, without the points and lines of a degenerate overlay."""
     parts: Any = shapely.get_parts(geometry)
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
+
+
+def thicker_than(width: float, geometry: Any) -> tuple[Polygon, ...]:
+    """The polygons of a geometry without slivers: less area than a strip of such a width, as long as half around."""
+    polygons = polygons_of(geometry)
+    is_thick = shapely.area(polygons) > width / 2 * shapely.length(polygons)
+    return tuple(compress(polygons, is_thick.tolist()))
 
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:

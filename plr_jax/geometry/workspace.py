@@ -23,12 +23,13 @@ from plr_jax.geometry.polygons import (
     as_polygons,
     grid_of,
     merge_vertices,
-    polygons_of,
     prepared,
     region_of,
     rounding_of,
     sample_triangles,
+    thicker_than,
     triangulate,
+    united_within,
 )
 from plr_jax.geometry.visibility import Triangulation, triangulation_of
 
@@ -82,29 +83,28 @@ class Workspace:
         vars(self).update(vars(made))
 
     @classmethod
-    def from_polygons(cls, components: Sequence[Any], *, squeeze: bool = False) -> "Workspace":
+    def from_polygons(
+        cls, components: Sequence[Any], bounds: Box | ArrayLike | None = None, *, squeeze: bool = False
+    ) -> "Workspace":
         """A workspace whose free space is given, as polygons with holes.
 
         Args:
-            components: ``{"outer": ring, "holes": [ring, ...]}`` each (``"holes"`` may be left out). Holes
-                may overlap one another and leave the outer ring; components are united.
+            components: Each a Shapely polygon or multipolygon, or ``{"outer": ring, "holes": [ring, ...]}``
+                (``"holes"`` may be left out). Holes may overlap one another and leave the outer ring; components
+                are united, and what leaves the bounds is cut off.
+            bounds: As for the class; None: the bounding box of the components, holes filled.
             squeeze: As for the class.
 
         Returns:
-            The workspace; its bounds are the bounding box of the outer rings.
+            The workspace.
 
         Raises:
             ValueError: If there is no component, one has another form, a ring is not simple, finite and of
-                positive area, or nothing is free.
+                positive area, the bounds are none, or nothing within them is free.
         """
         outers, holes = as_components(components)
-        x0, y0, x1, y1 = shapely.total_bounds(outers)
-        bounds = Box((x0, y0), (x1, y1))
-        merged = iter(merge_vertices([*outers, *(hole for part in holes for hole in part)], 8 * grid_of(bounds)))
-        outers = [next(merged) for _ in outers]
-        blocked = [shapely.union_all([next(merged) for _ in part]) for part in holes]
-        parts = shapely.difference(outers, blocked)
-        return cls._from_free_space(bounds, shapely.union_all(parts), squeeze)
+        bounds = as_bounds(shapely.total_bounds(outers).reshape(2, 2) if bounds is None else bounds)
+        return cls._from_free_space(bounds, united_within(bounds, outers, holes), squeeze)
 
     @classmethod
     def from_mask(
@@ -151,7 +151,7 @@ class Workspace:
     def _from_free_space(
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
-        blocked = polygons_of(shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
+        blocked = thicker_than(grid_of(bounds), shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free))
         return cls.restored(bounds, blocked, as_bool("squeeze", squeeze), region_of(free, bounds, rounded))
 
     @classmethod

@@ -68,8 +68,7 @@ def read_geojson(
         box = Box.of(_bbox(document, extent) if bounds is None else bounds, "bounds")
         if polygons == "obstacles":
             return Workspace(box, found, squeeze=squeeze)
-        blocked = shapely.difference(shapely.box(*box.lo, *box.hi), shapely.union_all(found))
-        return Workspace(box, [blocked] if blocked.area else [], squeeze=squeeze)
+        return Workspace.from_polygons(found, box, squeeze=squeeze)
 
 
 def is_geojson(document: Any) -> bool:

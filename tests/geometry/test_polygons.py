@@ -88,8 +88,8 @@ def test_what_is_no_collection_of_polygons_is_refused(shapes, message):
 
 
 def test_components_keep_their_holes():
-    outers, holes = as_components([{"outer": SQUARE, "holes": [SQUARE]}, {"outer": SQUARE}])
-    assert [len(of_one) for of_one in holes] == [1, 0]
+    outers, holes = as_components([{"outer": SQUARE, "holes": [SQUARE]}, {"outer": SQUARE}, shapely.box(0, 0, 1, 1)])
+    assert [len(of_one) for of_one in holes] == [1, 0, 0]
     assert all(outer.equals(shapely.box(0, 0, 1, 1)) for outer in outers)
 
 

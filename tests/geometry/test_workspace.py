@@ -129,6 +129,38 @@ def test_from_polygons_takes_components_with_overlapping_holes():
     assert sum(o.area for o in workspace.obstacles) == pytest.approx(36 - workspace.free_space.area)
 
 
+def test_from_polygons_takes_shapely_polygons_and_bounds_that_cut_them_or_are_wider():
+    ring = shapely.Polygon(box(0, 0, 4, 4), [box(1, 1, 2, 2)])
+    parts = [shapely.MultiPolygon([ring, shapely.box(6, 0, 8, 4)]), {"outer": box(4, 3, 6, 4)}]
+    whole = shapely.union_all([ring, shapely.box(6, 0, 8, 4), shapely.box(4, 3, 6, 4)])
+    assert Workspace.from_polygons(parts).bounds == Box((0, 0), (8, 4))
+    for bounds in (Box((-1, -1), (9, 9)), Box((1.5, 1.5), (7, 5)), Box((4, 0), (6, 4))):
+        workspace = Workspace.from_polygons(parts, bounds)
+        region = shapely.box(*bounds.lo, *bounds.hi)
+        assert workspace.bounds == bounds
+        assert shapely.symmetric_difference(workspace.free_space, region & whole).area == 0
+        assert shapely.union_all(workspace.obstacles).equals(region - whole)
+
+
+def test_free_polygons_that_differ_by_rounding_are_joined():
+    """With vertices beside one another, and with one along a side alone."""
+    for y0, y1 in ((0, 1), (-1, 2)):
+        right = shapely.box(1 + 1e-13, y0, 2, y1)
+        workspace = Workspace.from_polygons([shapely.box(0, 0, 1, 1), right])
+        assert workspace.is_visible([(0.5, 0.5)], [(1.5, 0.5)])[0]
+        assert isinstance(workspace.free_space, shapely.Polygon)
+
+
+def test_what_rounding_closes_is_no_obstacle():
+    """A sliver between free polygons, too thin to be an obstacle of another workspace, which files make of it."""
+    parts = [shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, -1, 2, 2)]
+    parts += [shapely.box(0, y, 1.5, y + 1) for y in (-1, 1)]
+    workspace = Workspace.from_polygons([*parts, shapely.box(3, -1, 4, 2)])
+    (obstacle,) = workspace.obstacles
+    assert obstacle.equals(shapely.box(2, -1, 3, 2))
+    assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
+
+
 def test_inflated_sides_are_exact_and_corners_inscribed():
     inflated = BLOCK.inflate(0.5)
     assert inflated.bounds == Box((0.5, 0.5), (9.5, 9.5))
@@ -246,7 +278,10 @@ def test_bounds_whose_area_is_no_number_are_refused():
         (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
         (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
         (lambda: Workspace.from_polygons([]), "at least one component"),
-        (lambda: Workspace.from_polygons([box(0, 0, 1, 1)]), "Component 0 must be a mapping"),
+        (lambda: Workspace.from_polygons([box(0, 0, 1, 1)]), "Component 0 must be a mapping.*or a Shapely polygon"),
+        (lambda: Workspace.from_polygons([shapely.Point(0, 0)]), "Component 0 must be a polygon, got a Point"),
+        (lambda: Workspace.from_polygons([shapely.box(0, 0, 1, 1)], 3.0), "Bounds must be a Box"),
+        (lambda: Workspace.from_polygons([shapely.box(11, 0, 12, 1)], TEN), "no free space"),
         (
             lambda: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": [box(0, 0, 0, 1)]}]),
             "Hole 0 of component 0 has 2 distinct",

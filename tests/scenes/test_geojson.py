@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import Workspace, scenes
+from plr_jax import Box, Workspace, scenes
 
 BOX, TABLE = shapely.box(0, 0, 10, 8), shapely.box(2, 2, 4, 5)
 
@@ -44,6 +44,13 @@ def test_polygons_may_be_free_space(tmp_path):
     workspace = scenes.read_workspace(path, polygons="free")
     assert workspace.free_space.equals((BOX - TABLE) | shapely.box(10, 3, 12, 4))
     np.testing.assert_array_equal(workspace.bounds.hi, [12, 8])
+
+
+def test_free_polygons_that_differ_by_rounding_are_joined(tmp_path):
+    path = written(tmp_path, collection(shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, 0, 2, 1)))
+    assert scenes.read_geojson(path, polygons="free").free_space.equals(shapely.box(0, 0, 2, 1))
+    wider = scenes.read_geojson(path, polygons="free", bounds=((0.5, 0), (3, 1)))
+    assert wider.free_space.equals(shapely.box(0.5, 0, 2, 1)) and wider.bounds == Box((0.5, 0), (3, 1))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.masks.tracing import PixelRings
-from plr_jax.geometry.vectors import cross_product
+from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 CLEARANCE = 0.25
 """Pixels that links keep from one another, where they do not share an end."""
@@ -184,9 +184,8 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 
 
 def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    start, span = segments[:, 0], segments[:, 1] - segments[:, 0]
-    along = ((points - start) * span).sum(axis=1) / (span**2).sum(axis=1)
-    return np.linalg.norm(points - start - np.clip(along, 0, 1)[:, None] * span, axis=1)
+    start, end = segments[:, 0], segments[:, 1]
+    return distance_to_segment(*(start - points).T, *(end - start).T)
 
 
 def _surrounding(
