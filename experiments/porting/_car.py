@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from experiments._tables import aligned
-from experiments.porting._headers import CompiledFunction, compiled_header, section_bytes
+from experiments.porting._headers import CompiledHeader, compiled_header, object_for_size, section_bytes
 from plr_jax import Box, ReedsShepp, construct
 
 REACH, SHAPE = 12.5, (401, 201, 72)
@@ -44,7 +44,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         for max_bytes in BYTES[:1] if smoke else BYTES:
             seconds, plr = _timed(lambda m=max_bytes: construct(oracle, domain, leaf="continuous", max_bytes=m))
             header = compiled_header(plr, Path(folder) / f"{max_bytes}")
-            sizes = section_bytes(plr, Path(folder) / f"{max_bytes}")
+            sizes = section_bytes(object_for_size(plr, Path(folder) / f"{max_bytes}"))
             error = _errors(header(x), exact)
             found.append(
                 {
@@ -73,12 +73,11 @@ def _table(oracle: ReedsShepp, columns: int, rows: int, turns: int) -> np.ndarra
 
 
 def _looked_up(lengths: np.ndarray, x: np.ndarray, exact: np.ndarray, folder: Path) -> dict[str, float]:
-    folder.mkdir()
     turns = 72 if len(lengths) == np.prod(SHAPE) else 8
     rows = 201 if turns == 72 else 21
     numbers = {"per_radian": repr(turns / (2 * np.pi)), "per_radius": repr((rows - 1) / REACH)}
     code = _LOOKUP.format(turns=turns, rows=rows, reach=REACH, **numbers)
-    function = CompiledFunction(code, "table_distance", np.float32, 3, folder)
+    function = CompiledHeader(code, "table", np.float32, 3, folder)
     ctypes.c_void_p.in_dll(function.library, "table").value = lengths.ctypes.data
     return {"nanoseconds": function.nanoseconds(x), **_errors(function(x), exact)}
 

@@ -11,35 +11,50 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax import PLR
+from plr_jax.plr.portable.evaluator import NumpyPLR
 
-_STRICT = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-ffp-contract=off"]
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-ffp-contract=off"]
+"""Options with which headers compile, as C99 and as C++."""
+_C99 = ["-std=c99", *STRICT]
 _RUNS = 5
 
 
-class CompiledFunction:
-    """A C function ``float f(const REAL x[dim])``, called for many points.
+class CompiledHeader:
+    """A header's ``float NAME_distance(const REAL x[dim])``, and its waypoints if it has some, for many points.
 
     Attributes:
         real: The type of coordinates of NumPy.
+        library: The compiled program.
     """
 
-    def __init__(self, definition: str, call: str, real: type[np.float32] | type[np.float64], dim: int, folder: Path):
-        self.real, self._name = real, "double" if real is np.float64 else "float"
-        (folder / "here.h").write_text(definition)
-        (folder / "many.c").write_text(
-            f'#include "here.h"\n'
-            f"void many(const {self._name} *x, float *y, uint32_t n);\n"
-            f"void many(const {self._name} *x, float *y, uint32_t n)\n{{\n"
-            f"    for (uint32_t i = 0; i < n; ++i) {{\n        y[i] = {call}(x + {dim} * i);\n    }}\n}}\n"
-        )
+    def __init__(self, text: str, name: str, real: type[np.float32] | type[np.float64], dim: int, folder: Path):
+        """Compiles a header whose definitions begin with a name, in a folder that is made if there is none."""
+        self.real, of_c = real, _name_of(real)
+        folder.mkdir(exist_ok=True)
+        calls = {"distances": ("float", f"y[i] = {name}_distance(x + {dim} * i);")}
+        if f"{name}_waypoint(" in text:
+            calls["waypoints"] = (of_c, f"{name}_waypoint(x + {dim} * i, y + {dim} * i);")
+        code = [text]
+        for function, (of_answers, call) in calls.items():
+            signature = f"void {function}(const {of_c} *x, {of_answers} *y, uint32_t n)"
+            code += [f"{signature};", signature, "{", "    for (uint32_t i = 0; i < n; ++i) {", f"        {call}"]
+            code += ["    }", "}"]
+        (folder / "many.c").write_text("\n".join(code) + "\n")
         library = folder / "many.so"
-        options = [*_STRICT, "-O2", "-shared", "-fPIC", "-I", str(folder)]
+        options = [*_C99, "-O2", "-shared", "-fPIC"]
         subprocess.run([compiler(), *options, str(folder / "many.c"), "-o", str(library), "-lm"], check=True)
         self.library = ctypes.CDLL(str(library))
 
     def __call__(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        x, y = np.ascontiguousarray(x, self.real), np.empty(len(x), np.float32)
-        self.library.many(ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data), ctypes.c_uint32(len(x)))
+        return self._answers(self.library.distances, x, np.empty(len(x), np.float32))
+
+    def waypoints(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:
+        """Where to go from each point."""
+        return self._answers(self.library.waypoints, x, np.empty(x.shape, self.real))
+
+    def _answers(self, function, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, self.real)
+        function(ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data), ctypes.c_uint32(len(x)))
         return y
 
     def nanoseconds(self, x: Float[np.ndarray, "n dim"]) -> float:
@@ -56,27 +71,30 @@ def compiler() -> str:
     return found
 
 
-def compiled_header(plr: PLR, folder: Path) -> CompiledFunction:
-    """The distances of a PLR's header."""
-    folder.mkdir(exist_ok=True)
+def compiled_header(plr: PLR | NumpyPLR, folder: Path) -> CompiledHeader:
+    """The header of a PLR."""
     text = plr.c_header("here")
-    real = np.float64 if "const double x[" in text else np.float32
-    return CompiledFunction(text, "here_distance", real, plr.dim, folder)
+    return CompiledHeader(text, "here", _type_of(text), plr.dim, folder)
 
 
-def section_bytes(plr: PLR, folder: Path) -> dict[str, int]:
-    """Bytes of code and of constant data of a header whose functions a program uses, compiled for size."""
+def object_for_size(plr: PLR | NumpyPLR, folder: Path) -> Path:
+    """The object file of a program that uses the functions of a header, compiled for size."""
     folder.mkdir(exist_ok=True)
     text = plr.c_header("here")
-    real = "double" if "const double x[" in text else "float"
+    real = _name_of(_type_of(text))
     functions = [f"float f(const {real} *x);\nfloat f(const {real} *x) {{ return here_distance(x); }}\n"]
     if "here_waypoint(" in text:
         arguments = f"const {real} *x, {real} *way"
         functions.append(f"void g({arguments});\nvoid g({arguments}) {{ here_waypoint(x, way); }}\n")
     (folder / "size.c").write_text(text + "".join(functions))
-    compiled = str(folder / "size.o")
-    subprocess.run([compiler(), *_STRICT, "-Os", "-c", str(folder / "size.c"), "-o", compiled], check=True)
-    listed = subprocess.run(["size", "-A", compiled], check=True, capture_output=True, text=True).stdout
+    compiled = folder / "size.o"
+    subprocess.run([compiler(), *_C99, "-Os", "-c", str(folder / "size.c"), "-o", str(compiled)], check=True)
+    return compiled
+
+
+def section_bytes(compiled: Path) -> dict[str, int]:
+    """Bytes of code and of constant data of an object file."""
+    listed = subprocess.run(["size", "-A", str(compiled)], check=True, capture_output=True, text=True).stdout
     found = {
         part: sum(map(int, re.findall(rf"^\.{part}\S*\s+(\d+)", listed, re.MULTILINE))) for part in ("text", "rodata")
     }
@@ -91,3 +109,12 @@ def median_seconds(call, runs: int = _RUNS) -> float:
         call()
         seconds.append(time.process_time() - began)
     return float(np.median(seconds))
+
+
+def _type_of(header: str) -> type[np.float32] | type[np.float64]:
+    """Of the coordinates of a header's points."""
+    return np.float64 if "const double x[" in header else np.float32
+
+
+def _name_of(real: type[np.float32] | type[np.float64]) -> str:
+    return "double" if real is np.float64 else "float"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from experiments._tables import aligned
-from experiments.porting._headers import compiled_header, median_seconds, section_bytes
+from experiments.porting._headers import compiled_header, median_seconds, object_for_size, section_bytes
 from plr_jax import PLR, Box, Euclidean, ReedsShepp, VisibilityGraph, construct, scenes
 
 NUM_POINTS, CHUNK, NUM_CALLS = 10_000_000, 1_000_000, 20_000
@@ -65,7 +65,7 @@ def _measured(plr: PLR, folder: Path, num_points: int, num_calls: int, seed: int
     inside = plr.domain.lo + plr.domain.width * rng.random((num_calls, plr.dim))
     points = list(map(tuple, inside.tolist()))
     return {
-        **section_bytes(plr, folder),
+        **section_bytes(object_for_size(plr, folder)),
         "c_equal": in_c_equal / num_points,
         "jax_equal": jax_equal / num_points,
         "c_nanoseconds": in_c.nanoseconds(x),

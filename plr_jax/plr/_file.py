@@ -9,7 +9,8 @@ from typing import Any
 from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import Container, Layer, read_tree, write_tree
+from plr_jax.plr.file.container import Container, Layer
+from plr_jax.plr.file.tree import read_tree, write_tree
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.leaves import code_of_leaf, leaf_of_code
 from plr_jax.plr.leaves.base import LeafModel, SourcedLeafModel

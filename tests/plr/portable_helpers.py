@@ -87,6 +87,13 @@ def hard_points(plr, n=2000, seed=0):
     return every.astype(of_type)
 
 
+def same_bits(a, b):
+    """Whether arrays of floats are equal to the bit, any NaN like any other."""
+    a, b = np.asarray(a), np.asarray(b)
+    assert a.dtype == b.dtype and a.dtype in (np.float32, np.float64) and a.shape == b.shape
+    return np.array_equal(a, b, equal_nan=True) and np.array_equal(np.signbit(a)[a == 0], np.signbit(b)[b == 0])
+
+
 class SlowReader:
     """Reads as the docstring of ``plr_jax/plr/portable`` says, one point at a time, in scalars of NumPy.
 

@@ -38,7 +38,7 @@ def test_a_file_of_planes_by_hand():
     """8-bit centers; the widths of half-differences of depths 0 and 1 along each axis."""
     planes = StoredPlanes(8, 0.5, 0.25, np.array([7, 255, 2]), np.array([[3, -2], [0, 0], [-5, 1]]))
     domain, cells = Box((-1, 0), (1, 3)), three_leaves()
-    fields = [(1, 1), (0, 1), (0, 1), (1, 1), (1, 1), (0, 1), (0, 1)]  # the tree: see test_container.py
+    fields = [(1, 1), (0, 1), (0, 1), (1, 1), (1, 1), (0, 1), (0, 1)]  # the tree: see test_tree.py
     fields += [(8, 6), *((int(bits), 32) for bits in np.array([0.5, 0.25], np.float32).view(np.uint32))]
     # Along x all leaves are of depth 1: 3 and -5 take 4 bits. Along y the lower one is of depth 0: -2 takes 3 bits,
     # the uppermost of depth 1: 1 takes 2 bits.

@@ -11,7 +11,8 @@ from plr_jax.plr import Plane, from_bytes
 from plr_jax.plr._assembly import with_stored
 from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr.file.bits import BitWriter
-from plr_jax.plr.file.container import Container, Layer, write_tree
+from plr_jax.plr.file.container import Container, Layer
+from plr_jax.plr.file.tree import write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
 from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
 from plr_jax.plr.partition.cells import Cells

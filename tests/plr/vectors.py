@@ -11,6 +11,7 @@ coordinates are hexadecimal floats; ``distances``, the patterns of 32-bit floats
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,26 @@ _POINTS = 200
 def vector_names() -> list[str]:
     """Names of the files."""
     return sorted(path.stem for path in FOLDER.glob("*.plr"))
+
+
+class Vector(NamedTuple):
+    """A file, points, and what is answered there; ``waypoints`` of cones alone."""
+
+    path: Path
+    points: np.ndarray
+    distances: np.ndarray
+    waypoints: np.ndarray | None
+
+
+def read_vector(name: str) -> Vector:
+    """The vector of a file."""
+    table = json.loads((FOLDER / f"{name}.json").read_text())
+    points, waypoints = (
+        np.array([[float.fromhex(along) for along in point] for point in table.get(key, [])], table["type"])
+        for key in ("points", "waypoints")
+    )
+    distances = np.array([int(text, 16) for text in table["distances"]], np.uint32).view(np.float32)
+    return Vector(FOLDER / f"{name}.plr", points, distances, waypoints if len(waypoints) else None)
 
 
 def write() -> None:

@@ -17,8 +17,7 @@ Layout of version 5, with numbers as in ``fields.py``:
     ...     layers. Each but the last one begins with
       u8      the code of its leaf model, and four bits left of it, what it keeps of a proof
             and all have a bit stream, least significant bit first, the last byte filled up with zeros:
-              the tree over the leaves, whose boxes follow from the splits: level by level from the root, for every
-                node 1 bit (is it split?), then for every split node its axis in ``ceil(log2(dim))`` bits
+              the tree over the leaves, whose boxes follow from the splits (see ``tree.py``)
               what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
                 lower half first
               what it keeps of a proof
@@ -34,15 +33,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 
-import numpy as np
-
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.domain import domain_to_bytes, read_domain
 from plr_jax.plr.file.fields import ByteReader, varint
 from plr_jax.plr.file.folding import folding_to_bytes, read_folding
 from plr_jax.plr.folding.folding import Folding
-from plr_jax.plr.partition.tree import MAX_DEPTH, Level
 
 VERSION = 5
 PAIRS_CODE = 7
@@ -209,35 +204,3 @@ class Container:
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
     """Bytes of a file of one layer besides its bit stream."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
-
-
-def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Bytes of the bit stream of so many leaves, of which the model and the proof keep so many bits."""
-    tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
-    return int(-(-(tree_bits + num_bits) // 8))
-
-
-def write_tree(body: BitWriter, levels: list[Level], dim: int) -> None:
-    """Append a tree."""
-    for level in levels:
-        body.write(level.inner.astype(np.int64), 1)
-        body.write(level.axis, _axis_bits(dim))
-
-
-def read_tree(body: BitReader, dim: int) -> list[Level]:
-    """The tree that comes next; raises ``ValueError`` if it is none."""
-    levels, num_nodes = [], 1
-    while num_nodes:
-        if len(levels) > MAX_DEPTH:
-            raise ValueError(f"its tree is deeper than {MAX_DEPTH}")
-        inner = body.read_alike(num_nodes, 1) == 1
-        axis = body.read_alike(int(np.count_nonzero(inner)), _axis_bits(dim))
-        if (axis >= dim).any():
-            raise ValueError(f"it splits axis {axis.max()} of {dim}")
-        levels.append(Level(inner, axis))
-        num_nodes = 2 * len(axis)
-    return levels
-
-
-def _axis_bits(dim: int) -> int:
-    return (dim - 1).bit_length()

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_finite, require_integer
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.file.container import body_size
+from plr_jax.plr.file.tree import body_size
 from plr_jax.plr.partition.tree import MAX_DEPTH
 from plr_jax.plr.query.grid import byte_class, max_axis_depth, rows_of_class
 

@@ -27,7 +27,8 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer, read_tree, write_tree
+from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer
+from plr_jax.plr.file.tree import read_tree, write_tree
 from plr_jax.plr.pairs.outline import Outline, read_outline
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, Tree, levels_of, tree_of_levels

@@ -13,15 +13,7 @@ from plr_helpers import sealed
 from plr_jax import ReedsShepp
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file import container as container_module
-from plr_jax.plr.file.container import (
-    MOST_AXES,
-    MOST_LABEL_BYTES,
-    Container,
-    Header,
-    Layer,
-    body_size,
-    frame_size,
-)
+from plr_jax.plr.file.container import MOST_AXES, MOST_LABEL_BYTES, Container, Header, Layer, frame_size
 from plr_jax.plr.file.fields import varint
 from plr_jax.plr.folding.choice import folding_of
 
@@ -48,7 +40,6 @@ def test_one_layer_by_hand():
     assert Container.from_bytes(ONE.to_bytes()) == ONE
     assert marks_of(ONE.to_bytes()) == ()
     assert frame_size(DOMAIN) == 13 == len(ONE.to_bytes()) - len(b"body")
-    assert body_size(2, 1, 31) == 4 == body_size(2, 1, 24)
 
 
 def test_layers_by_hand():

@@ -7,11 +7,7 @@ from hypothesis import strategies as st
 from plr_helpers import chain, random_partition, three_leaves
 
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import (
-    body_size,
-    read_tree,
-    write_tree,
-)
+from plr_jax.plr.file.tree import body_size, read_tree, write_tree
 from plr_jax.plr.partition.tree import levels_of, tree_of_levels
 
 
@@ -31,6 +27,8 @@ def test_a_tree_of_three_leaves_by_hand():
     # The root is split along axis 0; its lower half is a leaf, its upper half is split along axis 1 into two.
     assert body.to_bytes() == bits_of("1 0  01 1  00")
     assert body.num_bits == 7
+    assert body_size(2, 3, 1) == 1 and body_size(2, 3, 2) == 2
+    assert body_size(2, 1, 31) == 4 == body_size(2, 1, 24)
 
 
 @settings(max_examples=30, deadline=None)

@@ -7,7 +7,7 @@ import sys
 import jax
 import numpy as np
 import pytest
-from portable_helpers import CASES, SlowReader, case, hard_points, is_far
+from portable_helpers import CASES, SlowReader, case, hard_points, is_far, same_bits
 
 from plr_jax import Box, VisibilityGraph, certify, construct, load_numpy, save, scenes
 from plr_jax.plr.portable.leaf_table import LeafTable
@@ -16,14 +16,6 @@ from plr_jax.plr.portable.leaf_table import LeafTable
 @pytest.fixture(params=CASES)
 def plr(request):
     return case(request.param)
-
-
-def same_bits(a, b):
-    """Whether arrays are equal to the bit, any NaN like any other."""
-    a, b = np.asarray(a), np.asarray(b)
-    assert a.dtype == b.dtype == np.float32 and a.shape == b.shape
-    a, b = (np.where(np.isnan(each), np.float32(np.nan), each).view(np.uint32) for each in (a, b))
-    return np.array_equal(a, b)
 
 
 def test_answers_are_those_of_the_words(plr):
@@ -37,10 +29,7 @@ def test_answers_are_those_of_the_words(plr):
 def test_waypoints_are_those_of_the_words(name):
     plr = case(name)
     x = hard_points(plr, 80)
-    answer, expected = plr.numpy().waypoint(x), SlowReader(plr).waypoint(x)
-    assert answer.dtype == expected.dtype == (np.float64 if is_far(plr) else np.float32)
-    np.testing.assert_array_equal(answer, expected)  # any NaN is like any other
-    assert (answer.view(np.uint8) == expected.view(np.uint8))[~np.isnan(expected).any(axis=1)].all()
+    assert same_bits(plr.numpy().waypoint(x), SlowReader(plr).waypoint(x))
 
 
 def test_single_points_are_answered_as_in_batches(plr):
