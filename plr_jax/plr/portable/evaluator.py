@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import as_queries
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.reading import read_bytes
@@ -267,12 +267,7 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
 
 def _as_points(x: ArrayLike, dim: int) -> np.ndarray:
     """Points as an array of 32-bit or 64-bit floats; masked numbers are NaN."""
-    if isinstance(x, np.ma.MaskedArray):
-        x = np.ma.filled(x.astype(np.float64), np.nan)
-    try:
-        x = np.asarray(x)
-    except ValueError as error:
-        raise ValueError(f"Points must be an array of numbers, got {shortened(x)}.") from error
+    x = as_queries(x)
     if x.dtype.kind not in "iubf":
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
     if x.ndim == 0 or x.shape[-1] != dim:
