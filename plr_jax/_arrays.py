@@ -74,6 +74,16 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
+def as_queries(value: ArrayLike) -> Shaped[np.ndarray, "..."]:
+    """Points to be answered, as an array of whatever type and shape they have; masked numbers are NaN."""
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.ma.filled(value.astype(np.float64), np.nan)
+    try:
+        return np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
+
+
 def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
     """Distances, or what passes for some, with ``inf`` for masked entries: from there the goal cannot be reached."""
     if isinstance(value, np.ma.MaskedArray):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from plr_jax._arrays import as_queries
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.query.frame import Outside
@@ -48,12 +49,7 @@ def waypoints_of_points(tables: Tables, x: Array) -> Float[Array, "*batch dim"]:
 
 def as_array(x: ArrayLike) -> np.ndarray:
     """Points on the host. Integers become floats here, where they cannot wrap around, and masked numbers NaN."""
-    if isinstance(x, np.ma.MaskedArray):
-        x = np.ma.filled(x.astype(np.float64), np.nan)
-    try:
-        x = np.asarray(x)
-    except ValueError as error:
-        raise ValueError(f"Points must be an array of numbers, got {x!r}.") from error
+    x = as_queries(x)
     if x.dtype in (np.float32, np.float64):
         return x
     if x.dtype.kind in "iub" or (x.dtype.kind == "f" and x.dtype.itemsize > np.dtype(np.float64).itemsize):

@@ -38,6 +38,11 @@ def test_single_points_are_answered_as_in_batches(plr):
     for given in (map(tuple, x.tolist()), x.tolist(), x):
         assert same_bits([f(point) for point in given], batch)
     assert isinstance(f(tuple(x[0].tolist())), np.float32)
+    for factor in (1 - 1e-9, 1 + 1e-9, 1 + 1e-7):  # of 64 bits, beside faces
+        assert same_bits([f(tuple(point)) for point in (x * factor).tolist()], f(x * factor))
+    x[::2, 0] = np.nan
+    x[::3, -1] = plr.domain.hi[-1] + 2 * plr.domain.width[-1]
+    assert same_bits([f(tuple(point)) for point in x.tolist()], f(x))
 
 
 def test_answers_are_those_of_jax_bit_for_bit(plr):
@@ -88,7 +93,20 @@ def test_what_a_plr_has_not_is_refused():
         f.waypoint([[0.0, 1.2]])
 
 
-NO_POINTS = [0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], "ab", ["a", "b"], [1j, 0], [[1], [2, 3]], [None, 1]]
+NO_POINTS = [
+    0.5,
+    [],
+    [0.1],
+    [0.1, 0.2, 0.3],
+    [[0.1]],
+    "ab",
+    ["a", "b"],
+    [1j, 0],
+    [[1], [2, 3]],
+    [None, 1],
+    [5.0, "a"],
+]
+NO_POINTS += [[5.0, None], [5.0, 1j], [5.0, [1, 2]]]
 
 
 @pytest.mark.parametrize("x", NO_POINTS)
