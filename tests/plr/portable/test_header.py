@@ -1,12 +1,13 @@
 """Headers of C: they compile without a warning, as C99 and as C++, are small, and answer as ``plr.numpy()`` does."""
 
 import platform
+import re
 import shutil
 import subprocess
 
 import numpy as np
 import pytest
-from portable_helpers import CASES, case, hard_points, same_bits
+from portable_helpers import CASES, case, hard_points, is_far, same_bits
 from vectors import read_vector, vector_names
 
 from experiments.porting._headers import STRICT, compiled_header, object_for_size, section_bytes
