@@ -8,7 +8,10 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -173,6 +176,55 @@ def _with_checksum(data: bytes) -> bytes:
     return data
 
 
+_MAP_SERVER = """
+image: room.pgm
+resolution: 0.05
+origin: [-1.5, 2.0, 0.25]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def _read_map_server(path: Path) -> Workspace:
+    """The map, beside whose file there is its picture."""
+    path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 4 + b"\0") * 4)
+    return scenes.read_map_server(path)
+
+
+class _Answers(BaseRequestHandler):
+    """Sends the file that is asked for as it is: it is an answer with its status and headers."""
+
+    def handle(self) -> None:
+        request = self.request.recv(1 << 16)
+        self.request.sendall(Path(request.split()[1].decode()).read_bytes())
+
+
+@cache
+def _server() -> str:
+    """The address of a server of such answers on this machine."""
+    server = ThreadingTCPServer(("127.0.0.1", 0), _Answers)
+    server.daemon_threads = True
+    Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://127.0.0.1:{server.server_address[1]}"
+
+
+def _read_answer(path: Path) -> Any:
+    return plr_jax.open_url(f"{_server()}{path}", timeout=2.0)
+
+
+def _answer_files() -> list[bytes]:
+    data = _plr_files()[4]
+    heads = [
+        f"200 OK\r\nContent-Length: {len(data)}\r\n",
+        f'206 Partial Content\r\nContent-Range: bytes 0-{len(data) - 1}/{len(data)}\r\nETag: "1"\r\n',
+        "200 OK\r\nContent-Type: application/octet-stream\r\n",
+    ]
+    answers = [f"HTTP/1.1 {head}Connection: close\r\n\r\n".encode() + data for head in heads]
+    chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
+    return [*answers, chunked + f"{len(data):x}\r\n".encode() + data + b"\r\n0\r\n\r\n"]
+
+
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
@@ -183,9 +235,11 @@ READERS = {
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
+    "map_server": Reader(_read_map_server, ".yaml", lambda: [_MAP_SERVER.encode()]),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
+    "HTTP": Reader(_read_answer, ".http", _answer_files),
 }
 
 _NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
