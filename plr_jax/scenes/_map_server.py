@@ -1,5 +1,6 @@
 """Reader of the maps of ROS's ``map_server``: a YAML file beside a picture."""
 
+import errno
 import math
 import os
 from pathlib import Path
@@ -62,6 +63,8 @@ def read_map_server(
             raise ValueError(f"expected the keys {', '.join(_REQUIRED)}; missing {', '.join(missing)}.")
         if not isinstance(entry["image"], str) or (image := path.parent / entry["image"]).is_dir():
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
+        if not image.exists():
+            raise FileNotFoundError(errno.ENOENT, f"No such picture, which is the image of {path}", str(image))
         resolution, (x, y, yaw) = _number(entry, "resolution"), _origin(entry["origin"])
         with errors_named(image):
             free = _free_pixels(image, entry, unknown_is_free)
