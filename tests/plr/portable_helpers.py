@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 from plr_helpers import chain, random_contents
+from slow_polynomials import polynomial_numbers
 
 from plr_jax import PLR, Box, Dubins, Euclidean, ReedsShepp, VisibilityGraph, construct, from_bytes, scenes
 from plr_jax.plr._file import encode
@@ -97,7 +98,8 @@ def same_bits(a, b):
 class SlowReader:
     """Reads as the docstring of ``plr_jax/plr/portable`` says, one point at a time, in scalars of NumPy.
 
-    Cells are compared one by one. Of leaves of polynomials and for the domain of a folding it asks the package.
+    Cells are compared one by one. Of leaves that nothing reaches and of the domain of a folding it asks the package,
+    and of polynomials how their weights are rounded, which the words leave open where they are not exact.
     """
 
     def __init__(self, plr):
@@ -120,13 +122,23 @@ class SlowReader:
         self.numbers = self._numbers(of_leaves + down)
 
     def _numbers(self, down):
+        contents = self.contents
+        is_own = ~contents.leaf.unreachable(contents.stored)
+        numbers = contents.leaf.numbers(self.box, contents.cells, self.plr._coefficients, down)
+        numbers[is_own] = self._own_numbers(down, numbers)[is_own]
+        return numbers.astype(np.float32)
+
+    def _own_numbers(self, down, numbers):
         contents, leaf = self.contents, self.contents.leaf
-        if leaf.name not in ("plane", "cone") or leaf.unreachable(contents.stored).any():
-            numbers = self.plr.leaf.numbers(self.box, contents.cells, self.plr._coefficients, down)
-            return np.asarray(numbers, np.float32)
+        if leaf.is_of_cells:
+            of_cells = np.zeros((len(contents.cells), self.plr.dim))  # which it reads from the cells themselves
+            own, is_exact = polynomial_numbers(contents)
+            own = np.column_stack([of_cells, own])
+            is_rounding = np.abs(own - numbers) <= 2.0**-48 * np.abs(numbers[np.isfinite(numbers)]).max()
+            return own if is_exact else np.where(is_rounding, numbers, own)
         coefficients = leaf.coefficients(contents.cells, contents.stored)
         if leaf.name == "cone":
-            return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down]).astype(np.float32)
+            return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down])
         size = np.ldexp(1.0, -contents.cells.depth)
         position, width = contents.cells.position, self.box.hi - self.box.lo
         low, high = self.box.lo + width * (position * size), self.box.lo + width * ((position + 1) * size)
@@ -137,7 +149,7 @@ class SlowReader:
             for i, slope in enumerate(slopes):
                 total += slope * ((low[leaf_index, i] + high[leaf_index, i]) / 2 - down[i])
             rows.append([c - total, *slopes])
-        return np.array(rows, np.float32)
+        return np.array(rows)
 
     def __call__(self, x):
         with np.errstate(all="ignore"):

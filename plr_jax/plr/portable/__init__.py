@@ -56,8 +56,44 @@ far that moved the point: ``sqrt(m[0] m[0] + m[1] m[1] + ...)`` in 64 bits, of d
     LO)``; ``l`` and ``h`` are of the domain as the file has it.
 -   *Cones*: the source less ``ORIGIN + LO``, and its offset: ``sqrt`` of the squares of the way to its parent, summed
     axis by axis, added along the parents by doubling (see ``leaves/cone/codec.py``), plus that of the root.
--   *Polynomials*: each value at a corner is the sum, in the order of the free values, of weights times free values
-    (see ``leaves/continuous/space.py``); powers of ``t`` are sums of those, in the order of corners, with whole
-    numbers as weights.
+-   *Polynomials*: see below.
 -   A leaf that nothing reaches continues its neighbor's (mean) plane: see ``plr/_filled.py``.
+
+**Polynomials.** A leaf has a number at each corner, its value there; a smooth leaf has one of each *kind* there, the
+derivative by ``t`` along some axes, along none the value. Corners (0 for the lower end along an axis, 1 for the upper
+one) and kinds (1 for an axis along which it is) are in the order of binary numbers, the first axis highest, and a
+corner's kinds stand together. There are ``P**dim`` coefficients, where ``P`` is 2, of smooth leaves 4; that of
+``t[0]**i t[1]**j t[2]**k ...`` is the one with the index ``((i P + j) P + k) ...``. It is the sum, in the order of
+the leaf's numbers, of each times the product of what that power has along each axis in ``1 - t`` at the lower and
+``t`` at the upper end; of smooth leaves, for a kind that is not along the axis, in ``1 - 3 t**2 + 2 t**3`` and ``3
+t**2 - 2 t**3``, and for one that is, in ``t - 2 t**2 + t**3`` and ``t**3 - t**2``.
+
+The numbers follow from the free values, ``offset + step * code``, in 64 bits:
+
+1.  *Groups.* Nodes are the corners of leaves, leaf by leaf. The *points* of a tied face are the corners of the piece
+    that its leaves share. They are sorted by the face's axis, lower leaf and upper leaf; across the seam of a
+    periodic axis the lower leaf is the one at the upper end. Where a point is a corner of both leaves, these nodes
+    are in one group. Groups are numbered in the order of their first nodes. A group with a node at a point that is a
+    corner of its leaf alone *hangs* there on the other leaf: at the first such point where it is the lower leaf's
+    corner, else at the first of all.
+2.  *Values.* A hanging group has the value there of the multilinear function of the leaf that it hangs on. So all
+    values are combinations of those of groups that do not hang.
+3.  *Equations*, in 3 dimensions and more. For each point that is not a corner of both leaves, in order: the value
+    there of the lower leaf's function minus that of the upper one's is a combination of groups, those replaced that
+    an earlier equation gave up. If it does not vanish, it gives up its group of the highest level, of those the one
+    of the largest weight either way, of those the first; which is replaced in all earlier ones too. A group's level
+    is the sum over the axes of the exponents of the denominators of its point, a fraction of the domain.
+4.  *Free values* are those of the groups of reachable leaves that neither hang nor were given up, in the order of
+    their levels, then of their numbers.
+5.  *Derivatives* of smooth leaves are first by fractions of the domain. Of a group that does not hang, those of a
+    kind are the mean over its nodes of the difference of the leaf's values, upper minus lower ones along the kind's
+    axes, over the product of the leaf's widths along them; each node weighs one over that product. A group that
+    hangs has the value and the derivatives there of the cubic function of the leaf that it hangs on. By ``t``, they
+    are multiplied by the product of the leaf's widths along the kind's axes.
+6.  Each number of a leaf is then a combination of free values: the sum, in their order, of weights times values.
+
+In continuous leaves without equations, weights are whole multiples of powers of two, and exact. Others are rounded by
+the operations of ``plr_jax/plr/leaves/continuous``. A reader that rounds them otherwise has numbers that are equal
+but for 1e-14 of the largest: of those halfway between two 32-bit floats, some are then rounded the other way, and
+rarely so is an answer.
 """
