@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import _gradient_tables as gradients
+from experiments import _other_end_tables as other_end
 from experiments import _proof_tables as proof_tables
 from experiments import _scale_table as scale_table
 from experiments import _short_tables as short
@@ -279,6 +280,11 @@ TABLES: dict[str, Callable[[], str]] = {
     "families": lambda: families.table(results_of("families")) + "\n",
     "pair_bounds": lambda: markdown(pair_bounds.table(results_of("pair_bounds")), numbers=12) + "\n",
     "summaries": lambda: summary_tables.summaries(results_of("compare_summaries")),
+    "pictures": lambda: other_end.pictures(results_of("maps")),
+    "wire": lambda: other_end.wire(results_of("wire")),
+    "readers": lambda: other_end.readers(results_of("portable")),
+    "car": lambda: other_end.car(results_of("portable")),
+    "edges": lambda: other_end.edges(results_of("edges")),
 }
 
 
