@@ -61,16 +61,20 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except BrokenPipeError:  # a reader such as `head` that has seen enough
                 _discard_output()
                 raise typer.Exit(BROKEN_PIPE_EXIT) from None
-            except OSError as error:
-                # strerror and filename alone read better than "[Errno 2] ...".
-                where = f"{error.filename}: " if error.filename else ""
-                fail(f"{where}{error.strerror or error}")
-            except ValueError as error:
-                fail(str(error))
+            except (OSError, ValueError) as error:
+                fail(reason_of(error))
 
         return app.command(epilog="\n\n".join(["Examples:", *examples]), cls=_Command)(run)
 
     return register
+
+
+def reason_of(error: OSError | ValueError) -> str:
+    """What an error says; of the system, file and reason alone, which read better than "[Errno 2] ..."."""
+    if not isinstance(error, OSError):
+        return str(error)
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}"
 
 
 class _Command(TyperCommand):

@@ -20,7 +20,7 @@ from plr_jax.cli._inputs import (
     PICTURES,
     require_writable,
 )
-from plr_jax.cli._maps import NamedMap, map_of_file, say_vertices
+from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
     FileArgument,
@@ -305,8 +305,8 @@ def plot(
     require_writable(output, PICTURES, inputs=(file, map))
     plr = load(file)
     reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
-    named = map_of_file(file, plr.label, map, goal=goal, **reading)
-    workspace, goal_point = (None, None) if named is None else named.read()
+    is_needed = kind is Picture.error
+    workspace, goal_point = read_map_of_file(file, plr.label, map, goal=goal, is_needed=is_needed, **reading)
     if workspace is not None and not _same_box(workspace.bounds, plr.domain):
         warn(
             f"the map is {workspace.bounds}, but {file} covers {plr.domain}: it may be of another map, or of this "
