@@ -137,7 +137,8 @@ def build(
         raise typer.Exit(INTERRUPTED_EXIT)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
-    report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
+    with saying("measuring the error"):
+        report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
     marks = ", ".join(f"{mark:,}" for mark in plr.file_marks)
     begins = f", coarser in its first {marks}" if marks else ""
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes{begins}; {plr.num_leaves:,} leaves, depth {plr.depth}")
