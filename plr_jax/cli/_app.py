@@ -150,4 +150,9 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def _as_line(message: str) -> str:
-    return " ".join(line.strip() for line in message.splitlines())
+    return printable(" ".join(line.strip() for line in message.splitlines()))
+
+
+def printable(text: str) -> str:
+    r"""A text from outside, of which a terminal shows what it would else obey: control characters as ``\x1b``."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)

@@ -13,13 +13,9 @@ import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command, saying, warn
+from plr_jax.cli._app import command, printable, saying, warn
 from plr_jax.cli._build import BEST, build_file, prepared_oracle
-from plr_jax.cli._inputs import (
-    DEFAULT_BYTES,
-    PICTURES,
-    require_writable,
-)
+from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, require_writable
 from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
@@ -242,8 +238,8 @@ def info(file: FileArgument) -> None:
     from plr_jax.plr import from_bytes, load
 
     plr = load(file)
-    typer.echo(f"file       {file}")
-    typer.echo(f"label      {plr.label or 'none'}")
+    typer.echo(f"file       {printable(str(file))}")
+    typer.echo(f"label      {printable(plr.label) or 'none'}")
     typer.echo(f"leaf       {plr.leaf.name}")
     axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
     periodic = f", periodic along axes {axes}" if axes else ""
