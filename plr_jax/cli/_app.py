@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 import plr_jax
 from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
+from plr_jax.cli._inputs import numbers_of
 
 app = typer.Typer(
     name="plr-jax",
@@ -82,17 +83,9 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for option, x, y in zip(args, args[1:], args[2:], strict=False):
-            if option in ("--goal", "-g") and _is_number(x) and _is_number(y):
+            if option in ("--goal", "-g") and numbers_of(x.rstrip(",")) and numbers_of(y):
                 raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {x},{y}.", ctx)
         return super().parse_args(ctx, args)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.rstrip(","))
-    except ValueError:
-        return False
-    return True
 
 
 def _discard_output() -> None:

@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax.cli._app import warn
+from plr_jax.cli._inputs import numbers_of
 
 _CHUNK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
+_OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # else NumPy takes what is no number for one, such as b"\xa01"
 
 
 @dataclass
@@ -98,7 +100,7 @@ class PointTable:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that lines are blank, which are told below
                 points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
-            is_plain = points.shape == (num_lines, self.dim)
+            is_plain = points.shape == (num_lines, self.dim) and not block.translate(None, _OF_NUMBERS)
         except ValueError:
             is_plain = False
         if not is_plain:
@@ -109,7 +111,7 @@ class PointTable:
     def _parsed_line_by_line(self, lines: list[bytes]) -> Float[np.ndarray, "n dim"]:
         points = np.full((len(lines), self.dim), np.nan)
         for index, line in enumerate(lines):
-            numbers = _numbers(line)
+            numbers = numbers_of(line.decode(errors="replace"))
             if len(numbers) == self.dim:
                 points[index] = numbers
                 continue
@@ -154,12 +156,4 @@ def _is_header(line: bytes) -> bool:
     """Whether a line is one of names: each begins with a letter, and none is a number, as ``nan`` is."""
     names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
     begin = all(name[0].isalpha() or name[0] == "_" for name in names)
-    return bool(names) and begin and not any(_numbers(name.encode()) for name in names)
-
-
-def _numbers(line: bytes) -> list[float]:
-    """The comma-separated numbers of a line; none if a field is not one."""
-    try:
-        return [float(part) for part in line.split(b",")]
-    except ValueError:
-        return []
+    return bool(names) and begin and not any(map(numbers_of, names))

@@ -45,6 +45,9 @@ def test_points_come_with_or_without_a_header(text):
         ("1,2\n1,b\n3,4", 2, "'1,b'"),
         ("1,2\n1;2\n3,4", 2, "'1;2'"),
         ("x,y\n1,2\nx,y\n3,4", 3, "'x,y'"),
+        ("1,2\n1_0,2\n3,4", 2, "'1_0,2'"),
+        (b"1,2\n\xa01,2\n3,4", 2, "'\N{REPLACEMENT CHARACTER}1,2'"),
+        (b"1,2\n\x1c1,2\n3,4", 2, "'\\x1c1,2'"),
         ("x,y\n1,2\n" + "9" * 400 + "\n3,4", 3, "9..."),
     ],
 )
@@ -97,21 +100,22 @@ def test_a_row_has_an_end(monkeypatch):
 @settings(max_examples=100)
 @given(
     st.lists(
-        st.sampled_from(["1,2", "-3.5e-1, 7", "", "a,b", "1", "nan,0", "\r", "1e400,2", "1_0,2", "é,é"]), min_size=1
+        st.sampled_from(["1,2", "-3.5e-1, 7", "", "a,b", "1", "nan,0", "\r", "1e400,2", "1_0,2", "é,é", "\x1f1,2"]),
+        min_size=1,
     ),
     st.integers(9, 40),
     st.sampled_from(["\n", "\r\n"]),
     st.booleans(),
 )
 def test_chunks_do_not_show(rows, chunk, newline, ends):
-    """Line by line, as Python reads numbers."""
+    """Line by line, as Python reads numbers, but for underscores and separators of files."""
     rows = ["0,0", *rows]
     while not rows[-1].strip():
         rows.pop()
     expected = []
     for row in rows:
         try:
-            numbers = [float(part) for part in row.split(",")]
+            numbers = [float(part.replace("_", "x").replace("\x1f", "x")) for part in row.split(",")]
         except ValueError:
             numbers = []
         expected.append(numbers if len(numbers) == 2 else [np.nan, np.nan])
