@@ -1,6 +1,7 @@
 """Tables of points, chunk by chunk: what is a header, what is no point, and that chunks do not show."""
 
 import io
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -89,6 +90,39 @@ def test_of_many_bad_rows_few_are_told(capsys):
     read("x\n" * 2 + "1,2\n" + "0\n" * 100)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 12 and lines[-1] == "Warning: p has 101 rows that are no points."
+
+
+class Repeated(io.RawIOBase):
+    """A block of bytes again and again, then others."""
+
+    def __init__(self, block, times, last):
+        self.left, self.last = [block] * times, last
+
+    def read1(self, _):
+        return self.left.pop() if self.left else self.__dict__.pop("last", b"")
+
+
+@pytest.mark.parametrize("blank", [b"\n", b" \r\n", b"\n \t"])
+@pytest.mark.parametrize("last", [b"3,4", b"3,4\n", b"\n \n", b""])
+def test_blank_lines_are_rows_but_at_the_end_and_as_many_as_there_are(blank, last, monkeypatch):
+    monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 1000)
+    times = 50
+    file, table = Repeated(100 * blank, times, last), PointTable("p", 2)
+    file.left.append(b"1,2\n")  # which is read first
+    x = np.concatenate(list(table.chunks(file)))
+    rows = [[1, 2], *[[np.nan] * 2] * (100 * times), [3, 4]] if last.strip() else [[1, 2]]
+    np.testing.assert_array_equal(x, rows)
+    assert table.num_bad == len(rows) - 2 if last.strip() else table.num_bad == 0
+
+
+def test_blank_lines_take_no_memory():
+    file = Repeated(b"\n" * 2**20, 100, b"1,2\n")
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="p, line 1: expected 2 comma-separated numbers, got ''"):
+        list(PointTable("p", 2, strict=True).chunks(file))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 50 * 2**20 and not file.left
 
 
 def test_a_row_has_an_end(monkeypatch):
