@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 import plr_jax
 from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
+from plr_jax.cli._inputs import numbers_of
 
 app = typer.Typer(
     name="plr-jax",
@@ -61,16 +62,20 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except BrokenPipeError:  # a reader such as `head` that has seen enough
                 _discard_output()
                 raise typer.Exit(BROKEN_PIPE_EXIT) from None
-            except OSError as error:
-                # strerror and filename alone read better than "[Errno 2] ...".
-                where = f"{error.filename}: " if error.filename else ""
-                fail(f"{where}{error.strerror or error}")
-            except ValueError as error:
-                fail(str(error))
+            except (OSError, ValueError) as error:
+                fail(reason_of(error))
 
         return app.command(epilog="\n\n".join(["Examples:", *examples]), cls=_Command)(run)
 
     return register
+
+
+def reason_of(error: OSError | ValueError) -> str:
+    """What an error says; of the system, file and reason alone, which read better than "[Errno 2] ..."."""
+    if not isinstance(error, OSError):
+        return str(error)
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}"
 
 
 class _Command(TyperCommand):
@@ -78,17 +83,9 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for option, x, y in zip(args, args[1:], args[2:], strict=False):
-            if option in ("--goal", "-g") and _is_number(x) and _is_number(y):
+            if option in ("--goal", "-g") and numbers_of(x.rstrip(",")) and numbers_of(y):
                 raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {x},{y}.", ctx)
         return super().parse_args(ctx, args)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.rstrip(","))
-    except ValueError:
-        return False
-    return True
 
 
 def _discard_output() -> None:
@@ -146,4 +143,9 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def _as_line(message: str) -> str:
-    return " ".join(line.strip() for line in message.splitlines())
+    return printable(" ".join(line.strip() for line in message.splitlines()))
+
+
+def printable(text: str) -> str:
+    r"""A text from outside, of which a terminal shows what it would else obey: control characters as ``\x1b``."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)

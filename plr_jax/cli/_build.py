@@ -66,7 +66,8 @@ def build_file(
     extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
     plrs: list[PLR] = []
     errors: dict[str, float] = {}
-    for option, size in (*(("--prefix", size) for size in prefixes), ("--max-bytes", max_bytes)):
+    parts = [*(("--prefix", size) for size in prefixes), ("--max-bytes", max_bytes)]
+    for number, (option, size) in enumerate(parts, 1):
         of_file = limits if option == "--max-bytes" else {}
         taken = extension + sum(plr.num_bytes for plr in plrs)
         budget = None if size is None else max(1, size - taken)
@@ -77,7 +78,14 @@ def build_file(
             )
         try:
             plr, of_models, interrupted = build_proven(
-                oracle, oracle.workspace.bounds, leaf, leaf_bounds, seed=seed, max_bytes=budget, **of_file
+                f"part {number} of {len(parts)}" if prefixes else "file",
+                oracle,
+                oracle.workspace.bounds,
+                leaf,
+                leaf_bounds,
+                seed=seed,
+                max_bytes=budget,
+                **of_file,
             )
         except BudgetTooSmall as error:
             raise ValueError(
@@ -102,40 +110,59 @@ def _body_size(plr: "PLR") -> int:
 
 
 def build_proven(
-    oracle: "VisibilityGraph", domain: "Box", leaf: str, leaf_bounds: bool, *, seed: int, **limits: int | float | None
+    what: str,
+    oracle: "VisibilityGraph",
+    domain: "Box",
+    leaf: str,
+    leaf_bounds: bool,
+    *,
+    seed: int,
+    **limits: int | float | None,
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
     Of several, those that cannot be built are left out, and those that name corners where these would take several
     times the budget; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what is being built and leaves
-    the rest untried.
+    the rest untried. A terminal shows how many models of ``what`` are done, and which is being built.
     """
-    from plr_jax.plr import ConstructionInterrupted, construct
+    from tqdm import tqdm
 
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
     best, errors, interrupted = None, {}, False
     refused: list[ValueError] = []
-    for name in _tried(oracle, limits.get("max_bytes")) if leaf == BEST else [leaf]:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", ConstructionInterrupted)
+    names = _tried(oracle, limits.get("max_bytes")) if leaf == BEST else [leaf]
+    with tqdm(names, what, unit=" models", leave=False, disable=None) as progress:
+        for name in progress:
+            progress.set_description(f"{what}: leaves of kind {name!r}")
             try:
-                plr = construct(oracle, domain, leaf=name, **options)
+                plr, interrupted = _constructed(oracle, domain, name, options)
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
                 refused.append(error)
                 continue
-        errors[name] = float("inf") if plr.max_error is None else plr.max_error  # if interrupted in its proof
-        if best is None or errors[name] < errors[best.leaf.name]:
-            best = plr
-        for warning in caught:
-            if issubclass(warning.category, ConstructionInterrupted):
-                interrupted = True
-            else:
-                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-        if interrupted:
-            break
+            errors[name] = float("inf") if plr.max_error is None else plr.max_error  # if interrupted in its proof
+            if best is None or errors[name] < errors[best.leaf.name]:
+                best = plr
+            if interrupted:
+                break
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     return best, errors, interrupted
+
+
+def _constructed(oracle: "VisibilityGraph", domain: "Box", leaf: str, options: dict[str, Any]) -> tuple["PLR", bool]:
+    """The PLR of one leaf model, and whether that was interrupted, of which there is no other warning."""
+    from plr_jax.plr import ConstructionInterrupted, construct
+
+    interrupted = False
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ConstructionInterrupted)
+        plr = construct(oracle, domain, leaf=leaf, **options)
+    for warning in caught:
+        if issubclass(warning.category, ConstructionInterrupted):
+            interrupted = True
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    return plr, interrupted
 
 
 def _tried(oracle: "VisibilityGraph", max_bytes: int | float | None) -> list[str]:

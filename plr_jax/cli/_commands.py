@@ -13,14 +13,10 @@ import numpy as np
 import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli._app import command, saying, warn
+from plr_jax.cli._app import command, printable, saying, warn
 from plr_jax.cli._build import BEST, build_file, prepared_oracle
-from plr_jax.cli._inputs import (
-    DEFAULT_BYTES,
-    PICTURES,
-    require_writable,
-)
-from plr_jax.cli._maps import NamedMap, map_of_file, say_vertices
+from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, require_writable
+from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
     FileArgument,
@@ -137,7 +133,8 @@ def build(
         raise typer.Exit(INTERRUPTED_EXIT)
     built = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
-    report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
+    with saying("measuring the error"):
+        report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
     marks = ", ".join(f"{mark:,}" for mark in plr.file_marks)
     begins = f", coarser in its first {marks}" if marks else ""
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes{begins}; {plr.num_leaves:,} leaves, depth {plr.depth}")
@@ -241,8 +238,8 @@ def info(file: FileArgument) -> None:
     from plr_jax.plr import from_bytes, load
 
     plr = load(file)
-    typer.echo(f"file       {file}")
-    typer.echo(f"label      {plr.label or 'none'}")
+    typer.echo(f"file       {printable(str(file))}")
+    typer.echo(f"label      {printable(plr.label) or 'none'}")
     typer.echo(f"leaf       {plr.leaf.name}")
     axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
     periodic = f", periodic along axes {axes}" if axes else ""
@@ -305,8 +302,8 @@ def plot(
     require_writable(output, PICTURES, inputs=(file, map))
     plr = load(file)
     reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
-    named = map_of_file(file, plr.label, map, goal=goal, **reading)
-    workspace, goal_point = (None, None) if named is None else named.read()
+    is_needed = kind is Picture.error
+    workspace, goal_point = read_map_of_file(file, plr.label, map, goal=goal, is_needed=is_needed, **reading)
     if workspace is not None and not _same_box(workspace.bounds, plr.domain):
         warn(
             f"the map is {workspace.bounds}, but {file} covers {plr.domain}: it may be of another map, or of this "

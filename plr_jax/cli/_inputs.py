@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import stat
 from collections.abc import Sequence
 from enum import StrEnum
@@ -20,6 +21,7 @@ DEFAULT_BYTES = 4_096
 """Largest size of a PLR that a command makes, where no limit is given."""
 
 PICTURES = (".png", ".pdf", ".svg")
+_NUMBER = re.compile(r"\s*[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)\s*", re.ASCII | re.IGNORECASE)
 _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 
 
@@ -88,15 +90,16 @@ def require_writable(
 
 def parse_goal(text: str) -> Float[np.ndarray, "2"]:
     """The point that ``X,Y`` means."""
-    goal = np.array(_numbers(text))
+    goal = np.array(numbers_of(text))
     if goal.shape != (2,) or not np.isfinite(goal).all():
         raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
     return goal
 
 
-def _numbers(line: str) -> list[float]:
-    """The comma-separated numbers of a line; none if a field is not one."""
-    try:
-        return [float(field) for field in line.split(",")]
-    except ValueError:
-        return []
+def numbers_of(line: str) -> list[float]:
+    """The comma-separated numbers of a line, ``nan`` and ``inf`` among them; none if a field is not one.
+
+    They are decimal, of ASCII, with spaces around them or not: ``1_000``, which Python reads, is none.
+    """
+    fields = line.split(",")
+    return [float(field) for field in fields] if all(map(_NUMBER.fullmatch, fields)) else []

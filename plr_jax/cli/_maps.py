@@ -9,6 +9,7 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
+from plr_jax.cli._app import reason_of, warn
 from plr_jax.cli._inputs import SCENES, parse_goal
 
 if TYPE_CHECKING:
@@ -55,9 +56,13 @@ class NamedMap:
                 key, value = option.removeprefix("--").split("=", 1)
                 key = key.replace("-", "_")
                 given[key] = _KINDS.get(key, str)(value)
-            return cls(name, **given)
+            named = cls(name, **given)
+            named.given_goal()
         except (ValueError, TypeError):
-            raise ValueError(f"expected a map and options of it, got {text!r}.") from None
+            named = None
+        if named is None or named._is_unknown:
+            raise ValueError(f"expected a map and options of it, got {text!r}.")
+        return named
 
     def to(self, goal: Float[np.ndarray, "2"]) -> "NamedMap":
         """The same with its goal said."""
@@ -75,14 +80,23 @@ class NamedMap:
         """Whether it is a picture, by its name."""
         return Path(self.name).suffix.lower() not in (".json", ".geojson", ".map", "")
 
+    @property
+    def _is_unknown(self) -> bool:
+        """Whether it is no map, by its name."""
+        return self.name not in SCENES and not Path(self.name).suffix
+
+    def given_goal(self) -> Float[np.ndarray, "2"] | None:
+        """The goal, if it is said; ``ValueError`` if that is none."""
+        return None if self.goal is None else parse_goal(self.goal)
+
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
         """The workspace, and the goal if there is one.
 
         ``ValueError`` if MAP is neither the name of a scene nor the path of a file that can be read, or has no such
         option.
         """
-        given = None if self.goal is None else parse_goal(self.goal)
-        if not Path(self.name).suffix and self.name not in SCENES:
+        given = self.given_goal()
+        if self._is_unknown:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")
         problem = self._problem()
         if problem is None:
@@ -155,6 +169,31 @@ def map_of_file(file: Path, label: str, name: str | None, **options: Any) -> Nam
     elif Path(name).name != Path(own.name).name:
         own = NamedMap(name, own.goal)
     return replace(own, name=name, **given)
+
+
+def read_map_of_file(
+    file: Path, label: str, name: str | None, *, goal: str | None, is_needed: bool, **reading: Any
+) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
+    """The workspace and the goal of :func:`map_of_file`, None where they are not said.
+
+    A map that the label alone names may not be on this machine: it is left out, with a warning; ``ValueError`` if it
+    ``is_needed``, or the user says how to read it.
+    """
+    named = map_of_file(file, label, name, goal=goal, **reading)
+    if named is None:
+        return None, None
+    given = named.given_goal()
+    try:
+        return named.read()
+    except (OSError, ValueError) as error:
+        if name is not None:
+            raise
+        reason = reason_of(error).rstrip(".")
+        missing = f"the map that {file} was built of cannot be read ({reason}): name it with --map"
+        if is_needed or any(value is not None for value in reading.values()):
+            raise ValueError(f"{missing}.") from error
+    warn(f"{missing}; drawn without its obstacles.")
+    return None, given
 
 
 def _option(key: str) -> str:

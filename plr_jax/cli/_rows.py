@@ -12,17 +12,19 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax.cli._app import warn
+from plr_jax.cli._inputs import numbers_of
 
 _CHUNK_BYTES = _MOST_LINE_BYTES = 1 << 20
 _MOST_WARNINGS, _MOST_SHOWN = 10, 80
+_OF_NUMBERS = b"0123456789+-.,eEiInNfFaAtTyY \t\r\n"  # else NumPy takes what is no number for one, such as b"\xa01"
 
 
 @dataclass
 class PointTable:
     """Points as lines of text: ``dim`` numbers a line, separated by commas, after an optional header of names.
 
-    A row that is not so many numbers is NaN throughout, and is told on standard error; of many such rows the first
-    few, and how many there were.
+    A row that is not so many numbers, as a blank line, is NaN throughout, and is told on standard error; of many such
+    rows the first few, and how many there were. Blank lines at the end are no rows.
 
     Attributes:
         name: What errors call the table.
@@ -61,8 +63,11 @@ class PointTable:
         return f"{self.dim} comma-separated numbers"
 
     def _blocks(self, file: io.BufferedIOBase) -> Iterator[bytes]:
-        """Whole lines, without the header and blank lines at the end, as they come."""
-        rest, is_start = b"", True
+        """Whole lines, without the header and blank lines at the end, as they come.
+
+        Of blank lines only the number is kept, until there is a line behind them.
+        """
+        rest, is_start, num_blank = b"", True, 0
         while data := file.read1(_CHUNK_BYTES):
             rest += data
             if is_start and b"\n" in rest:
@@ -70,13 +75,20 @@ class PointTable:
             filled = len(rest.rstrip())
             end = rest.find(b"\n", filled) + 1 or rest.rfind(b"\n", 0, filled) + 1
             if filled and end and not is_start:
+                yield from _blank_lines(num_blank)
                 yield rest[:end]
-                rest = rest[end:]
+                rest, num_blank = rest[end:], 0
+            if not (is_start or rest.strip()):
+                num_blank += rest.count(b"\n")
+                rest = rest[rest.rfind(b"\n") + 1 :]
             if len(rest) > _MOST_LINE_BYTES:
-                raise ValueError(f"{self.name}, line {self.num_lines + 1}: longer than {_MOST_LINE_BYTES:,} bytes.")
+                raise ValueError(
+                    f"{self.name}, line {self.num_lines + num_blank + 1}: longer than {_MOST_LINE_BYTES:,} bytes."
+                )
         if is_start:
             rest = self._without_header(self._without_mark(rest))
         if rest.strip():
+            yield from _blank_lines(num_blank)
             yield rest.rstrip() + b"\n"
 
     def _without_mark(self, start: bytes) -> bytes:
@@ -98,7 +110,7 @@ class PointTable:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that lines are blank, which are told below
                 points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
-            is_plain = points.shape == (num_lines, self.dim)
+            is_plain = points.shape == (num_lines, self.dim) and not block.translate(None, _OF_NUMBERS)
         except ValueError:
             is_plain = False
         if not is_plain:
@@ -109,9 +121,12 @@ class PointTable:
     def _parsed_line_by_line(self, lines: list[bytes]) -> Float[np.ndarray, "n dim"]:
         points = np.full((len(lines), self.dim), np.nan)
         for index, line in enumerate(lines):
-            numbers = _numbers(line)
+            numbers = numbers_of(line.decode(errors="replace"))
             if len(numbers) == self.dim:
                 points[index] = numbers
+                continue
+            self.num_bad += 1
+            if not self.strict and self.num_bad > _MOST_WARNINGS:
                 continue
             text = line.rstrip(b"\r").decode(errors="replace")
             text = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
@@ -119,9 +134,7 @@ class PointTable:
             if self.strict:
                 self._error = message + "."
                 return points[:index]
-            self.num_bad += 1
-            if self.num_bad <= _MOST_WARNINGS:
-                warn(f"{message}; the answer is nan.")
+            warn(f"{message}; the answer is nan.")
             if self.num_bad == _MOST_WARNINGS:
                 warn("of further such rows only their number is told.")
         return points
@@ -150,16 +163,14 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
         sys.stdout.flush()
 
 
+def _blank_lines(count: int) -> Iterator[bytes]:
+    """So many blank lines, in blocks."""
+    for start in range(0, count, _CHUNK_BYTES):
+        yield b"\n" * min(_CHUNK_BYTES, count - start)
+
+
 def _is_header(line: bytes) -> bool:
     """Whether a line is one of names: each begins with a letter, and none is a number, as ``nan`` is."""
     names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
     begin = all(name[0].isalpha() or name[0] == "_" for name in names)
-    return bool(names) and begin and not any(_numbers(name.encode()) for name in names)
-
-
-def _numbers(line: bytes) -> list[float]:
-    """The comma-separated numbers of a line; none if a field is not one."""
-    try:
-        return [float(part) for part in line.split(b",")]
-    except ValueError:
-        return []
+    return bool(names) and begin and not any(map(numbers_of, names))

@@ -1,5 +1,7 @@
+import io
 import json
 import re
+import time
 import warnings
 
 import numpy as np
@@ -9,6 +11,8 @@ from PIL import Image
 
 import plr_jax
 from plr_jax import VisibilityGraph, construct, scenes
+from plr_jax.cli._app import saying
+from plr_jax.cli._build import build_file
 from plr_jax.oracles.cells.cell_sources import VisibleSources
 from plr_jax.plr import from_bytes, load, save
 from plr_jax.plr.leaves import leaf_names
@@ -305,3 +309,50 @@ def test_interrupting_before_there_is_a_tree_leaves_nothing(tmp_path, monkeypatc
     assert result.exit_code == 130
     assert result.stderr == "Interrupted.\n"
     assert not (tmp_path / "out.plr").exists()
+
+
+class Terminal(io.StringIO):
+    """What is written to a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("prefixes", [(), (300,)])
+def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, monkeypatch):
+    maze = scenes.maze()
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    oracle = VisibilityGraph(maze.workspace, maze.goals[0])
+    build_file(oracle, "", prefixes, "best", False, seed=0, max_bytes=700)
+    said = terminal.getvalue()
+    parts = ["part 1 of 2", "part 2 of 2"] if prefixes else ["file"]
+    places = [
+        re.search(rf"{part}: leaves of kind '{name}': .*\b{number}/{len(leaf_names())} ", said).start()
+        for part in parts
+        for number, name in enumerate(leaf_names())
+    ]
+    assert places == sorted(places)
+    assert said.split("\r")[-1].strip() == "", "nothing of it is left"
+    monkeypatch.setattr("sys.stderr", file := io.StringIO())
+    build_file(oracle, "", prefixes, "plane", False, seed=0, max_bytes=700)
+    assert file.getvalue() == ""
+
+
+def test_a_terminal_shows_how_many_leaves_are_built(tmp_path, monkeypatch):
+    """As long as it takes: here the clock of progress bars runs a thousand times faster."""
+    maze, now = scenes.maze(), time.time
+    monkeypatch.setattr("tqdm.std.time", lambda: 1000 * now())
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    oracle = VisibilityGraph(maze.workspace, maze.goals[0])
+    for name in leaf_names():
+        build_file(oracle, "", (), name, False, seed=0, max_bytes=None, max_leaves=200)
+        assert re.search(r"construct: .*[1-9]\d*/200 ", terminal.getvalue())
+        terminal.truncate(0)
+
+
+def test_a_terminal_shows_what_is_being_done_and_then_no_more(monkeypatch):
+    for stream, said in ((Terminal(), ["reading a ...", "\r\x1b[K"]), (io.StringIO(), ["", ""])):
+        monkeypatch.setattr("sys.stderr", stream)
+        with saying("reading a"):
+            assert stream.getvalue() == said[0]
+        assert stream.getvalue() == "".join(said)

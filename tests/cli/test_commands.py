@@ -84,6 +84,20 @@ def test_info_says_what_is_in_the_file(maze):
     assert f"{plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory" in result.stdout
 
 
+@pytest.mark.parametrize("escape", ["\x1b]0;title\x07\x1b[2J", "\x9b2J", "\r\n\u2028", "\u202e"])
+def test_no_terminal_obeys_a_label(escape, plane, tmp_path):
+    path, shown = tmp_path / "hostile.plr", escape.encode("unicode_escape").decode()
+    save(load(plane).with_label(f"'{escape}.png' --goal=0,0"), path)
+    told = run("info", path)
+    assert f"label      '{shown}.png' --goal=0,0\n" in told.stdout
+    drawn = run("plot", path, "-o", tmp_path / "a.png")
+    refused = run("plot", path, "--kind", "error", "-o", tmp_path / "a.png")
+    assert (drawn.exit_code, refused.exit_code) == (0, 2)
+    for said in (told.stdout, drawn.output, refused.output):
+        assert all(char.isprintable() or char == "\n" for char in said)
+    assert drawn.stderr.count("\n") == refused.stderr.count("\n") == 1
+
+
 def test_info_names_periodic_axes(tmp_path):
     domain = Box((0, -1), (1, 1), periodic=(False, True))
     save(construct(lambda x: x[:, 0] + np.cos(np.pi * x[:, 1]), domain, max_leaves=5), tmp_path / "angle.plr")

@@ -84,5 +84,39 @@ def test_plot_explains_mistakes(plane, tmp_path):
     assert "a.docx must end in .png or .pdf or .svg" in mistake("plot", plane, "-o", tmp_path / "a.docx")
     assert "none: No such folder" in mistake("plot", plane, "-o", tmp_path / "none" / "a.png")
     assert "--goal needs --map" in mistake("plot", unlabeled, "--goal", "0,0", "-o", tmp_path / "a.png")
-    save(load(plane).with_label("elsewhere.png --goal=0,0"), unlabeled)
-    assert "elsewhere.png" in mistake("plot", unlabeled, "-o", tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["distance", "cells", "surface"])
+def test_a_file_is_drawn_where_its_map_is_not(kind, plane, tmp_path):
+    path, alone = tmp_path / "far.plr", tmp_path / "alone.plr"
+    save(load(plane).with_label("elsewhere/scan.png --goal=0.06,0.07"), path)
+    save(load(plane).with_label(""), alone)
+    result = run("plot", path, "--kind", kind, "-o", tmp_path / "a.png")
+    reason = "elsewhere/scan.png: No such file or directory"
+    said = f"the map that {path} was built of cannot be read ({reason}): name it with --map"
+    assert result.exit_code == 0, result.output
+    assert result.stderr == f"Warning: {said}; drawn without its obstacles.\n"
+    goal = ["--map", "maze", "--goal", "0.06,0.07"]
+    pictures = []
+    for name, file, given in (("b", alone, []), ("c", path, goal)):
+        result = run("plot", file, "--kind", kind, *given, "-o", tmp_path / f"{name}.png")
+        assert (result.exit_code, result.stderr) == (0, "")
+        pictures.append((tmp_path / f"{name}.png").read_bytes())
+    without_goal, with_walls = pictures
+    drawn = (tmp_path / "a.png").read_bytes()
+    assert drawn != with_walls
+    assert (drawn == without_goal) == (kind != "distance")  # of which the goal is drawn
+    assert said in mistake("plot", path, "--kind", "error", "-o", tmp_path / "a.png")
+    assert said in mistake("plot", path, "--kind", kind, "--resolution", 2, "-o", tmp_path / "a.png")
+    missing = mistake("plot", path, "--map", tmp_path / "none.png", "-o", tmp_path / "a.png")
+    assert missing == f"Error: {tmp_path / 'none.png'}: No such file or directory\n"
+
+
+@pytest.mark.parametrize("label", ["the kitchen", "kitchen", "scan.png --goal=here"])
+def test_a_label_that_names_no_map_is_any_text(label, plane, tmp_path):
+    save(load(plane).with_label(label), tmp_path / "a.plr")
+    result = run("plot", tmp_path / "a.plr", "-o", tmp_path / "a.png")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "does not say of which map" in mistake(
+        "plot", tmp_path / "a.plr", "--kind", "error", "-o", tmp_path / "a.png"
+    )

@@ -1,6 +1,7 @@
 """Tables of points, chunk by chunk: what is a header, what is no point, and that chunks do not show."""
 
 import io
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -45,6 +46,9 @@ def test_points_come_with_or_without_a_header(text):
         ("1,2\n1,b\n3,4", 2, "'1,b'"),
         ("1,2\n1;2\n3,4", 2, "'1;2'"),
         ("x,y\n1,2\nx,y\n3,4", 3, "'x,y'"),
+        ("1,2\n1_0,2\n3,4", 2, "'1_0,2'"),
+        (b"1,2\n\xa01,2\n3,4", 2, "'\N{REPLACEMENT CHARACTER}1,2'"),
+        (b"1,2\n\x1c1,2\n3,4", 2, "'\\x1c1,2'"),
         ("x,y\n1,2\n" + "9" * 400 + "\n3,4", 3, "9..."),
     ],
 )
@@ -88,6 +92,39 @@ def test_of_many_bad_rows_few_are_told(capsys):
     assert len(lines) == 12 and lines[-1] == "Warning: p has 101 rows that are no points."
 
 
+class Repeated(io.RawIOBase):
+    """A block of bytes again and again, then others."""
+
+    def __init__(self, block, times, last):
+        self.left, self.last = [block] * times, last
+
+    def read1(self, _):
+        return self.left.pop() if self.left else self.__dict__.pop("last", b"")
+
+
+@pytest.mark.parametrize("blank", [b"\n", b" \r\n", b"\n \t"])
+@pytest.mark.parametrize("last", [b"3,4", b"3,4\n", b"\n \n", b""])
+def test_blank_lines_are_rows_but_at_the_end_and_as_many_as_there_are(blank, last, monkeypatch):
+    monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 1000)
+    times = 50
+    file, table = Repeated(100 * blank, times, last), PointTable("p", 2)
+    file.left.append(b"1,2\n")  # which is read first
+    x = np.concatenate(list(table.chunks(file)))
+    rows = [[1, 2], *[[np.nan] * 2] * (100 * times), [3, 4]] if last.strip() else [[1, 2]]
+    np.testing.assert_array_equal(x, rows)
+    assert table.num_bad == len(rows) - 2 if last.strip() else table.num_bad == 0
+
+
+def test_blank_lines_take_no_memory():
+    file = Repeated(b"\n" * 2**20, 100, b"1,2\n")
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="p, line 1: expected 2 comma-separated numbers, got ''"):
+        list(PointTable("p", 2, strict=True).chunks(file))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 50 * 2**20 and not file.left
+
+
 def test_a_row_has_an_end(monkeypatch):
     monkeypatch.setattr(_rows, "_MOST_LINE_BYTES", 100)
     with pytest.raises(ValueError, match="p, line 2: longer than 100 bytes"):
@@ -97,21 +134,22 @@ def test_a_row_has_an_end(monkeypatch):
 @settings(max_examples=100)
 @given(
     st.lists(
-        st.sampled_from(["1,2", "-3.5e-1, 7", "", "a,b", "1", "nan,0", "\r", "1e400,2", "1_0,2", "é,é"]), min_size=1
+        st.sampled_from(["1,2", "-3.5e-1, 7", "", "a,b", "1", "nan,0", "\r", "1e400,2", "1_0,2", "é,é", "\x1f1,2"]),
+        min_size=1,
     ),
     st.integers(9, 40),
     st.sampled_from(["\n", "\r\n"]),
     st.booleans(),
 )
 def test_chunks_do_not_show(rows, chunk, newline, ends):
-    """Line by line, as Python reads numbers."""
+    """Line by line, as Python reads numbers, but for underscores and separators of files."""
     rows = ["0,0", *rows]
     while not rows[-1].strip():
         rows.pop()
     expected = []
     for row in rows:
         try:
-            numbers = [float(part) for part in row.split(",")]
+            numbers = [float(part.replace("_", "x").replace("\x1f", "x")) for part in row.split(",")]
         except ValueError:
             numbers = []
         expected.append(numbers if len(numbers) == 2 else [np.nan, np.nan])

@@ -41,7 +41,10 @@ class HeldFile:
 
     @property
     def label(self) -> str:
-        """What the file says of itself, any text: which map, which goal. Empty if it says nothing."""
+        """What the file says of itself: which map, which goal. Empty if it says nothing.
+
+        Any text that who wrote the file chose; it may hold control characters, which a terminal obeys.
+        """
         return Header.read(self.to_bytes()).label
 
     def with_label(self: Held, label: str) -> Held:
