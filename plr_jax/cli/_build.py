@@ -19,7 +19,7 @@ BEST = "best"
 _EXTENSION_BYTES, _MARK_BYTES = 4, 4
 """Of a header with a label, and at the most of each mark."""
 _CROWDED, _BYTES_A_SOURCE = 4, 7
-"""Times the budget that all corners would take, and bytes of one: beyond, leaves that name corners are not tried."""
+"""Times the budget that all corners may take where leaves that name them are tried, and bytes of one."""
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -121,16 +121,16 @@ def build_proven(
 ) -> tuple["PLR", dict[str, float], bool]:
     """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
 
-    Of several, those that cannot be built are left out, and those that name corners where these would take several
-    times the budget; ``ValueError`` if none can be built. An interrupt (Ctrl-C) ends what is being built and leaves
-    the rest untried. A terminal shows how many models of ``what`` are done, and which is being built.
+    Of several, those that cannot be built are left out; ``ValueError`` if none can be built. An interrupt (Ctrl-C)
+    ends what is being built and leaves the rest untried. A terminal shows how many models of ``what`` are done, and
+    which is being built.
     """
     from tqdm import tqdm
 
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
     best, errors, interrupted = None, {}, False
     refused: list[ValueError] = []
-    names = _tried(oracle, limits.get("max_bytes")) if leaf == BEST else [leaf]
+    names = _tried(oracle, limits) if leaf == BEST else [leaf]
     with tqdm(names, what, unit=" models", leave=False, disable=None) as progress:
         for name in progress:
             progress.set_description(f"{what}: leaves of kind {name!r}")
@@ -165,11 +165,17 @@ def _constructed(oracle: "VisibilityGraph", domain: "Box", leaf: str, options: d
     return plr, interrupted
 
 
-def _tried(oracle: "VisibilityGraph", max_bytes: int | float | None) -> list[str]:
-    """The leaf models among which is the one of the least proven error, going by the budget."""
+def _tried(oracle: "VisibilityGraph", limits: dict[str, Any]) -> list[str]:
+    """The leaf models to choose from: cones alone where all corners have room, all but these where few have.
+
+    On all maps of the experiments cones with that room err ten to a thousand times less on average than the others.
+    """
     from plr_jax.plr.leaves import leaf_model, leaf_names
     from plr_jax.plr.leaves.base import SourcedLeafModel
 
     of_corners = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(oracle.sources.distances))
-    is_crowded = max_bytes is not None and of_corners > _CROWDED * max_bytes
-    return [name for name in leaf_names() if not (is_crowded and isinstance(leaf_model(name), SourcedLeafModel))]
+    share = of_corners / (limits.get("max_bytes") or math.inf)
+    sourced = [name for name in leaf_names() if isinstance(leaf_model(name), SourcedLeafModel)]
+    if share <= 1 and limits.get("max_leaves") is limits.get("max_depth") is None:
+        return sourced
+    return [name for name in leaf_names() if share <= _CROWDED or name not in sourced]

@@ -67,8 +67,9 @@ def build(
         str,
         typer.Option(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
-            "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' builds "
-            "all of them (cones if they can name a quarter of the corners), and keeps that of the least proven error."
+            "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' is cones "
+            "where the file has room for all corners and leaves are not limited; else it builds all of them (cones "
+            "if a quarter of the corners has room), and keeps that of the least proven error."
         ),
     ] = BEST,
     leaf_bounds: Annotated[

@@ -3,14 +3,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import networkx
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
 from plr_jax._types import Points
+
+if TYPE_CHECKING:
+    import networkx
 
 NO_PARENT = -9999
 """Parent of the root of a shortest-path tree and of what the tree does not reach (SciPy's sentinel)."""
@@ -99,8 +102,10 @@ def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
     return path[::-1]
 
 
-def to_networkx(graph: Graph) -> networkx.Graph:
+def to_networkx(graph: Graph) -> "networkx.Graph":
     """The graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, a tuple, and edges with their length as ``weight``."""
+    import networkx  # a tenth of a second, which nothing else needs
+
     exported = networkx.Graph()
     exported.add_nodes_from((i, {"pos": tuple(pos)}) for i, pos in enumerate(graph.vertices.tolist()))
     ends, lengths = graph.edges.tolist(), graph.lengths.tolist()

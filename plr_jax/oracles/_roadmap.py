@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import networkx
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
@@ -25,6 +25,9 @@ from plr_jax.oracles._prm_star import (
     sample_free,
     visible_edges,
 )
+
+if TYPE_CHECKING:
+    import networkx
 
 _BATCH = 2**18  # pairs of a point and a vertex held at a time: a few tens of megabytes
 
@@ -190,7 +193,7 @@ class Roadmap:
             )
         return Sources(self.graph.vertices, self.distances, rooted(self._parents))
 
-    def to_networkx(self) -> networkx.Graph:
+    def to_networkx(self) -> "networkx.Graph":
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
         return to_networkx(self.graph)
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import networkx
 import numpy as np
 from jaxtyping import Float, Int, UInt64
 
@@ -29,6 +28,9 @@ from plr_jax.oracles._visibility_file import read_visibility, write_visibility
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
 from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
 from plr_jax.oracles.cells.sight import GoalCones, Sight, Walls
+
+if TYPE_CHECKING:
+    import networkx
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -54,8 +56,7 @@ class VisibilityGraph:
         TimeoutError: If the time limit passes first.
 
     References:
-        de Berg et al., Computational Geometry (3rd ed.), chapter 15; visibility polygons as in
-        :mod:`plr_jax.geometry.visibility`.
+        de Berg et al., Computational Geometry (3rd ed.), chapter 15, by :mod:`plr_jax.geometry.visibility`.
     """
 
     workspace: Workspace
@@ -201,7 +202,7 @@ class VisibilityGraph:
         side = (turns.normal[1] == turned_left(opens)).all(axis=1)
         return GoalDistances(self._goal_table, corner, side.astype(np.int64), turns.distance)
 
-    def to_networkx(self) -> networkx.Graph:
+    def to_networkx(self) -> "networkx.Graph":
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
         return to_networkx(self.graph)
 
@@ -314,12 +315,10 @@ def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     goal = as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
-        clearance = workspace.clearance(goal[None])[0]
-        bounds = workspace.bounds
-        where = "in an obstacle" if bounds.contains(goal[None])[0] else f"outside the bounds {bounds}"
-        raise ValueError(
-            f"The goal {goal.tolist()} lies {where} (clearance {clearance:.3g}); move it into free space."
-        )
+        clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"
+        is_in = workspace.bounds.contains(goal[None])[0]
+        where = "in an obstacle" if is_in else f"outside the bounds {workspace.bounds}"
+        raise ValueError(f"The goal {goal.tolist()} lies {where} {clearance}; move it into free space.")
     return goal
 
 

@@ -31,7 +31,7 @@ def test_build_keeps_the_budget_and_says_what_it_made(tmp_path):
     plr = load(path)
     assert f"{path}: {path.stat().st_size} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}" in result.stdout
     assert plr.label == "maze --goal=0.06,0.07"
-    assert f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven (" in result.stdout
+    assert f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven" in result.stdout
     largest, mean = map(float, re.search(r"error   max (\S+), mean (\S+) over", result.stdout).groups())
     assert 0 < mean < largest <= plr.max_error
     for word in ("% of the largest distance", "s to build"):
@@ -63,6 +63,20 @@ def test_a_budget_that_cannot_name_the_corners_is_not_tried_with_leaves_that_do(
         result = run("build", tmp_path / "dots.png", *options)
         assert result.exit_code == 0, result.output
         assert ("cone" in result.stdout) == is_tried
+
+
+def test_cones_are_built_alone_where_all_corners_have_room(tmp_path):
+    for options, is_alone in (
+        (["--max-bytes", 200], True),  # of 13 corners
+        (["--max-bytes", 80], False),
+        (["--max-bytes", 200, "--max-leaves", 20], False),
+        (["--tolerance", 0.05], True),
+    ):
+        result = run("build", "maze", "-o", tmp_path / "out.plr", *options)
+        assert result.exit_code == 0, result.output
+        built = re.search(r"^leaf    (\w+): no error above \S+, proven(.*)$", result.stdout, re.MULTILINE)
+        assert built is not None
+        assert (built[1] == "cone" and not built[2]) == is_alone
 
 
 def test_build_takes_every_kind_of_map(tmp_path):
@@ -238,7 +252,7 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(tmp_path, mo
         return parts(self, *arguments)
 
     monkeypatch.setattr(VisibleSources, "parts", interrupt_later)
-    result = run("build", "maze", "-o", tmp_path / "out.plr")
+    result = run("build", "maze", "-o", tmp_path / "out.plr", "--leaf", "plane")
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
     assert len(calls) > last_call, "what there is, is proven"
@@ -318,12 +332,12 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize("prefixes", [(), (300,)])
+@pytest.mark.parametrize("prefixes", [(), (80,)])  # too few bytes for cones alone
 def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, monkeypatch):
     maze = scenes.maze()
     monkeypatch.setattr("sys.stderr", terminal := Terminal())
     oracle = VisibilityGraph(maze.workspace, maze.goals[0])
-    build_file(oracle, "", prefixes, "best", False, seed=0, max_bytes=700)
+    build_file(oracle, "", prefixes, "best", False, seed=0, max_bytes=700, max_leaves=500)
     said = terminal.getvalue()
     parts = ["part 1 of 2", "part 2 of 2"] if prefixes else ["file"]
     places = [
