@@ -119,7 +119,7 @@ def build(
         )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
-    if named.has_pixels:
+    if named.is_of_pixels():
         say_vertices(workspace)
     with saying("finding what corners see"):
         exact = prepared_oracle(workspace, goal_point, oracle)
