@@ -5,7 +5,7 @@ import pytest
 
 from plr_jax import BLOptions, Box, PointRobot, Problem, Workspace, construct, from_bytes, plot, save, scenes, zero
 from plr_jax.planners import sba_star_plan
-from plr_jax.plr import PLR, quantile, refine
+from plr_jax.plr import PLR, NumpyPLR, quantile, refine
 from plr_jax.plr.refinement.losses import Quantile
 
 ROOM = Workspace(((0, 0), (1, 1)))
@@ -50,6 +50,8 @@ def refined(**options):
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
         (lambda: save(5, "no.plr"), "Only a PLR or a PairPLR can be saved, got 5"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
+        (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; of a file's name use load_numpy"),
+        (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, of a PLR plr.numpy\(\)"),
         (lambda: PLR.stack(5), r"plrs must be a list of PLRs, one a robot, got 5; for one give \[plr\]"),
         (lambda: PLR.stack(built()), r"plrs must be a list of PLRs, one a robot, got PLR\("),
         (lambda: PLR.stack([5]), "Only PLRs can be stacked, that of robot 0 is 5"),

@@ -120,7 +120,7 @@ def build(
         )
     if max_bytes is max_leaves is max_depth is None:
         max_bytes = DEFAULT_BYTES
-    if named.has_pixels:
+    if named.is_of_pixels():
         say_vertices(workspace)
     with saying("finding what corners see"):
         exact = prepared_oracle(workspace, goal_point, oracle)
@@ -250,9 +250,8 @@ def info(file: FileArgument) -> None:
     typer.echo(f"proof      {_proof_of(plr)}")
     typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
     for mark in plr.file_marks:
-        if mark < plr.num_bytes:  # else this is a file that was cut off there
-            part = from_bytes(plr.to_bytes()[:mark])
-            typer.echo(f"coarser    in its first {mark:,} bytes: {part.num_leaves:,} leaves, proof {_proof_of(part)}")
+        part = from_bytes(plr.to_bytes()[:mark])
+        typer.echo(f"coarser    in its first {mark:,} bytes: {part.num_leaves:,} leaves, proof {_proof_of(part)}")
 
 
 def _proof_of(plr: "PLR") -> str:

@@ -76,11 +76,6 @@ class NamedMap:
         }
 
     @property
-    def has_pixels(self) -> bool:
-        """Whether it is a picture, by its name."""
-        return Path(self.name).suffix.lower() not in (".json", ".geojson", ".map", "")
-
-    @property
     def _is_unknown(self) -> bool:
         """Whether it is no map, by its name."""
         return self.name not in SCENES and not Path(self.name).suffix
@@ -88,6 +83,13 @@ class NamedMap:
     def given_goal(self) -> Float[np.ndarray, "2"] | None:
         """The goal, if it is said; ``ValueError`` if that is none."""
         return None if self.goal is None else parse_goal(self.goal)
+
+    def is_of_pixels(self) -> bool:
+        """Whether it is a picture or has one, as maps of map_server do."""
+        from plr_jax.scenes import read_image, read_map_server
+        from plr_jax.scenes._workspaces import reader_of
+
+        return self.name not in SCENES and reader_of(Path(self.name)) in (read_image, read_map_server)
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
         """The workspace, and the goal if there is one.

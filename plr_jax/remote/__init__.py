@@ -3,6 +3,7 @@
 Any server of static files will do. One that knows no ranges is not read farther than is wanted.
 """
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,7 +32,7 @@ def open_url(
     which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many corners.
 
     Args:
-        url: An address that begins with ``http://`` or ``https://``.
+        url: An address that begins with ``http://`` or ``https://``, without a user's name and password.
         max_bytes: How many bytes of the file to fetch at the most; None: all, up to 256 MiB.
         goal: For a file of pairs: the one goal wanted, ``(2,)``; the result is a PLR. None: none.
         timeout: Seconds after which to give up on a request.
@@ -46,10 +47,12 @@ def open_url(
             requests, or has no mark within ``max_bytes``; or nothing reaches the goal.
     """
     if not isinstance(url, str) or not url.isascii() or not url.startswith(("http://", "https://")):
+        got = shortened(_without_secrets(url) if isinstance(url, str) else url)
         raise ValueError(
-            f"url must begin with http:// or https:// and be of ASCII, others as %XX, got {shortened(url)}; use load "
-            "for a file."
+            f"url must begin with http:// or https:// and be of ASCII, others as %XX, got {got}; use load for a file."
         )
+    if (shown := _without_secrets(url)) != url:
+        raise ValueError(f"url must have no user name and password, which are not sent, got {shortened(shown)}.")
     if max_bytes is not None:
         require_integer("max_bytes", max_bytes, 1)
     limit = threading.TIMEOUT_MAX
@@ -70,6 +73,11 @@ def open_url(
         header = Header.read(fetched.data)
         data = fetched.data[: _cut(fetched, header, max_bytes)]
         return (pairs_from_bytes if header.leaf_code == PAIRS_CODE else from_bytes)(data)
+
+
+def _without_secrets(url: str) -> str:
+    """An address as errors may show it: without a user's name and password."""
+    return re.sub(r"^([a-zA-Z]*:?//)?[^/?#]*@", r"\1***@", url)
 
 
 @contextmanager

@@ -7,6 +7,8 @@ import urllib.request
 from dataclasses import dataclass
 from http.client import HTTPException, HTTPResponse
 
+from plr_jax._arrays import shortened
+
 _CHUNK = 1 << 16
 _MOST_UNTOLD = 1 << 25
 """Bytes that are read of an answer that does not say how many it has."""
@@ -77,11 +79,13 @@ def _request(url: str, end: int, timeout: float, known: Fetched, given_up: threa
         error.close()
         if error.code == _UNSATISFIABLE:
             raise ValueError(f"{url} has no bytes beyond the first {start}.") from None
-        raise OSError(f"{url} answered {error.code} {error.reason}.") from None
+        raise OSError(f"{url} answered {error.code} {shortened(error.reason)}.") from None
     except urllib.error.URLError as error:
         raise OSError(f"{url} cannot be reached: {error.reason}.") from None
     except (HTTPException, UnicodeError) as error:
-        raise OSError(f"{url} does not answer as a web server does: {type(error).__name__} {error}.") from None
+        raise OSError(
+            f"{url} does not answer as a web server does: {type(error).__name__} {shortened(str(error))}."
+        ) from None
 
 
 def _opener() -> urllib.request.OpenerDirector:

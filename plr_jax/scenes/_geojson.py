@@ -1,5 +1,6 @@
 """Reader of GeoJSON: polygons that are obstacles, or free space."""
 
+import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -19,7 +20,14 @@ from plr_jax.geometry.workspace import Workspace
 
 _DEGREES = np.array([180.0, 90.0])
 _SMALL = 1.0  # degrees: what is mapped is smaller
-_GEOMETRIES = ("Polygon", "MultiPolygon", "GeometryCollection")
+_HOLDS = {
+    "FeatureCollection": "features",
+    "Feature": "geometry",
+    "GeometryCollection": "geometries",
+    "MultiPolygon": "coordinates",
+    "Polygon": "coordinates",
+}  # what is read, and the key under which it holds what it is made of
+_NOT_READ = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 
 def read_geojson(
@@ -59,46 +67,56 @@ def read_geojson(
     with errors_named(path):
         document = json_of(path)
         if not is_geojson(document):
-            raise ValueError('expected GeoJSON: an object with "type" FeatureCollection, Feature or Polygon.')
+            raise ValueError(f'expected GeoJSON, an object of "type" {", ".join(_HOLDS)}, got {shortened(document)}.')
         found = list(_polygons(document, ""))
         if not found:
-            raise ValueError("the file has no polygon.")
+            raise ValueError("expected a polygon at least, got none: the file has no feature with a geometry.")
         extent = shapely.total_bounds(found).reshape(2, 2)
         _warn_of_degrees(path, extent)
         box = Box.of(_bbox(document, extent) if bounds is None else bounds, "bounds")
-        if polygons == "obstacles":
+        if polygons == "free":
+            return Workspace.from_polygons(found, box, squeeze=squeeze)
+        try:
             return Workspace(box, found, squeeze=squeeze)
-        return Workspace.from_polygons(found, box, squeeze=squeeze)
+        except ValueError as error:
+            if bounds is not None or document.get("bbox") is not None:
+                raise
+            raise ValueError(
+                f'{error} They are the bounding box of the polygons: give the file a "bbox" with room around those '
+                "(or bounds, in Python), or say that polygons are 'free'."
+            ) from error
 
 
 def is_geojson(document: Any) -> bool:
     """Whether what a JSON file holds is to be GeoJSON."""
-    kinds = ("FeatureCollection", "Feature", "Point", "MultiPoint", "LineString", "MultiLineString", *_GEOMETRIES)
-    return isinstance(document, dict) and document.get("type") in kinds
+    return isinstance(document, dict) and document.get("type") in (*_HOLDS, *_NOT_READ)
 
 
 def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.MultiPolygon]:
     """All polygons of an object, which an error names by where it is in the file."""
-    match entry:
-        case {"type": "FeatureCollection", "features": list(features)}:
-            for i, feature in enumerate(features):
-                yield from _polygons(feature, f"features[{i}]")
-        case {"type": "Feature", "geometry": None}:
-            return
-        case {"type": "Feature", "geometry": geometry}:
-            yield from _polygons(geometry, where)
-        case {"type": "GeometryCollection", "geometries": list(geometries)}:
-            for i, geometry in enumerate(geometries):
-                yield from _polygons(geometry, f"{where} geometries[{i}]".strip())
-        case {"type": "MultiPolygon", "coordinates": list(several)}:
-            for i, rings in enumerate(several):
+    kind, place = entry.get("type") if isinstance(entry, dict) else None, where or "the file"
+    if not isinstance(kind, str) or kind not in _HOLDS:
+        got = shortened(entry if kind is None else kind)
+        raise ValueError(f'{place}: expected an object of "type" {", ".join(_HOLDS)}, got {got}.')
+    key = _HOLDS[kind]
+    if key not in entry:
+        raise ValueError(f'{place}: a {kind} needs the key "{key}", and this one has only {", ".join(entry)}.')
+    parts = entry[key]
+    if kind == "Feature":
+        if parts is not None:
+            yield from _polygons(parts, f"{where} geometry".strip())
+        return
+    if not isinstance(parts, list):
+        raise ValueError(f'{place}: expected "{key}" of a {kind} to be a list, got {shortened(parts)}.')
+    match kind:
+        case "Polygon":
+            yield _polygon(parts, f"{where} polygon".strip())
+        case "MultiPolygon":
+            for i, rings in enumerate(parts):
                 yield _polygon(rings, f"{where} polygon {i}".strip())
-        case {"type": "Polygon", "coordinates": rings}:
-            yield _polygon(rings, f"{where} polygon".strip())
-        case {"type": str(kind)}:
-            raise ValueError(f"{where or 'the file'}: expected {', '.join(_GEOMETRIES)}, got {shortened(kind)}.")
         case _:
-            raise ValueError(f"{where or 'the file'}: expected a GeoJSON object, got {shortened(entry)}.")
+            for i, part in enumerate(parts):
+                yield from _polygons(part, f"{where} {key}[{i}]".strip())
 
 
 def _polygon(rings: Any, where: str) -> Any:
@@ -109,13 +127,19 @@ def _polygon(rings: Any, where: str) -> Any:
 
 
 def _ring(ring: Any, where: str) -> Float[np.ndarray, "n 2"]:
-    try:
-        points = np.array([point[:2] for point in ring], dtype=np.float64)
-    except (TypeError, ValueError, KeyError):
-        points = np.empty(0)
-    if points.ndim != 2 or points.shape[-1] != 2 or len(points) < 3 or not np.isfinite(points).all():
-        raise ValueError(f"{where}: expected a ring of at least 3 finite points [x, y], got {shortened(ring)}.")
-    return points
+    if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
+        expected = "a ring, a list of at least 3 finite points [x, y] of numbers"
+        raise ValueError(f"{where}: expected {expected}, got {shortened(ring)}.")
+    return np.array([point[:2] for point in ring], dtype=np.float64)
+
+
+def _is_position(value: Any) -> bool:
+    """Whether a value is a list that begins with two finite numbers, which texts and truth values are not."""
+    return (
+        isinstance(value, list)
+        and len(value) >= 2
+        and all(type(along) in (int, float) and math.isfinite(along) for along in value[:2])
+    )
 
 
 def _bbox(document: dict[str, Any], extent: Float[np.ndarray, "2 2"]) -> Any:
@@ -123,9 +147,11 @@ def _bbox(document: dict[str, Any], extent: Float[np.ndarray, "2 2"]) -> Any:
     bbox = document.get("bbox")
     if bbox is None:
         return extent
-    if not isinstance(bbox, list) or len(bbox) not in (4, 6):
-        raise ValueError(f'expected "bbox" to be 4 or 6 numbers, got {shortened(bbox)}.')
-    half = len(bbox) // 2
+    half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
+    if not (half and _is_position(bbox) and _is_position(bbox[half:])):
+        raise ValueError(
+            f'expected "bbox" to be 4 finite numbers, [x0, y0, x1, y1], or 6 with altitudes, got {shortened(bbox)}.'
+        )
     return bbox[:2], bbox[half : half + 2]
 
 

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -24,6 +24,9 @@ _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
 _BYTES = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel, where they are not 4
 _BAND = 2**18  # pixels that become numbers at a time
 OPAQUE = 255
+_BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
+_BLACK_IS_ZERO, _SIGNED = 1, 2
+_GRAY_STEP = {"L;2": 85, "L;4": 17}  # of PNG: between two of a few grays, of 256
 
 
 def read_image(
@@ -43,7 +46,7 @@ def read_image(
 
     Args:
         path: A picture of at most 16,777,216 pixels, 12,582,912 in color: PNG, PGM, PBM, PPM, BMP, GIF
-            (its first frame), JPEG, TIFF or WebP.
+            (its first frame), JPEG, TIFF or WebP, in 8 or 16 bits a color.
         resolution: As for :meth:`Workspace.from_mask`, and so are ``origin``, ``tolerance``, ``drop_specks`` and
             ``squeeze``.
         origin: Of the outer corner of the picture's lower left pixel.
@@ -88,6 +91,7 @@ def opened(path: Path) -> Iterator["Image"]:
             raise ValueError(f"expected a picture ({', '.join(_FORMATS)}), got something else ({error}).") from None
         with picture:
             _require_modest(picture)
+            _require_plain(picture)
             try:
                 turned = ImageOps.exif_transpose(picture)
                 turned.load()
@@ -103,8 +107,24 @@ def _require_modest(picture: "Image") -> None:
             f"expected a picture of at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color, got "
             f"{picture.width:,} x {picture.height:,}: make it smaller."
         )
-    if picture.mode == "F":
-        raise ValueError("expected black, gray or color in 8 or 16 bits, got a picture of floating-point numbers.")
+
+
+def _require_plain(picture: Any) -> None:
+    """Refuse pixels of which Pillow does not tell how light they are, or which of them are transparent."""
+    raw = str(picture.tile[0][3]) if picture.tile else ""
+    tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # more than 8 bits of gray
+    is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
+    if tags and is_deep:
+        is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
+    if picture.mode == "F" or not is_plain:
+        raise ValueError(
+            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of others: save it "
+            "in 8 bits."
+        )
+    if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
+        raise ValueError("expected a transparent color of 8 bits, got one of 16: save it with an alpha channel.")
+    if raw in _GRAY_STEP and "transparency" in picture.info:  # which Pillow counts otherwise than pixels
+        picture.info["transparency"] *= _GRAY_STEP[raw]
 
 
 class Band(NamedTuple):
@@ -129,7 +149,8 @@ def _light_of(
     part: "Image",
 ) -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
     if part.mode.startswith("I"):
-        return np.asarray(part, np.int32), 2**16 - 1, None
+        light, clear = np.asarray(part, np.int32), part.info.get("transparency")
+        return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
     if part.mode in ("1", "L") and "transparency" not in part.info:
         return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
     red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)

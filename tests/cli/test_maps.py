@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from cli_helpers import run
 from PIL import Image
 
 from plr_jax import scenes
@@ -90,3 +91,19 @@ def test_a_picture_is_read_as_the_options_say(tmp_path):
     assert workspace.free_space.area == 6
     with pytest.raises(ValueError, match="No pixel"):
         NamedMap(str(tmp_path / "a.png"), threshold=0.9).read()
+
+
+def test_only_pictures_are_of_pixels(tmp_path):
+    Image.fromarray(np.full((4, 6), 255, np.uint8)).save(tmp_path / "a.png")
+    (tmp_path / "scan.yaml").write_text("image: a.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    (tmp_path / "team.yaml").write_text(
+        "environment: {min: [0, 0], max: [3, 2]}\n"
+        "robots: [{type: single_integrator_0, start: [1, 1, 0], goal: [2, 1, 0]}]\n"
+    )
+    (tmp_path / "b.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
+    scenes.save(scenes.maze(), tmp_path / "c.json")
+    names = {"a.png": True, "scan.yaml": True, "team.yaml": False, "b.map": False, "c.json": False}
+    found = {name: NamedMap(str(tmp_path / name)).is_of_pixels() for name in names}
+    assert found == names and not NamedMap("maze").is_of_pixels()
+    result = run("build", tmp_path / "team.yaml", "--goal", "1,1", "--max-leaves", 4, "-o", tmp_path / "team.plr")
+    assert result.exit_code == 0 and "drop-specks" not in result.stdout and not result.stdout.startswith("map")

@@ -179,8 +179,9 @@ def test_progressive_files_are_such_and_keep_their_label_when_they_are_written_a
     assert whole.to_bytes() == data and whole.file_marks == ends(data)[:-1] and whole.label == "walls"
     save(whole, tmp_path / "whole.plr")
     assert load(tmp_path / "whole.plr").to_bytes() == data
-    for mark in whole.file_marks:
+    for number, mark in enumerate(whole.file_marks):
         assert from_bytes(data[:mark]).label == "walls"
+        assert from_bytes(data[:mark]).file_marks == whole.file_marks[:number]
     assert whole.with_label("").with_label("walls").to_bytes() == data
     assert from_bytes(whole.with_label("").to_bytes()).label == ""
 

@@ -170,6 +170,31 @@ def test_other_addresses_are_refused(url):
         plr_jax.open_url(url)
 
 
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("http://anne:secret@localhost:1/a", "http://***@localhost:1/a"),
+        ("https://anne:secret@host/a@b", "https://***@host/a@b"),
+        ("http://anne:sec@ret@host", "http://***@host"),
+        ("http://anne:sec ret@host/a", "http://***@host/a"),
+        ("http://anne@host?secret", "http://***@host?secret"),
+        ("HTTPS://anne:secret@host/a", "HTTPS://***@host/a"),
+        ("ftp://anne:secret@host/a", "ftp://***@host/a"),
+        ("anne:secret@host/a", "***@host/a"),
+    ],
+)
+def test_no_error_shows_a_password(url, shown):
+    with pytest.raises(ValueError, match="url must") as caught:
+        plr_jax.open_url(url)
+    assert f"got '{shown}'" in str(caught.value) and "anne" not in str(caught.value)
+
+
+def test_an_address_may_have_an_at_sign_behind_the_host():
+    plr = plr_jax.construct(lambda x: x[:, 0], UNIT, max_leaves=4)
+    with serving(**{"file": b"", "a@b": plr.to_bytes()}) as (_, url):
+        assert plr_jax.open_url(url.replace("/file", "/a@b")).to_bytes() == plr.to_bytes()
+
+
 def test_what_is_no_plr_names_its_address():
     plr = plr_jax.construct(lambda x: x[:, 0], UNIT, max_leaves=4)
     good = plr.to_bytes()
@@ -221,6 +246,8 @@ PARTIAL = b"HTTP/1.1 206 Partial\r\nContent-Length: 10\r\n"
     [
         (raw(b"HTTP/1.1 404 Gone\r\nContent-Length: 0\r\n\r\n"), OSError, "answered 404"),
         (raw(b"HTTP/1.1 500 Ill\r\nContent-Length: 0\r\n\r\n"), OSError, "answered 500"),
+        (raw(b"HTTP/1.1 500 \x1b[2J\r\nContent-Length: 0\r\n\r\n"), OSError, r"answered 500 '\\x1b\[2J'"),
+        (raw(b"\x1b[2J\r\n"), OSError, r"BadStatusLine '\\x1b\[2J"),
         (raw(b""), OSError, "cannot be reached|does not answer as a web server does"),
         (raw(b"SSH-2.0\r\n"), OSError, "does not answer as a web server does"),
         (raw(b"HTTP/1.1 200 OK\r\n" + b"X: y\r\n" * 500 + b"\r\n"), OSError, "does not answer as a web server"),

@@ -1,3 +1,4 @@
+import itertools
 import json
 import warnings
 
@@ -95,12 +96,25 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ("[" * 10**5, "expected JSON"),
         ([1], "expected GeoJSON"),
         ({"type": "Topology"}, "expected GeoJSON"),
-        (collection(), "the file has no polygon"),
-        (collection(shapely.Point(1, 2)), r"features\[0\]: expected Polygon, .* got 'Point'"),
-        (collection(TABLE, shapely.LineString([(0, 0), (1, 1)])), r"features\[1\]: .* got 'LineString'"),
-        ({"type": "FeatureCollection", "features": [3]}, r"features\[0\]: expected a GeoJSON object, got 3"),
-        ({"type": "FeatureCollection"}, "expected"),
-        ({"type": "Polygon", "coordinates": 3}, "polygon: expected a list of rings"),
+        (collection(), "expected a polygon at least, got none"),
+        (collection(None), "expected a polygon at least, got none"),
+        (collection(shapely.Point(1, 2)), r"features\[0\] geometry: expected .*, Polygon, got 'Point'"),
+        (collection(TABLE, shapely.LineString([(0, 0), (1, 1)])), r"features\[1\] geometry: .* got 'LineString'"),
+        ({"type": "FeatureCollection", "features": [3]}, r"features\[0\]: expected an object .* got 3"),
+        ({"type": "FeatureCollection"}, 'the file: a FeatureCollection needs the key "features", .* has only type'),
+        ({"type": "FeatureCollection", "features": {}}, '"features" of a FeatureCollection to be a list, got {}'),
+        ({"type": "Feature", "id": 1}, 'the file: a Feature needs the key "geometry", .* has only type, id'),
+        ({"type": "Feature", "geometry": []}, r'geometry: expected an object of "type" .* got \[\]'),
+        ({"type": "Feature", "geometry": {"coordinates": []}}, r"geometry: expected an object .* got {'coord"),
+        ({"type": "GeometryCollection"}, 'a GeometryCollection needs the key "geometries"'),
+        ({"type": "MultiPolygon"}, 'a MultiPolygon needs the key "coordinates"'),
+        ({"type": "Polygon"}, 'the file: a Polygon needs the key "coordinates"'),
+        (feature(TABLE) | {"geometry": {"type": "Polygon"}}, 'geometry: a Polygon needs the key "coordinates"'),
+        ({"type": "Polygon", "coordinates": 3}, 'the file: expected "coordinates" of a Polygon to be a list, got 3'),
+        ({"type": "Polygon", "coordinates": SQUARE}, r"polygon: expected a ring, .* got \[0, 0\]"),
+        ({"type": "Polygon", "coordinates": [[["0", "0"], ["1", "0"], ["0", "1"]]]}, "of numbers, got"),
+        ({"type": "Polygon", "coordinates": [["12", "34", "57"]]}, "of numbers, got"),
+        ({"type": "Polygon", "coordinates": [[[True, False], [2, 0], [2, 1]]]}, "of numbers, got"),
         ({"type": "Polygon", "coordinates": []}, "polygon: expected a list of rings"),
         ({"type": "Polygon", "coordinates": [SQUARE[:2]]}, "at least 3 finite points"),
         ({"type": "Polygon", "coordinates": [[[0, 0], [1], [1, 1]]]}, "at least 3 finite points"),
@@ -109,11 +123,12 @@ SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
         ('{"type": "Polygon", "coordinates": [[[0, 0], [1e999, 1], [1, 1]]]}', "at least 3 finite points"),
         ({"type": "Polygon", "coordinates": [[[0, 0], [2, 2], [2, 0], [0, 2]]]}, "polygon is not a simple polygon"),
         ({"type": "Polygon", "coordinates": [[[0, 0], [1, 1], [2, 2]]]}, "zero area"),
-        (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 or 6 numbers'),
-        (collection(TABLE, bbox=["a", 0, 1, 1]), "must be numbers"),
-        (collection(TABLE), "no free space"),
+        (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 finite numbers'),
+        (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
+        (collection(TABLE), "no free space: .* bounding box of the polygons: give the file a \"bbox\" .* 'free'"),
+        (collection(TABLE, bbox=[2, 2, 4, 5]), "no free space: the obstacles cover its bounds.$"),
     ],
-    ids=range(21),
+    ids=itertools.count(),
 )
 def test_what_is_no_map_is_refused_by_name(document, message, tmp_path):
     with pytest.raises(ValueError, match=rf"(?s)^\S*a\.geojson: .*{message}"):

@@ -83,9 +83,79 @@ def chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def png(width, height, data=b""):
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+def png(width, height, data=b"", bits=8, kind=0, transparent=()):
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0))
+    clear = chunk(b"tRNS", struct.pack(f">{len(transparent)}H", *transparent)) if transparent else b""
+    return b"\x89PNG\r\n\x1a\n" + header + clear + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+
+
+def tiff(pixels, bits, sample_format=1, photometric=1):
+    """One row of a gray TIFF."""
+    data = pixels.tobytes()
+    values = {256: len(data) * 8 // bits, 257: 1, 258: bits, 259: 1, 262: photometric, 273: 8, 277: 1, 278: 1}
+    values |= {279: len(data), 339: sample_format}
+    tags = b"".join(struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in values.items())
+    return struct.pack("<2sHI", b"II", 42, 8 + len(data)) + data + struct.pack("<H", len(values)) + tags + bytes(4)
+
+
+GRAYS = np.array([0, 1000, 40_000, 65_535])
+
+
+@pytest.mark.parametrize(("clear", "free"), [((), [0, 0, 1, 1]), ((1000,), [0, 1, 1, 1]), ((0,), [1, 0, 1, 1])])
+def test_a_transparent_gray_of_16_bits_is_seen_on_white_paper(clear, free, tmp_path):
+    (tmp_path / "a.png").write_bytes(png(4, 1, b"\0" + GRAYS.astype(">u2").tobytes(), 16, transparent=clear))
+    same(scenes.read_image(tmp_path / "a.png"), np.array([free], bool))
+
+
+@pytest.mark.parametrize(("bits", "row"), [(1, b"\x50"), (2, b"\x1b"), (4, b"\x05\xaf")])
+def test_a_transparent_gray_of_few_bits_is_seen_on_white_paper(bits, row, tmp_path):
+    levels = np.array([0, 1, 0, 1] if bits == 1 else [0, 1, 2, 3] if bits == 2 else [0, 5, 10, 15])
+    for clear in range(2**bits):
+        (tmp_path / "a.png").write_bytes(png(4, 1, b"\0" + row, bits, transparent=(clear,)))
+        free = (levels == clear) | (levels > (2**bits - 1) / 2)
+        same(scenes.read_image(tmp_path / "a.png"), free[None])
+
+
+def test_a_transparent_color_of_16_bits_is_refused(tmp_path):
+    pixels = b"\0" + np.repeat(GRAYS, 3).astype(">u2").tobytes()
+    (tmp_path / "a.png").write_bytes(png(4, 1, pixels, 16, kind=2))
+    same(scenes.read_image(tmp_path / "a.png"), np.array([[False, False, True, True]]))
+    (tmp_path / "a.png").write_bytes(png(4, 1, pixels, 16, kind=2, transparent=(3, 3, 3)))
+    with pytest.raises(
+        ValueError, match=r"a\.png: expected a transparent color of 8 bits, got one of 16: save it with"
+    ):
+        scenes.read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(("photometric", "pixels"), [(1, GRAYS // 257), (0, 255 - GRAYS // 257)])
+def test_gray_tiff_of_8_bits_is_read(photometric, pixels, tmp_path):
+    (tmp_path / "a.tif").write_bytes(tiff(pixels.astype(np.uint8), 8, photometric=photometric))
+    same(scenes.read_image(tmp_path / "a.tif"), np.array([[False, False, True, True]]))
+
+
+def test_gray_tiff_of_16_bits_is_read(tmp_path):
+    (tmp_path / "a.tif").write_bytes(tiff(GRAYS.astype("<u2"), 16))
+    same(scenes.read_image(tmp_path / "a.tif"), np.array([[False, False, True, True]]))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        tiff(GRAYS.astype("<u4"), 32),
+        tiff(GRAYS.astype("<i4"), 32, 2),
+        tiff(np.array([0, -5, 1000, 32767], "<i2"), 16, 2),
+        tiff(np.array([0, -5, 127], "i1"), 8, 2),
+        tiff(GRAYS.astype("<u2"), 16, photometric=0),
+        tiff(np.array([0, 15, 255, 128, 15, 255], np.uint8), 12),
+        tiff(np.array([0, 0.5, 1], "<f4"), 32, 3),
+    ],
+    ids=["u32", "i32", "i16", "i8", "white is 0", "u12", "f32"],
+)
+def test_tiff_of_other_numbers_is_refused(data, tmp_path):
+    (tmp_path / "a.tif").write_bytes(data)
+    expected = "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of others"
+    with pytest.raises(ValueError, match=rf"a\.tif: {expected}: save it in 8 bits"):
+        scenes.read_image(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,11 @@ class HeldFile:
 
     @property
     def file_marks(self) -> tuple[int, ...]:
-        """Where the file may be cut off, in bytes from its start, to be one of less: see :func:`progressive`."""
-        return Header.read(self.to_bytes()).marks
+        """Where the file may be cut off, in bytes from its start, to be one of less: see :func:`progressive`.
+
+        Of a file that was cut off at a mark, those before it.
+        """
+        return tuple(mark for mark in Header.read(self.to_bytes()).marks if mark < self.num_bytes)
 
     @property
     def label(self) -> str:

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, require_integer, shortened
-from plr_jax.plr._assembly import plr_of_leaves
+from plr_jax.plr._assembly import plr_of_leaves, with_certificate
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents
 from plr_jax.plr._filled import filled_coefficients
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.branch_and_bound import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
+from plr_jax.plr.growth.limits import BudgetTooSmall
 from plr_jax.plr.layers.overlay import leaves_that_meet
 from plr_jax.plr.leaves.base import UNIT
 from plr_jax.plr.partition.tree import tree_of_levels
@@ -36,13 +37,15 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
     a PLR of so many bytes that :func:`construct` builds is far better among obstacles.
 
     Args:
-        plr: The PLR. Where it answers ``inf``, nothing is said.
+        plr: The PLR. Where it answers ``inf``, nothing is said; where it answers less than 0, as no distance is, the
+            lower bound is 0 all the same.
         max_bytes: Largest size of the coarser PLR's file.
         leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
         seed: Seed of the samples' scrambling.
 
     Returns:
-        The coarser PLR.
+        The coarser PLR, with the label of ``plr``. That itself if it has so few bytes, with the proof that it has; if
+        it has none and there is room for one, with that of its answers, which is of rounding alone.
 
     Raises:
         ValueError: If it is no PLR, ``max_bytes`` is too small for one leaf with its proof, or the coarser PLR would
@@ -53,17 +56,23 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
     require_integer("max_bytes", max_bytes, 1)
     proof = proof_of(True, as_bool("leaf_bounds", leaf_bounds))
     fine = plr._contents
+    if plr.num_bytes <= max_bytes:
+        whole = plr if plr.max_error is not None else with_certificate(plr, _certificate(fine, fine, proof))
+        if whole.num_bytes <= max_bytes:
+            return whole
     unfolded = plr_of_leaves(replace(fine, folding=None, certificate=None))
-    around = len(plr_of_leaves(replace(fine, certificate=None)).to_bytes()) - unfolded.num_bytes  # by a folding
+    framed = plr_of_leaves(replace(fine, certificate=None)).with_label(plr.label)
+    around = framed.num_bytes - unfolded.num_bytes  # by a folding and a label
     build = partial(construct, lambda x: np.asarray(unfolded(x)), unfolded.domain, leaf=plr.leaf.name, seed=seed)
-    room = int(max_bytes) - around - proof.num_bits(1) // 8
+    of_proof = -(-proof.num_bits(1) // 8)
+    room = int(max_bytes) - around - of_proof
     for _ in range(_MOST_TRIES):
         try:
-            found = build(max_bytes=room)._contents
-        except ValueError as error:
-            raise ValueError(
-                f"max_bytes={max_bytes:,} leaves {room:,} of them for one without proof and folding: {error}"
-            ) from error
+            found = build(max_bytes=max(room, 1))._contents
+        except BudgetTooSmall as error:
+            least = error.num_bytes + around + of_proof
+            what = "one leaf with its proof, and with folding and label where there are some,"
+            raise BudgetTooSmall(float(max_bytes), least, what) from error
         taken = len(plr_of_leaves(found).to_bytes())
         size = taken + around + -(-proof.num_bits(len(found.cells)) // 8)
         if size <= max_bytes:
@@ -72,7 +81,7 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
     else:
         raise ValueError(f"max_bytes={max_bytes:,} is too small for a coarser PLR with a proof.")
     coarse = replace(found, folding=fine.folding)
-    return plr_of_leaves(replace(coarse, certificate=_certificate(coarse, fine, proof)))
+    return plr_of_leaves(replace(coarse, certificate=_certificate(coarse, fine, proof))).with_label(plr.label)
 
 
 def _certificate(coarse: Contents, fine: Contents, proof: Proof) -> Certificate:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_queries
+from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.reading import read_bytes
@@ -67,7 +67,12 @@ class NumpyPLR:
 
     def __init__(self, data: bytes):
         """Of the bytes of a file; raises ``ValueError`` saying what is wrong with them."""
-        self._program = program = Program.of_file(data)
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise ValueError(
+                f"data must be the bytes of a PLR file, got {shortened(data)}; of a file's name use load_numpy, of a "
+                "PLR plr.numpy()."
+            )
+        self._program = program = Program.of_file(bytes(data))
         num_leaves = len(program.cells)
         self._table = LeafTable.of(program.coded_tree(np.arange(num_leaves)))
         self._numbers = program.numbers[:, program.dim * program.leaf.is_of_cells :]

@@ -49,7 +49,7 @@ class _Header:
     def introduction(self) -> list[str]:
         """What the header is, and what it includes."""
         program, name = self.program, self.name
-        domain, guard = program.domain, f"{name.upper()}_H"
+        domain, guard = program.domain, f"PLR_JAX_{name}_H"  # which names that differ in case alone do not share
         ends = [
             f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
             for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)

@@ -1,5 +1,6 @@
 """Bounds of a coarser PLR are proven from the two alone: they hold wherever the finer one answers."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from plr_helpers import UNIT, cone, points, random_contents
 
 import plr_jax
 from plr_jax.plr._assembly import plr_of_leaves
-from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves import leaf_model, leaf_names
 
 SCENE = plr_jax.scenes.maze()
 ORACLE = plr_jax.VisibilityGraph(SCENE.workspace, SCENE.goals[0])
@@ -89,10 +90,22 @@ def test_what_cannot_be_coarsened_is_refused():
     plr = plr_jax.construct(cone, UNIT, max_leaves=30)
     with pytest.raises(ValueError, match="Only a PLR can be coarsened"):
         plr_jax.coarsen(cone, 300)
-    with pytest.raises(ValueError, match="max_bytes"):
-        plr_jax.coarsen(plr, 20)
-    with pytest.raises(ValueError, match="max_bytes"):
+    with pytest.raises(ValueError, match="max_bytes must be an integer >= 1, got 0"):
         plr_jax.coarsen(plr, 0)
+
+
+@pytest.mark.parametrize("leaf", leaf_names())
+@pytest.mark.parametrize("label", ["", "maze --goal=0,0"])
+def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough(leaf, label):
+    plr = plr_jax.construct(cone, UNIT, leaf=leaf, max_leaves=30).with_label(label)
+    for max_bytes in (1, 20):
+        with pytest.raises(ValueError, match=f"max_bytes={max_bytes} is too small: one leaf .* takes") as told:
+            plr_jax.coarsen(plr, max_bytes)
+    least = int(re.search(r"takes (\d+) bytes; allow at least that", str(told.value))[1])
+    coarse = plr_jax.coarsen(plr, least)
+    assert coarse.num_bytes <= least and coarse.label == label and coarse.max_error is not None
+    with pytest.raises(ValueError, match="is too small"):
+        plr_jax.coarsen(plr, least - 2)
 
 
 def test_a_coarser_plr_of_a_plr_that_fits_is_as_good():
@@ -101,6 +114,24 @@ def test_a_coarser_plr_of_a_plr_that_fits_is_as_good():
     assert coarse.max_error < 1e-2
     x = points(1000, 0)
     np.testing.assert_allclose(coarse(x), plr(x), rtol=0, atol=coarse.max_error)
+
+
+@pytest.mark.parametrize("leaf", leaf_names())
+def test_what_fits_stays_what_it_is(leaf):
+    bounds = SCENE.workspace.bounds
+    proven = plr_jax.construct(ORACLE, bounds, leaf=leaf, max_bytes=600, certified=True).with_label("maze")
+    for max_bytes in (proven.num_bytes, 10**6):
+        for leaf_bounds in (False, True):
+            assert plr_jax.coarsen(proven, max_bytes, leaf_bounds=leaf_bounds) is proven
+    assert plr_jax.coarsen(proven, proven.num_bytes - 1).num_bytes < proven.num_bytes
+    plr = plr_jax.construct(ORACLE, bounds, leaf=leaf, max_bytes=600).with_label("maze")
+    x = corners_and_random(plr, 4000, 0)
+    for leaf_bounds in (False, True):
+        same = plr_jax.coarsen(plr, 4000, leaf_bounds=leaf_bounds)
+        assert same.label == "maze" and same.num_leaves == plr.num_leaves and same.max_error < 2e-3
+        np.testing.assert_array_equal(same(x), plr(x))
+        assert_within(same, plr, x)
+    assert plr_jax.coarsen(plr, plr.num_bytes).num_bytes <= plr.num_bytes  # without room for a proof
 
 
 @pytest.mark.parametrize(("leaf", "dim"), [("plane", 2), ("cone", 4)])

@@ -70,9 +70,12 @@ def test_code_is_small_and_asks_for_nothing(plr, tmp_path, compiler):
     assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_"}
 
 
-def test_two_headers_live_side_by_side(tmp_path, compiler):
-    text = case("car").c_header("a") + case("maze of cones").c_header("b")
-    (tmp_path / "a.c").write_text(text + "int main(void) { return 0; }\n")
+@pytest.mark.parametrize("names", [("a", "b"), ("a", "A"), ("a", "a_H"), ("Maze", "maze")])
+def test_two_headers_live_side_by_side(names, tmp_path, compiler):
+    text = "".join(case(of).c_header(name) for of, name in zip(("car", "maze of cones"), names, strict=True))
+    call = "".join(f"{name}_distance(&x[{i}]) + " for i, name in enumerate(names))
+    main = f"int main(void) {{ static const float x[4] = {{0}}; return {call}0 > 0; }}\n"
+    (tmp_path / "a.c").write_text(text + main)
     subprocess.run([compiler, "-std=c99", *STRICT, "-fsyntax-only", tmp_path / "a.c"], check=True)
 
 
