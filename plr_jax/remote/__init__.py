@@ -26,9 +26,10 @@ def open_url(
     """The PLR or PairPLR in a file on a web server, or the finest one that its first bytes hold.
 
     A file made by :func:`progressive` is one of a coarser PLR, with its proof, wherever it is cut off at one of its
-    marks. With ``max_bytes`` only so many bytes are fetched, in one request. Of a PairPLR the first part is enough to
-    answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of the distance to the goal,
-    which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many corners.
+    marks. With ``max_bytes`` only so many bytes are fetched, in one request. Of a PairPLR the first part, the outline
+    of free space, is enough to answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of
+    the distance to the goal, which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many
+    corners.
 
     Args:
         url: An address that begins with ``http://`` or ``https://``.

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
+from plr_jax.plr.pairs.joined import distances_by_rows
 from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.query.frame import unresolved_types
@@ -86,7 +87,8 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     partition = build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes)
     size, rows = padded_size(count + 1), size_in_eighths(len(cells))
     distances = np.full((size, size), np.inf, np.float32)
-    distances[:count, :count] = stored.distances
+    for first, part in distances_by_rows(stored.points, stored.edges):
+        distances[first : first + len(part), :count] = part
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
     corners = _seen_corners(stored, _MARGIN * width)
