@@ -18,6 +18,8 @@ from plr_jax.remote.ranges import Fetched, fetch
 
 _FIRST_BYTES = 4096
 """What is asked for first where it has to be seen how much to ask for: the header, and of small maps all."""
+_TIMES = 3
+"""Bytes of the PLR of one goal for each of the outline: corners take a few, and cones name them."""
 
 
 def open_url(
@@ -115,7 +117,7 @@ def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
 
 
 def _to_goal(stored: Stored, num_bytes: int, goal: ArrayLike) -> PLR:
-    """The distance to a goal in the workspace that pairs are of, in a file about as large as what was fetched."""
+    """The distance to a goal in the workspace that pairs are of, in a file of a few times what was fetched."""
     workspace = stored.workspace
     exact = VisibilityGraph(workspace, goal)
-    return construct(exact, workspace.bounds, leaf="cone", max_bytes=max(num_bytes, _FIRST_BYTES))
+    return construct(exact, workspace.bounds, leaf="cone", max_bytes=max(_TIMES * num_bytes, _FIRST_BYTES))
