@@ -85,7 +85,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     partition = build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes)
-    size, rows = padded_size(count + 1), size_in_eighths(len(cells))
+    size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
     distances = _distances_table(stored, size)
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
@@ -164,6 +164,11 @@ def _beside(
     return result
 
 
+def last_bits_of(size: int) -> np.uint32:
+    """The bits of a number that tell as many corners."""
+    return np.uint32(padded_size(size) - 1)
+
+
 @jax.jit
 def _ways_to_leaves(
     distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
@@ -171,7 +176,7 @@ def _ways_to_leaves(
     """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
     rows, longest = listed.shape
     size = len(distances)
-    last_bits = np.uint32(size - 1)  # a power of two less 1
+    last_bits = last_bits_of(size)
 
     def of_leaves(leaves):
         corners, near = leaves
