@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from plr_jax._arrays import as_finite_point, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.plr import PLR, PairPLR, construct, from_bytes
 from plr_jax.plr.file.container import MOST_BYTES, PAIRS_CODE, Header
@@ -59,7 +60,8 @@ def open_url(
     timeout = as_number("timeout", timeout, f"seconds from 0 to {limit:g}", lambda seconds: 0 < seconds <= limit)
     most = MOST_BYTES if max_bytes is None else min(int(max_bytes), MOST_BYTES)
     if goal is not None:
-        return _to_goal(*_first_part(url, most, timeout), as_finite_point("The goal", goal, 2))
+        goal = as_finite_point("The goal", goal, 2)
+        return _to_goal(*_outline(url, most, timeout), goal)
     fetched = fetch(url, most, timeout)
     while max_bytes is None and not fetched.is_complete:  # a server may send less than what it was asked for
         known = len(fetched.data)
@@ -99,8 +101,8 @@ def _cut(fetched: Fetched, header: Header, max_bytes: int | None) -> int:
     return marks[-1]
 
 
-def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
-    """What the first part of a file of pairs holds, and its bytes."""
+def _outline(url: str, most: int, timeout: float) -> tuple[Workspace, int]:
+    """The workspace that the first part of a file of pairs holds the outline of, and its bytes."""
     fetched = fetch(url, min(most, _FIRST_BYTES), timeout)
     with _named(url):
         header = Header.read(fetched.data)
@@ -113,11 +115,10 @@ def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
         if len(fetched.data) == known:
             raise OSError(f"{url} broke off after {known:,} of {mark:,} bytes.")
     with _named(url):
-        return Stored.from_bytes(fetched.data[:mark]), mark
+        return Stored.from_bytes(fetched.data[:mark]).workspace, mark
 
 
-def _to_goal(stored: Stored, num_bytes: int, goal: ArrayLike) -> PLR:
-    """The distance to a goal in the workspace that pairs are of, in a file of a few times what was fetched."""
-    workspace = stored.workspace
+def _to_goal(workspace: Workspace, num_bytes: int, goal: ArrayLike) -> PLR:
+    """The distance to a goal in a workspace, in a file of a few times what was fetched of its outline."""
     exact = VisibilityGraph(workspace, goal)
     return construct(exact, workspace.bounds, leaf="cone", max_bytes=max(_TIMES * num_bytes, _FIRST_BYTES))

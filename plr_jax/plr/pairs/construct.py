@@ -124,8 +124,11 @@ def _with_roundings(stored: Stored, true: Float[np.ndarray, "corners 2"], slack:
         difference = largest_difference(true, stored.edges, stored.points, edges)
         return float(np.nextafter(np.float32(2 * moved + difference + slack), np.float32(np.inf)))
 
-    of_joined = rounding(stored.edges)
-    edges = replace(stored, joined=None).edges
-    of_outline = of_joined if np.array_equal(edges, stored.edges) else rounding(edges)
-    is_told = of_outline <= RECEDING * float(stored.domain.width.max())
-    return replace(stored, rounding=of_joined, rounding_of_outline=of_outline if is_told else None)
+    stored = replace(stored, rounding=rounding(stored.edges))
+    try:
+        edges = replace(stored, joined=None).edges
+    except ValueError:  # details narrower than the lattice leave an outline of nothing
+        return stored
+    of_outline = stored.rounding if np.array_equal(edges, stored.edges) else rounding(edges)
+    is_as_good = of_outline <= RECEDING * float(stored.domain.width.max())
+    return replace(stored, rounding_of_outline=of_outline if is_as_good else None)

@@ -49,10 +49,14 @@ class PairPLR(HeldFile):
     def tables(self) -> PairTables:
         """What a query reads, derived from the file alone when it is first asked for.
 
-        They are many times as large as the file, and may take as many times as long as it to make.
+        They are many times as large as the file, and may take as many times as long as it to make. Raises
+        ``ValueError`` if the file was cut off behind its outline, and that is none.
         """
         with jax.ensure_compile_time_eval():  # also where a function is traced that closes over it
-            return build_pair_tables(self.stored, self.num_bytes)
+            try:
+                return build_pair_tables(self.stored, self.num_bytes)
+            except ValueError as error:
+                raise ValueError(f"The file cannot be asked: {error}.") from error
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
         """The tables and the file."""

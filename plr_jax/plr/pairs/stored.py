@@ -48,7 +48,7 @@ WIDEST = 1e18
 """Width of the widest domain: squares of distances stay within 32-bit floats."""
 MOST_NUMBERS = 2**24
 """Leaves times corners, where there are several leaves: of a table that queries read."""
-_MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**8, 2**20
+_MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +100,18 @@ class Stored:
 
     @property
     def workspace(self) -> "Workspace":
-        """The workspace whose free space the outline bounds, with corners on the outline's lattice."""
-        from plr_jax.geometry.workspace import Workspace  # which a query does not need
+        """The workspace whose free space the outline bounds, with corners on the outline's lattice.
 
-        return Workspace.from_polygons([self.outline.region], self.domain, squeeze=self.outline.may_squeeze)
+        Raises ``ValueError`` if the outline is none of a workspace, which is not found out before it is asked for.
+        """
+        import shapely  # which a query does not need
+
+        from plr_jax.geometry.workspace import Workspace
+
+        try:
+            return Workspace.from_polygons([self.outline.region], self.domain, squeeze=self.outline.may_squeeze)
+        except (ValueError, shapely.errors.ShapelyError) as error:
+            raise ValueError(f"its outline bounds no workspace: {error}") from error
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
@@ -219,16 +227,17 @@ def _write_lists(
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """The leaves' lists that come next; raises ``ValueError`` where they have more entries than a level may have."""
-    corner = np.flatnonzero(~body.read_set(count))
+    """The leaves' lists that come next; raises ``ValueError`` where they have more entries than all may have."""
+    corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:
         place = tree.leaf_of_node[nodes[node]]
         parts.append((place[place >= 0], corner[place >= 0]))
+        listed_so_far += len(parts[-1][0])
         halves = _halves(tree, split)
         first = np.searchsorted(node, np.arange(len(nodes) + 1))
         parent = np.repeat(np.searchsorted(nodes, split), 2)
-        if int((first[parent + 1] - first[parent]).sum()) > most:
+        if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
         rows, node = run_members(first, parent)
         corner = corner[rows]
