@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 from plr_jax._arrays import as_finite_point, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.plr import PLR, PairPLR, construct, from_bytes
 from plr_jax.plr.file.container import MOST_BYTES, PAIRS_CODE, Header
@@ -19,6 +20,8 @@ from plr_jax.remote.ranges import Fetched, fetch
 
 _FIRST_BYTES = 4096
 """What is asked for first where it has to be seen how much to ask for: the header, and of small maps all."""
+_TIMES = 3
+"""Bytes of the PLR of one goal for each of the outline: corners take a few, and cones name them."""
 
 
 def open_url(
@@ -27,9 +30,10 @@ def open_url(
     """The PLR or PairPLR in a file on a web server, or the finest one that its first bytes hold.
 
     A file made by :func:`progressive` is one of a coarser PLR, with its proof, wherever it is cut off at one of its
-    marks. With ``max_bytes`` only so many bytes are fetched, in one request. Of a PairPLR the first part is enough to
-    answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of the distance to the goal,
-    which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many corners.
+    marks. With ``max_bytes`` only so many bytes are fetched, in one request. Of a PairPLR the first part, the outline
+    of free space, is enough to answer, if slower; with a ``goal`` only that is fetched, and compressed into a PLR of
+    the distance to the goal, which takes as long as :class:`VisibilityGraph` and :func:`construct` do for so many
+    corners.
 
     Args:
         url: An address that begins with ``http://`` or ``https://``, without a user's name and password.
@@ -59,7 +63,8 @@ def open_url(
     timeout = as_number("timeout", timeout, f"seconds from 0 to {limit:g}", lambda seconds: 0 < seconds <= limit)
     most = MOST_BYTES if max_bytes is None else min(int(max_bytes), MOST_BYTES)
     if goal is not None:
-        return _to_goal(*_first_part(url, most, timeout), as_finite_point("The goal", goal, 2))
+        goal = as_finite_point("The goal", goal, 2)
+        return _to_goal(*_outline(url, most, timeout), goal)
     fetched = fetch(url, most, timeout)
     while max_bytes is None and not fetched.is_complete:  # a server may send less than what it was asked for
         known = len(fetched.data)
@@ -104,8 +109,8 @@ def _cut(fetched: Fetched, header: Header, max_bytes: int | None) -> int:
     return marks[-1]
 
 
-def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
-    """What the first part of a file of pairs holds, and its bytes."""
+def _outline(url: str, most: int, timeout: float) -> tuple[Workspace, int]:
+    """The workspace that the first part of a file of pairs holds the outline of, and its bytes."""
     fetched = fetch(url, min(most, _FIRST_BYTES), timeout)
     with _named(url):
         header = Header.read(fetched.data)
@@ -118,11 +123,10 @@ def _first_part(url: str, most: int, timeout: float) -> tuple[Stored, int]:
         if len(fetched.data) == known:
             raise OSError(f"{url} broke off after {known:,} of {mark:,} bytes.")
     with _named(url):
-        return Stored.from_bytes(fetched.data[:mark]), mark
+        return Stored.from_bytes(fetched.data[:mark]).workspace, mark
 
 
-def _to_goal(stored: Stored, num_bytes: int, goal: ArrayLike) -> PLR:
-    """The distance to a goal in the workspace that pairs are of, in a file about as large as what was fetched."""
-    workspace = stored.workspace
+def _to_goal(workspace: Workspace, num_bytes: int, goal: ArrayLike) -> PLR:
+    """The distance to a goal in a workspace, in a file of a few times what was fetched of its outline."""
     exact = VisibilityGraph(workspace, goal)
-    return construct(exact, workspace.bounds, leaf="cone", max_bytes=max(num_bytes, _FIRST_BYTES))
+    return construct(exact, workspace.bounds, leaf="cone", max_bytes=max(_TIMES * num_bytes, _FIRST_BYTES))

@@ -107,15 +107,19 @@ class BitReader:
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
         """The next set, of so many that may be members; raises ``ValueError`` if it names another one."""
+        member = np.zeros(size, bool)
+        member[self.read_members(size)] = True
+        return member
+
+    def read_members(self, size: int) -> Int[np.ndarray, "members"]:
+        """The members of the next set, ascending; so what is read takes no more memory than they do."""
         num_members = int(self.read_alike(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
         gaps = self.read_coded(num_members)
         if (gaps >= size).any() or (index := np.cumsum(gaps + 1) - 1).max(initial=-1) >= size:
             raise ValueError(f"it names a member beyond the last of {size}")
-        member = np.zeros(size, bool)
-        member[index] = True
-        return member
+        return index
 
     def read_coded(self, num_values: int) -> Int[np.ndarray, "n"]:
         """The next Exp-Golomb codes; raises ``ValueError`` past the end or where one is too large."""

@@ -25,6 +25,7 @@ Layout of version 5, with numbers as in ``fields.py``:
 
 The last layer is the PLR. Layers before it are coarser PLRs of the same domain, each complete in itself: a file that
 is cut off behind one of them, at a *mark*, is one of that PLR. So whoever fetches a file need not fetch all of it.
+Those of pairs each add to the ones before; cut off at a mark, the file is one of the same pairs, which take longer.
 """
 
 import struct
@@ -58,7 +59,7 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Layer:
-    """A PLR of the file's domain; its body is the bit stream."""
+    """A PLR of the file's domain, or a part of what is known of pairs; its body is the bit stream."""
 
     leaf_code: int
     body: bytes

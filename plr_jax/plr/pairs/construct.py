@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.boundary import Boundary
@@ -13,17 +13,18 @@ from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.pairs.growth import Lists, grow_lists
+from plr_jax.plr.pairs.joined import in_order, largest_difference, taut_edges
 from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
-from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, shortest_distances
+from plr_jax.plr.pairs.stored import MOST_CORNERS, MOST_NUMBERS, WIDEST, Stored
 from plr_jax.plr.pairs.tables import RECEDING
 from plr_jax.plr.pairs.visible_corners import visible_corners
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 
 DEFAULT_MAX_BYTES = 2**16
 _SLACK = 8  # tolerances of the workspace
-_MOST_NUMBERS = 2**24  # of the table of leaves and corners
 
 
 def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> PairPLR:
@@ -72,22 +73,25 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
             "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
         )
     corner, rank = _corners_in_outline(outline, vertex, visibility, boundary)
-    edges = np.sort(rank[_taut_edges(visibility)], axis=1)
+    edges = in_order(rank[taut_edges(visibility)])
+    undivided = levels_of(Cells.root(2))[0], np.zeros(0, np.int64), np.zeros(0, np.int64)
+    unlisted = Stored(domain, outline, corner, edges, *undivided, 0.0, None)
+    true = np.empty_like(unlisted.points)
+    true[rank] = visibility.corners.points
+    unlisted = _with_roundings(unlisted, true, _SLACK * workspace.tolerance)
 
     def stored(lists: Lists) -> Stored:
         levels, order = levels_of(lists.cells)
         place = np.argsort(order)[lists.cell]
         by_leaf = np.lexsort((rank[lists.corner], place))
-        return Stored(domain, outline, corner, edges, levels, place[by_leaf], rank[lists.corner][by_leaf], 0.0)
+        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
 
-    most_leaves = max(1, min(limits.max_leaves, _MOST_NUMBERS // max(1, len(corner))))
+    most_leaves = max(1, min(limits.max_leaves, MOST_NUMBERS // max(1, len(corner))))
     root = visible_corners(visibility, workspace, domain)
     lists = grow_lists(root, domain, limits, most_leaves, lambda lists: len(stored(lists).to_bytes()))
     if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
         raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
-    found = stored(lists)
-    rounding = _rounding(found, visibility, rank, _SLACK * workspace.tolerance)
-    return pairs_of_stored(replace(found, rounding=float(np.nextafter(np.float32(rounding), np.float32(np.inf)))))
+    return pairs_of_stored(stored(lists))
 
 
 def _corners_in_outline(
@@ -107,21 +111,24 @@ def _corners_in_outline(
     return np.sort(point), rank
 
 
-def _taut_edges(visibility: CornerVisibility) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that see one another and whose line is tangent at both: what shortest paths are made of."""
-    corners, (i, j) = visibility.corners, visibility.edges.T
-    return visibility.edges[corners.is_tangent(i, j) & corners.is_tangent(j, i)]
-
-
-def _rounding(stored: Stored, visibility: CornerVisibility, rank: Int[np.ndarray, "corners"], slack: float) -> float:
-    """The largest difference in length between a way by the corners as a file rounds them and by the true ones.
+def _with_roundings(stored: Stored, true: Float[np.ndarray, "corners 2"], slack: float) -> Stored:
+    """With the largest difference in length between a way by the corners as a file rounds them and by the true ones.
 
     A way has two legs, each of which changes by no more than its corner moves, and the distance between these
-    corners, of which all are compared. The slack is how well visibility itself is known.
+    corners, of which all are compared: by the joined pairs, and by those that follow from the outline if they are
+    as good as queries are beside walls. The slack is how well visibility itself is known.
     """
-    true = np.empty_like(stored.points)
-    true[rank] = visibility.corners.points
     moved = float(np.linalg.norm(true - stored.points, axis=1).max(initial=0.0))
-    exact, kept = shortest_distances(true, stored.edges), stored.distances
-    finite = np.isfinite(exact)
-    return 2 * moved + float(np.abs(kept[finite] - exact[finite]).max(initial=0.0)) + slack
+
+    def rounding(edges: Int[np.ndarray, "edges 2"]) -> float:
+        difference = largest_difference(true, stored.edges, stored.points, edges)
+        return float(np.nextafter(np.float32(2 * moved + difference + slack), np.float32(np.inf)))
+
+    stored = replace(stored, rounding=rounding(stored.edges))
+    try:
+        edges = replace(stored, joined=None).edges
+    except ValueError:  # details narrower than the lattice leave an outline of nothing
+        return stored
+    of_outline = stored.rounding if np.array_equal(edges, stored.edges) else rounding(edges)
+    is_as_good = of_outline <= RECEDING * float(stored.domain.width.max())
+    return replace(stored, rounding_of_outline=of_outline if is_as_good else None)

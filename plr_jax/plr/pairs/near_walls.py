@@ -18,6 +18,9 @@ _RUN = 4  # leaves, or runs of them, that are looked at together: neighbors in t
 _STEP = 4
 _COST = 4  # of all walls, as many are tested in the time of one that is read for each point
 _AT_ONCE = 2**16  # pairs of an entry and a wall
+_BLOCK = 2**20  # pairs of a corner and a wall: of as many corners, the walls near all entries are found together
+_MOST_TESTS = 2**25  # of a block, in one round
+_MOST_PAIRS = 2**24  # of an entry and a wall near it
 
 
 @jax.tree_util.register_dataclass
@@ -37,17 +40,20 @@ class NearWalls:
 
     @staticmethod
     def of(
-        walls: Float[np.ndarray, "walls 4"],
-        entry: Int[np.ndarray, "near"],
-        wall: Int[np.ndarray, "near"],
+        boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
         leaf: Int[np.ndarray, "entries"],
+        corner: Float[np.ndarray, "entries 2"],
+        walls: Float[np.ndarray, "walls 4"],
+        margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Those of pairs of an entry and a wall, for lists of a shape; None if to test all walls takes no longer."""
+        """Those of :func:`near_entries`, for lists of a shape; None if to test all walls takes no longer."""
+        worth = len(walls) // _COST // _STEP * _STEP
+        if (near := near_entries(boxes, leaf, corner, walls, margin, worth)) is None:
+            return None
+        entry, wall = near
         counts = np.bincount(entry, minlength=len(leaf))
         most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
-        if most * _COST > len(walls):
-            return None
         first = np.zeros(shape, np.uint32)
         first[runs(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
@@ -66,7 +72,8 @@ def near_entries(
     corner: Float[np.ndarray, "entries 2"],
     walls: Float[np.ndarray, "walls 4"],
     margin: float,
-) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]:
+    most: int,
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
     """Pairs of an entry of a list and a wall near the hull of the leaf's box and the corner listed.
 
     Args:
@@ -75,14 +82,29 @@ def near_entries(
         corner: Where its corner is.
         walls: Ends of the walls.
         margin: The distance. Few other walls are told too.
+        most: How many walls may be near one entry.
 
     Returns:
-        The entry of each pair, ascending, and its wall.
+        The entry of each pair, ascending, and its wall. None if more are near an entry, or in all more than memory
+        should hold.
     """
-    if not len(leaf) or not len(walls):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     _, number = np.unique(corner, axis=0, return_inverse=True)
-    return _near_entries(boxes, leaf, number, corner, walls, margin)
+    by_corner = np.argsort(number, kind="stable")
+    first = np.searchsorted(number[by_corner], np.arange(number.max(initial=-1) + 2))
+    found, count = [np.zeros((2, 0), np.int32)], 0
+    for block in parts(np.full(len(first) - 1, len(walls)), _BLOCK):
+        entries = np.sort(by_corner[first[block.start] : first[block.stop]])
+        near = _near_entries(boxes, leaf[entries], number[entries] - block.start, corner[entries], walls, margin)
+        if (
+            near is None
+            or np.bincount(near[0]).max(initial=0) > most
+            or (count := count + len(near[0])) > _MOST_PAIRS
+        ):
+            return None
+        found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
+    entry, wall = np.concatenate(found, axis=1)
+    order = np.argsort(entry, kind="stable")
+    return entry[order], wall[order]
 
 
 def _near_entries(
@@ -92,22 +114,28 @@ def _near_entries(
     corner: Float[np.ndarray, "entries 2"],
     walls: Float[np.ndarray, "walls 4"],
     margin: float,
-) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]:
-    """Pairs of an entry and a wall near its hull, ascending in the entries; corners have numbers."""
+) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
+    """Pairs of an entry and a wall near its hull, the entry ascending; corners have numbers. None if too many."""
     lo, hi = boxes
     if len(lo) == 1:
-        first, candidates = np.array([0, len(walls)]), np.arange(len(walls))
+        first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
         above = np.zeros(len(leaf), np.int64)
     else:
         begin = np.arange(0, len(lo), _RUN)
         of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
-        key = leaf // _RUN * (number.max() + 1) + number
+        key = leaf // _RUN * (number.max(initial=0) + 1) + number
         _, which, above = np.unique(key, return_index=True, return_inverse=True)
-        entry, candidates = _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)
+        near = _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)
+        if near is None:
+            return None
+        entry, candidates = near
         first = np.searchsorted(entry, np.arange(len(which) + 1))
-    some = np.flatnonzero(first[above + 1] > first[above])
-    all_walls, found = _rows(walls), []
-    for part in parts(first[above[some] + 1] - first[above[some]], _AT_ONCE // 2):
+    tests = first[above + 1] - first[above]
+    if tests.sum() > _MOST_TESTS:
+        return None
+    some = np.flatnonzero(tests).astype(np.int32)
+    all_walls, found = _rows(walls), [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, bool))]
+    for part in parts(tests[some], _AT_ONCE // 2):
         entries = some[part]
         place, row = run_members(first, above[entries])
         hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], corner[entries]], axis=1))
@@ -115,9 +143,9 @@ def _near_entries(
             wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]
             is_near = _are_near(hulls, _indices(of_entry), all_walls, _indices(wall), margin)
             found.append((entries[of_entry], wall, is_near))  # computed while the next ones are listed
-    entry, wall = (np.concatenate([column[i] for column in found]) for i in range(2))
     is_near = np.concatenate([np.asarray(each)[: len(wall)] for _, wall, each in found])
-    return entry[is_near], wall[is_near]
+    entry, wall = (np.concatenate([column[i] for column in found])[is_near] for i in range(2))
+    return entry, wall
 
 
 def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:

@@ -16,6 +16,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
 _COUNT_BITS = 32
+_AT_ONCE = 2**5  # walls of which it is found what they cross
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +80,13 @@ class Outline:
     def region(self) -> Any:
         """Free space: of the faces between the walls those from which a ray crosses an odd number of walls.
 
-        Rings may touch one another and themselves, so they are no polygons.
+        Rings may touch one another and themselves, so they are no polygons. Raises ``ValueError`` if they cross more
+        often than details narrower than the lattice make them.
         """
         import shapely
 
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
+        _require_few_crossings(ends)
         walls: Any = shapely.union_all(shapely.linestrings(ends))
         faces: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
         px, py = shapely.get_coordinates(shapely.point_on_surface(faces)).T[:, :, None]
@@ -131,6 +134,21 @@ class Outline:
         body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
         for along in self.points.T:
             body.write_signed(np.diff(along, prepend=0))
+
+
+def _require_few_crossings(ends: Float[np.ndarray, "walls 2 2"]) -> None:
+    """Raise ``ValueError`` where walls meet beside their ends more often than there are walls."""
+    import shapely
+
+    walls: Any = shapely.linestrings(ends)
+    tree = shapely.STRtree(walls)
+    of_ends: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
+    for each, predicate, most in ((walls, "crosses", 2 * len(walls)), (of_ends, "intersects", 3 * len(walls))):
+        meetings = 0
+        for begin in range(0, len(each), _AT_ONCE):
+            meetings += tree.query(each[begin : begin + _AT_ONCE], predicate=predicate).shape[1]
+            if meetings > most:
+                raise ValueError(f"the {len(walls):,} walls of its outline cross one another too often")
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:

@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, UInt8
 
 from plr_jax._arrays import padded
@@ -29,21 +31,51 @@ _ROUNDINGS = 16
 _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
 
 
-@jax.tree_util.register_dataclass
+@jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(HeldFile):
     """The distance between any two points of a planar workspace.
 
-    Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over it or
-    take it as an argument.
+    Made by :func:`construct_pairs` and :func:`load_pairs`. It is a pytree of arrays: a jitted function can close over
+    it or take it as an argument.
 
     Attributes:
-        tables: What a query reads, derived from ``file`` alone.
         file: The bytes that :func:`save` writes, padded with zeros, then their number (see ``held``).
     """
 
-    tables: PairTables
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+
+    @cached_property
+    def tables(self) -> PairTables:
+        """What a query reads, derived from the file alone when it is first asked for.
+
+        They are many times as large as the file, and may take as many times as long as it to make. Raises
+        ``ValueError`` if the file was cut off behind its outline, and that is none.
+        """
+        with jax.ensure_compile_time_eval():  # also where a function is traced that closes over it
+            try:
+                return build_pair_tables(self.stored, self.num_bytes)
+            except ValueError as error:
+                raise ValueError(f"The file cannot be asked: {error}.") from error
+
+    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
+        """The tables and the file."""
+        return ((GetAttrKey("tables"), self.tables), (GetAttrKey("file"), self.file)), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
+        """That of tables and a file."""
+        tables, file = children
+        pairs = cls(file)
+        vars(pairs)["tables"] = tables
+        return pairs
+
+    def with_label(self, label: str) -> "PairPLR":
+        """The same with another label, and with the tables if there are any: see :meth:`HeldFile.with_label`."""
+        labeled = super().with_label(label)
+        if "tables" in vars(self):
+            vars(labeled)["tables"] = self.tables
+        return labeled
 
     def __call__(self, x: ArrayLike, y: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Distance between points: the length of the shortest path in free space.
@@ -170,9 +202,9 @@ def pairs_of_stored(stored: Stored) -> PairPLR:
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
     """The PairPLR that a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
-    stored = Stored.from_bytes(data)
-    tables = build_pair_tables(stored, len(data))
-    return PairPLR(tables, held(data))
+    pairs = PairPLR(held(data))
+    vars(pairs)["stored"] = Stored.from_bytes(data)
+    return pairs
 
 
 @partial(jax.jit, static_argnames="outside")

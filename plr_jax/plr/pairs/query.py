@@ -18,7 +18,7 @@ import numpy as np
 from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 
-from plr_jax.plr.pairs.tables import PairTables
+from plr_jax.plr.pairs.tables import PairTables, last_bits_of
 from plr_jax.plr.query.lookup import lookup
 
 _AT_ONCE = 2**14
@@ -208,7 +208,7 @@ def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
     """At most the length of the way by each corner of the first point's list."""
     listed = tables.listed[search.leaf_x].astype(jnp.uint32)
     size = len(tables.distances)
-    last_bits = np.uint32(size - 1)  # a power of two less 1
+    last_bits = last_bits_of(size)
     onward = _at(tables.onward.ravel(), search.leaf_y[:, None] * size + listed)
     last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
     x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))

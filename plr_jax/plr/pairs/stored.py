@@ -1,14 +1,22 @@
 """What the file of a PairPLR holds, and its layout.
 
-It is a PLR file (see ``plr/file/container.py``) of two layers, whose leaf model has the code 7. The first one, from
-which all distances follow, is:
+It is a PLR file (see ``plr/file/container.py``) of three layers, whose leaf model has the code 7. The first one is
+all that one goal needs:
 
     the largest error of a distance from the rounding of the points to the outline's lattice, a 32-bit float
     the outline of free space (see ``outline.py``)
     which of its points are corners, a set
+
+Where a file was cut off behind it, corners are joined as they are in the outline's free space (see ``joined.py``);
+the error is that of distances which follow from this. The second one saves finding that out, and knows of the true
+walls what the lattice rounds:
+
+    the largest error of a distance, again, by the pairs that follow
     which pairs of corners are joined, a set of the pairs in order of the later corner
 
-The second one is what makes queries quick. Where it was cut off, there is one leaf, which lists all corners.
+Where details narrower than the lattice make the outline tell other distances, these pairs stand in the first layer
+instead, behind the corners, and there are two layers; the error is theirs. The last one is what makes queries quick.
+Where it was cut off, there is one leaf, which lists all corners.
 
     the tree over the leaves
     the corners that are listed: for the root those that it leaves out of all, a set; then for the halves of the split
@@ -21,14 +29,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import run_members
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import PAIRS_CODE, Container, Layer
 from plr_jax.plr.file.tree import read_tree, write_tree
+from plr_jax.plr.pairs.joined import derived_edges
 from plr_jax.plr.pairs.outline import Outline, read_outline
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import Level, Tree, levels_of, tree_of_levels
@@ -39,7 +46,9 @@ if TYPE_CHECKING:
 MOST_CORNERS = 2**13
 WIDEST = 1e18
 """Width of the widest domain: squares of distances stay within 32-bit floats."""
-_MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**8, 2**20
+MOST_NUMBERS = 2**24
+"""Leaves times corners, where there are several leaves: of a table that queries read."""
+_MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,21 +59,24 @@ class Stored:
         domain: The box.
         outline: Free space.
         corner: Points of the outline that are corners, ascending.
-        edges: Pairs of corners that a shortest path may join straight, the earlier one first.
+        joined: Pairs of corners that a shortest path may join straight, the earlier one first, if the file says it.
         levels: The tree over the leaves.
         leaf: The leaf of each entry of a list, in the order of the tree's traversal.
         listed: Its corner; ascending in a leaf.
         rounding: The largest error of a distance from the rounding of the points to the outline's lattice.
+        rounding_of_outline: The same where the joined pairs are those of the outline's free space; None if that
+            tells other distances.
     """
 
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, "corners"]
-    edges: Int[np.ndarray, "edges 2"]
+    joined: Int[np.ndarray, "edges 2"] | None
     levels: list[Level]
     leaf: Int[np.ndarray, "entries"]
     listed: Int[np.ndarray, "entries"]
     rounding: float
+    rounding_of_outline: float | None
 
     @cached_property
     def tree(self) -> Tree:
@@ -82,38 +94,43 @@ class Stored:
         return self.outline.positions[self.corner]
 
     @cached_property
-    def distances(self) -> Float[np.ndarray, "corners corners"]:
-        """Shortest distances between corners; ``inf`` where there is no path."""
-        return shortest_distances(self.points, self.edges)
+    def edges(self) -> Int[np.ndarray, "edges 2"]:
+        """Pairs of corners that a shortest path may join straight, the earlier one first."""
+        return derived_edges(self.workspace, self.outline, self.corner) if self.joined is None else self.joined
 
     @property
     def workspace(self) -> "Workspace":
-        """The workspace whose free space the outline bounds, with corners on the outline's lattice."""
+        """The workspace whose free space the outline bounds, with corners on the outline's lattice.
+
+        Raises ``ValueError`` if the outline is none of a workspace, which is not found out before it is asked for.
+        """
         import shapely  # which a query does not need
 
         from plr_jax.geometry.workspace import Workspace
 
-        domain = self.domain
-        walls = shapely.box(*domain.lo, *domain.hi).difference(self.outline.region)
-        squeeze = self.outline.may_squeeze
-        return Workspace(domain, [part for part in shapely.get_parts(walls) if part.area], squeeze=squeeze)
+        try:
+            return Workspace.from_polygons([self.outline.region], self.domain, squeeze=self.outline.may_squeeze)
+        except (ValueError, shapely.errors.ShapelyError) as error:
+            raise ValueError(f"its outline bounds no workspace: {error}") from error
 
     def to_bytes(self) -> bytes:
         """The bytes of the file."""
-        body, count = BitWriter(), len(self.corner)
-        body.write_floats(np.array([self.rounding]))
-        self.outline.write(body)
+        first, pairs, lists = BitWriter(), BitWriter(), BitWriter()
+        first.write_floats(
+            np.array([self.rounding if self.rounding_of_outline is None else self.rounding_of_outline])
+        )
+        self.outline.write(first)
         is_corner = np.zeros(len(self.outline.points), bool)
         is_corner[self.corner] = True
-        body.write_set(is_corner)
-        is_joined = np.zeros(count * (count - 1) // 2, bool)
-        is_joined[_number_of_pair(self.edges)] = True
-        body.write_set(is_joined)
-        lists = BitWriter()
+        first.write_set(is_corner)
+        if self.rounding_of_outline is None:
+            _write_pairs(first, self.edges, len(self.corner))
+        else:
+            _write_pairs(pairs.write_floats(np.array([self.rounding])), self.edges, len(self.corner))
         write_tree(lists, self.levels, 2)
-        _write_lists(lists, self.tree, self.leaf, self.listed, count)
-        layers = Layer(PAIRS_CODE, body.to_bytes()), Layer(PAIRS_CODE, lists.to_bytes())
-        return Container(self.domain, layers).to_bytes()
+        _write_lists(lists, self.tree, self.leaf, self.listed, len(self.corner))
+        bodies = [first, lists] if self.rounding_of_outline is None else [first, pairs, lists]
+        return Container(self.domain, tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in bodies)).to_bytes()
 
     @staticmethod
     def from_bytes(data: bytes) -> "Stored":
@@ -121,46 +138,62 @@ class Stored:
         container = Container.from_bytes(data)
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
             raise ValueError("it holds the distance to one goal; use load")
-        first, *others = container.layers
-        if len(others) > 1 or any(layer.proof_code for layer in container.layers) or container.folding is not None:
-            raise ValueError(f"its pairs have {len(others)} layers of lists, proofs or folded points")
+        if any(layer.proof_code for layer in container.layers) or container.folding is not None:
+            raise ValueError("its pairs have proofs or folded points")
         domain = container.domain
         if domain.dim != 2 or domain.is_periodic:
             raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
         if not domain.width.max() <= WIDEST:
             raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
-        body = BitReader(first.body)
-        rounding = float(body.read_floats(1)[0])
-        if not 0 <= rounding < np.inf:
-            raise ValueError(f"its distances err by {rounding}")
+        body, *others = (BitReader(layer.body) for layer in container.layers)
+        rounding = _read_rounding(body)
         outline = read_outline(body, domain.lo)
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         count = len(corner)
         if count > MOST_CORNERS:
             raise ValueError(f"it has {count} corners; at most {MOST_CORNERS} are read")
-        edges = _pair_of_number(np.flatnonzero(body.read_set(count * (count - 1) // 2)))
+        joined, rounding_of_outline = None, None
+        if not body.at_end():
+            joined = _read_pairs(body, count)
+        else:
+            rounding_of_outline = rounding
+            if others:
+                body = others.pop(0)
+                rounding, joined = _read_rounding(body), _read_pairs(body, count)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         levels, leaf, listed = levels_of(Cells.root(2))[0], np.zeros(count, np.int64), np.arange(count)
+        if len(others) > 1:
+            raise ValueError(f"its pairs have {len(others)} layers of lists")
         if others:
-            body = BitReader(others[0].body)
+            body = others[0]
             levels = read_tree(body, 2)
+            if (leaves := 1 + sum(len(level.axis) for level in levels)) > max(1, MOST_NUMBERS // max(1, count)):
+                raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
             most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
             leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
             if not body.at_end():
                 raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, edges, levels, leaf, listed, rounding)
+        return Stored(domain, outline, corner, joined, levels, leaf, listed, rounding, rounding_of_outline)
 
 
-def shortest_distances(
-    points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
-) -> Float[np.ndarray, "n n"]:
-    """Shortest distances between points some of which are joined; ``inf`` where there is no path."""
-    if not len(points):
-        return np.zeros((0, 0))
-    start, end = edges.T
-    lengths = np.linalg.norm(points[start] - points[end], axis=1)
-    return dijkstra(coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr(), directed=False)
+def _read_rounding(body: BitReader) -> float:
+    rounding = float(body.read_floats(1)[0])
+    if not 0 <= rounding < np.inf:
+        raise ValueError(f"its distances err by {rounding}")
+    return rounding
+
+
+def _write_pairs(body: BitWriter, edges: Int[np.ndarray, "edges 2"], count: int) -> None:
+    """Append pairs of so many corners."""
+    is_joined = np.zeros(count * (count - 1) // 2, bool)
+    is_joined[_number_of_pair(edges)] = True
+    body.write_set(is_joined)
+
+
+def _read_pairs(body: BitReader, count: int) -> Int[np.ndarray, "edges 2"]:
+    """The pairs of so many corners that come next, in order of the later one."""
+    return _pair_of_number(body.read_members(count * (count - 1) // 2))
 
 
 def _number_of_pair(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, "pairs"]:
@@ -194,16 +227,17 @@ def _write_lists(
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """The leaves' lists that come next; raises ``ValueError`` where they have more entries than a level may have."""
-    corner = np.flatnonzero(~body.read_set(count))
+    """The leaves' lists that come next; raises ``ValueError`` where they have more entries than all may have."""
+    corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:
         place = tree.leaf_of_node[nodes[node]]
         parts.append((place[place >= 0], corner[place >= 0]))
+        listed_so_far += len(parts[-1][0])
         halves = _halves(tree, split)
         first = np.searchsorted(node, np.arange(len(nodes) + 1))
         parent = np.repeat(np.searchsorted(nodes, split), 2)
-        if int((first[parent + 1] - first[parent]).sum()) > most:
+        if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
         rows, node = run_members(first, parent)
         corner = corner[rows]

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
-from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
+from plr_jax.plr.pairs.joined import distances_by_rows
+from plr_jax.plr.pairs.near_walls import NearWalls
 from plr_jax.plr.pairs.stored import Stored
 from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
@@ -84,9 +85,8 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     partition = build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes)
-    size, rows = padded_size(count + 1), size_in_eighths(len(cells))
-    distances = np.full((size, size), np.inf, np.float32)
-    distances[:count, :count] = stored.distances
+    size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
+    distances = _distances_table(stored, size)
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
     corners = _seen_corners(stored, _MARGIN * width)
@@ -95,18 +95,18 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     boxes = cells.grown_boxes(domain)
     receding = RECEDING * width
     walls = stored.outline.moved_walls(receding) - np.tile(middle, 2)
-    near = near_entries(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width)
+    near = NearWalls.of(boxes, stored.leaf, points[stored.listed], walls, _MARGIN * width, listed.shape)
     proud = stored.outline.moved_points(-2 * receding)[stored.corner] - middle
     farther = float(np.linalg.norm(proud + middle - stored.points, axis=1).max(initial=0.0))
     x, y = (along[listed] for along in points.T)
     return PairTables(
         partition=partition,
         walls=_groups_of_walls(walls),
-        near=NearWalls.of(walls, *near, stored.leaf, listed.shape),
+        near=near,
         x=_in_32_bits(x),
         y=_in_32_bits(y),
         listed=jnp.asarray(listed),
-        distances=jnp.asarray(distances),
+        distances=distances,
         onward=_ways_to_leaves(distances, listed, _beside(points[listed], *boxes)),
         corners=_in_32_bits(padded(points, size, np.inf)),
         middle=_in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
@@ -116,6 +116,14 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
         unresolved=unresolved_types(stored.domain),
     )
+
+
+def _distances_table(stored: Stored, size: int) -> Float[Array, "size size"]:
+    """Distances between corners, padded: the largest table by far, of which no copy stays."""
+    distances = np.full((size, size), np.inf, np.float32)
+    for first, rows in distances_by_rows(stored.points, stored.edges):
+        distances[first : first + len(rows), : len(stored.corner)] = rows
+    return jnp.asarray(distances)
 
 
 def _seen_corners(stored: Stored, distance: float) -> Float[np.ndarray, "corners 2"]:
@@ -156,6 +164,11 @@ def _beside(
     return result
 
 
+def last_bits_of(size: int) -> np.uint32:
+    """The bits of a number that tell as many corners."""
+    return np.uint32(padded_size(size) - 1)
+
+
 @jax.jit
 def _ways_to_leaves(
     distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
@@ -163,7 +176,7 @@ def _ways_to_leaves(
     """The corner of each leaf's list by which the shortest way from each corner goes, and the shortest by another."""
     rows, longest = listed.shape
     size = len(distances)
-    last_bits = np.uint32(size - 1)  # a power of two less 1
+    last_bits = last_bits_of(size)
 
     def of_leaves(leaves):
         corners, near = leaves

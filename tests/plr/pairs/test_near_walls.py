@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import shapely
 
+from plr_jax.plr.pairs import near_walls
 from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
 
 
@@ -32,7 +33,7 @@ def hulls(boxes, leaf, corner):
 def test_every_wall_that_comes_near_is_told_and_few_others(leaves, corners, walls):
     boxes, leaf, corner, walls = random_case(leaves, leaves, corners, walls)
     margin = 1e-3
-    entry, wall = near_entries(boxes, leaf, corner, walls, margin)
+    entry, wall = near_entries(boxes, leaf, corner, walls, margin, len(walls))
     found = np.zeros((len(leaf), len(walls)), bool)
     found[entry, wall] = True
     assert found.sum() == len(entry) and (np.diff(entry) >= 0).all()
@@ -42,18 +43,26 @@ def test_every_wall_that_comes_near_is_told_and_few_others(leaves, corners, wall
     assert found[apart > 3 * margin].mean() < 0.01
 
 
+@pytest.mark.parametrize("block", [1, 130, 1000])
+def test_corners_are_looked_at_in_blocks_of_any_size(monkeypatch, block):
+    case = random_case(5, 21, 7, 60)
+    together = near_entries(*case, 1e-3, 60)
+    monkeypatch.setattr(near_walls, "_BLOCK", block)
+    np.testing.assert_array_equal(near_entries(*case, 1e-3, 60), together)
+
+
 def test_nothing_is_near_nothing():
     boxes, leaf, corner, walls = random_case(0, 4, 3, 5)
     for some, others in ((leaf[:0], walls), (leaf, walls[:0])):
-        entry, wall = near_entries(boxes, some, corner[: len(some)], others, 1e-3)
+        entry, wall = near_entries(boxes, some, corner[: len(some)], others, 1e-3, 0)
         assert len(entry) == len(wall) == 0
 
 
 def test_the_walls_of_an_entry_are_read_at_its_place():
     boxes, leaf, corner, walls = random_case(1, 9, 6, 400)
     walls[:, 2:] = walls[:, :2] + 0.05 * (walls[:, 2:] - walls[:, :2])
-    pairs = near_entries(boxes, leaf, corner, walls, 1e-6)
-    near = NearWalls.of(walls, *pairs, leaf, (9, 8))
+    pairs = near_entries(boxes, leaf, corner, walls, 1e-6, 400)
+    near = NearWalls.of(boxes, leaf, corner, walls, 1e-6, (9, 8))
     assert near is not None
     place = np.arange(len(leaf)) - np.searchsorted(leaf, leaf)
     ends = np.moveaxis(np.asarray(near(*(jnp.asarray(each.astype(np.uint32)) for each in (leaf, place)))), 0, 2)
@@ -64,4 +73,14 @@ def test_the_walls_of_an_entry_are_read_at_its_place():
 
 def test_where_most_walls_are_near_all_are_tested():
     boxes, leaf, corner, walls = random_case(2, 5, 4, 8)
-    assert NearWalls.of(walls, *near_entries(boxes, leaf, corner, walls, 1e-6), leaf, (5, 8)) is None
+    assert NearWalls.of(boxes, leaf, corner, walls, 1e-6, (5, 8)) is None
+
+
+@pytest.mark.parametrize("limit", ["_MOST_TESTS", "_MOST_PAIRS"])
+def test_more_than_memory_should_hold_are_not_found(monkeypatch, limit):
+    case = random_case(5, 21, 7, 60)
+    entry, _ = near_entries(*case, 1e-3, 60)
+    most = int(np.bincount(entry).max())
+    assert near_entries(*case, 1e-3, most) is not None and near_entries(*case, 1e-3, most - 1) is None
+    monkeypatch.setattr(near_walls, limit, len(entry) - 1)
+    assert near_entries(*case, 1e-3, most) is None

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import tracemalloc
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,11 @@ from piece_helpers import fan_workspace, general_workspace, lattice_workspace
 
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
+from plr_jax.plr.file.container import Header
+from plr_jax.plr.pairs.outline import Outline
+from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
+from plr_jax.plr.pairs.stored import Stored
+from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of
 
 MAZE = scenes.maze().workspace
@@ -71,6 +77,117 @@ def test_any_workspace_is_exact_and_bounded(make, seed, squeeze):
     assert (np.asarray(lower)[np.isfinite(truth)] >= truth[np.isfinite(truth)] - 1e-4 * scale).all()
     if not squeeze:  # between walls that touch nothing is certainly free
         assert np.isfinite(upper[np.isfinite(truth)]).mean() > 0.9
+
+
+def assert_exact_and_bounded(pairs, workspace, seed):
+    x, y = some_pairs(workspace, 6, 40, seed)
+    truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
+    np.testing.assert_allclose(pairs(x, y), truth, atol=3e-6 * scale)
+    lower, upper = (np.asarray(bound, np.float64) for bound in pairs.bounds(x, y))
+    assert (lower <= truth).all() and (upper >= truth).all()
+    assert (lower[np.isfinite(truth)] >= truth[np.isfinite(truth)] - 1e-4 * scale).all()
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+@pytest.mark.parametrize("make", [general_workspace, lattice_workspace])
+def test_every_prefix_is_exact_and_bounded(make, squeeze):
+    workspace = make(np.random.default_rng(3), squeeze)
+    pairs = construct_pairs(workspace, max_bytes=2048)
+    assert len(pairs.file_marks) == 2
+    for mark in pairs.file_marks:
+        assert_exact_and_bounded(pairs_from_bytes(pairs.to_bytes()[:mark]), workspace, seed=3)
+
+
+def flat_arc(height):
+    """An obstacle whose top turns by less than the lattice tells."""
+    top = np.stack([3 + np.linspace(0, 4, 9), 5 + height * np.sin(np.linspace(0, np.pi, 9))], axis=1)
+    return Workspace(((0, 0), (10, 10)), [[*top.tolist(), (7, 2), (3, 2)]])
+
+
+def narrow_gap(width):
+    lower, upper = [(4, 0), (6, 0), (6, 5), (4, 5)], [(4.1, 5 + width), (6, 5 + width), (6, 10), (4.1, 10)]
+    return Workspace(((0, 0), (10, 10)), [lower, np.add(upper, (1 / 3, 0))])
+
+
+@pytest.mark.parametrize("workspace", [flat_arc(1e-8), flat_arc(1e-7), narrow_gap(1e-8), narrow_gap(1e-7)])
+def test_of_details_that_the_outline_does_not_tell_the_first_part_says_which_corners_are_joined(workspace):
+    pairs = construct_pairs(workspace, max_bytes=2048)
+    (mark,) = pairs.file_marks
+    cut = pairs_from_bytes(pairs.to_bytes()[:mark])
+    assert pairs.stored.rounding_of_outline is None and cut.stored.rounding == pairs.stored.rounding
+    np.testing.assert_array_equal(cut.stored.joined, pairs.stored.joined)
+    for each in (pairs, cut):
+        assert_exact_and_bounded(each, workspace, seed=0)
+
+
+def serpentine(corners):
+    """A file, cut off before its lists, of a corridor with so many corners, each joined to none."""
+    k = np.arange(corners // 2)
+    points = np.concatenate([np.stack([2 * k, 3 * (k % 2)], 1), np.stack([2 * k, 10 + 3 * (k % 2)], 1)[::-1]])
+    outline = Outline(np.zeros(2), 1.0, points, np.array([0, corners]), False)
+    joined, listed = np.zeros((0, 2), np.int64), np.arange(corners)
+    levels = levels_of(Cells.root(2))[0]
+    domain = Box((0, 0), (2 * len(k), 14))
+    stored = Stored(domain, outline, listed, joined, levels, 0 * listed, listed, 1e-3, 1e-3)
+    return stored.to_bytes()
+
+
+def test_to_load_a_file_takes_what_its_bytes_do():
+    """Also where few bytes are of many corners, of which tables take hundreds of megabytes."""
+    data = serpentine(8192)
+    pairs_from_bytes(serpentine(64))  # what is loaded but once is there
+    for size in (*Header.read(data).marks, len(data)):
+        tracemalloc.start()
+        pairs = pairs_from_bytes(data[:size])
+        grown = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert grown < 500 * size < 2**23 and "tables" not in vars(pairs)
+        assert pairs.num_corners == 8192
+
+
+def test_tables_are_made_once_when_they_are_first_needed(maze):
+    x, y = some_pairs(MAZE, 5, 20, seed=4)
+    expected = maze(x, y)
+    for ask in (lambda pairs: pairs(x, y), lambda pairs: jax.jit(pairs.__call__)(x, y)):
+        pairs = pairs_from_bytes(maze.to_bytes())
+        assert "tables" not in vars(pairs) and repr(pairs) == repr(maze)
+        assert "tables" not in vars(pairs.with_label("new"))
+        np.testing.assert_allclose(ask(pairs), expected, rtol=3e-7)
+        tables = vars(pairs)["tables"]
+        assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tables))
+        ask(pairs)
+        assert vars(pairs)["tables"] is tables is pairs.with_label("new").tables
+    fresh = pairs_from_bytes(maze.to_bytes())
+    moved = jax.tree_util.tree_map(jnp.asarray, fresh)
+    np.testing.assert_allclose(moved(x, y), expected, rtol=3e-7)
+    assert moved.to_bytes() == maze.to_bytes()
+    paths = {jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(fresh)}
+    assert {".file", ".tables.distances"} <= paths
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (
+            np.random.default_rng(0).integers(0, 1000, (300, 2)),
+            "300 walls of its outline cross one another too often",
+        ),
+        (np.stack([np.arange(60) % 7, np.zeros(60, int)], axis=1), "too often|bounds no workspace"),
+        (np.array([(2000, 0), (3000, 0), (2000, 1000)]), "bounds no workspace"),
+    ],
+)
+def test_an_outline_of_nothing_is_found_out_when_it_is_asked(points, message):
+    corner = np.arange(len(points))
+    outline, levels = (
+        Outline(np.zeros(2), 1.0, points, np.array([0, len(points)]), False),
+        levels_of(Cells.root(2))[0],
+    )
+    joined = np.zeros((0, 2), np.int64)
+    data = Stored(Box((0, 0), (1000, 1000)), outline, corner, joined, levels, 0 * corner, corner, 0.0, 0.0).to_bytes()
+    first, second = Header.read(data).marks
+    assert np.isfinite(pairs_from_bytes(data[:second])(np.ones(2), np.ones(2)))
+    with pytest.raises(ValueError, match=f"The file cannot be asked: .*({message})"):
+        pairs_from_bytes(data[:first])(np.ones(2), np.ones(2))
 
 
 def test_points_beside_walls_see_nothing_behind_contacts():

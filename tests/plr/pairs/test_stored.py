@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import floyd_warshall
 from plr_jax import Box, construct_pairs, scenes
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import PAIRS_CODE, Container, Header
+from plr_jax.plr.pairs.joined import distances_by_rows
 from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
 from plr_jax.plr.pairs.stored import (
     Stored,
@@ -16,7 +17,6 @@ from plr_jax.plr.pairs.stored import (
     _pair_of_number,
     _read_lists,
     _write_lists,
-    shortest_distances,
 )
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.tree import levels_of, tree_of_levels
@@ -35,14 +35,19 @@ def test_pairs_have_the_numbers_of_an_enumeration():
     np.testing.assert_array_equal(_pair_of_number(_number_of_pair(last)), last)
 
 
-def test_distances_between_corners_are_those_over_the_edges():
+def test_distances_between_corners_are_those_over_the_edges(monkeypatch):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 1, (12, 2))
     edges = np.argwhere(np.triu(rng.random((12, 12)) < 0.2, 1))
     lengths = np.full((12, 12), np.inf)
     lengths[tuple(edges.T)] = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    np.testing.assert_allclose(shortest_distances(points, edges), floyd_warshall(lengths, directed=False))
-    assert shortest_distances(points[:0], edges[:0]).shape == (0, 0)
+    expected = floyd_warshall(lengths, directed=False)
+    for at_once in (1, 12, 24, 50, 1000):
+        monkeypatch.setattr("plr_jax.plr.pairs.joined._AT_ONCE", at_once)
+        first, rows = zip(*distances_by_rows(points, edges), strict=True)
+        np.testing.assert_allclose(np.concatenate(rows), expected)
+        np.testing.assert_array_equal(first, np.cumsum([0, *map(len, rows[:-1])]))
+    assert list(distances_by_rows(points[:0], edges[:0])) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -72,63 +77,85 @@ def test_lists_longer_than_a_file_may_have_are_refused():
 def test_a_file_is_read_as_it_was_written(stored):
     again = Stored.from_bytes(stored.to_bytes())
     assert again.to_bytes() == stored.to_bytes()
-    for name in ("corner", "edges", "leaf", "listed", "rounding", "points", "distances"):
+    for name in ("corner", "joined", "leaf", "listed", "rounding", "rounding_of_outline", "points"):
         np.testing.assert_array_equal(getattr(again, name), getattr(stored, name))
 
 
 def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
     whole = Container.from_bytes(stored.to_bytes())
-    first, second = whole.layers
+    layers = first, pairs, lists = whole.layers
 
     def read(*layers, **given):
         return Stored.from_bytes(Container(**{"domain": whole.domain, "layers": layers, **given}).to_bytes())
 
-    assert read(first, second).to_bytes() == stored.to_bytes()
-    with pytest.raises(ValueError, match="more data than its corners need"):
-        read(replace(first, body=first.body + bytes(9)), second)
-    with pytest.raises(ValueError, match="more data than its leaves need"):
-        read(first, replace(second, body=second.body + bytes(9)))
-    for codes in ((0, PAIRS_CODE), (PAIRS_CODE, 0), (PAIRS_CODE, PAIRS_CODE + 1)):
-        with pytest.raises(ValueError, match="one goal; use load"):
-            read(*(replace(layer, leaf_code=code) for layer, code in zip(whole.layers, codes, strict=True)))
-    with pytest.raises(ValueError, match="its pairs have 2 layers of lists"):
-        read(first, second, second)
-    for layers in ((replace(first, proof_code=1), second), (first, replace(second, proof_code=1))):
+    assert read(*layers).to_bytes() == stored.to_bytes()
+    for place, message in ((0, "end too early|more data than its corners need"), (1, "corners"), (2, "leaves")):
+        longer = list(layers)
+        longer[place] = replace(layers[place], body=layers[place].body + bytes(9))
+        with pytest.raises(ValueError, match=message):
+            read(*longer)
+    for place in range(3):
+        for code in (0, PAIRS_CODE + 1):
+            others = list(layers)
+            others[place] = replace(layers[place], leaf_code=code % 16)
+            if place < 2 or code < 8:
+                with pytest.raises(ValueError, match="one goal; use load"):
+                    read(*others)
+        proven = list(layers)
+        proven[place] = replace(layers[place], proof_code=1)
         with pytest.raises(ValueError, match="proofs"):
-            read(*layers)
+            read(*proven)
+    with pytest.raises(ValueError, match="its pairs have 2 layers of lists"):
+        read(first, pairs, lists, lists)
     for domain in (Box((0,), (1,)), Box((0, 0), (1, 1), periodic=(True, False)), Box((0, 0, 0), (1, 1, 1))):
         with pytest.raises(ValueError, match="they ought to be of a region in the plane"):
-            read(first, second, domain=domain)
+            read(*layers, domain=domain)
     with pytest.raises(ValueError, match=r"1e\+19 wide, more than 1e\+18"):
-        read(first, second, domain=Box((0, 0), (1e19, 1)))
+        read(*layers, domain=Box((0, 0), (1e19, 1)))
 
 
-def test_without_the_lists_there_is_one_leaf_of_all_corners(stored):
+def test_more_leaves_and_corners_than_tables_are_made_of_are_refused(stored, monkeypatch):
+    most = len(stored.cells) * len(stored.corner)
+    monkeypatch.setattr("plr_jax.plr.pairs.stored.MOST_NUMBERS", most)
+    assert len(Stored.from_bytes(stored.to_bytes()).cells) == len(stored.cells) > 1
+    monkeypatch.setattr("plr_jax.plr.pairs.stored.MOST_NUMBERS", most - 1)
+    with pytest.raises(ValueError, match=f"{len(stored.cells)} leaves and 12 corners, more than tables are made of"):
+        Stored.from_bytes(stored.to_bytes())
+
+
+def test_cut_off_at_a_mark_there_is_one_leaf_of_all_corners(stored):
     data = stored.to_bytes()
-    (mark,) = Header.read(data).marks
-    cut = Stored.from_bytes(data[:mark])
-    assert len(cut.cells) == 1 and cut.leaf.tolist() == [0] * len(stored.corner)
-    np.testing.assert_array_equal(cut.listed, np.arange(len(stored.corner)))
-    for name in ("corner", "edges", "rounding", "points", "distances"):
-        np.testing.assert_array_equal(getattr(cut, name), getattr(stored, name))
-    for size in set(range(len(data))) - {mark}:
+    marks = Header.read(data).marks
+    assert len(marks) == 2
+    for mark in marks:
+        cut = Stored.from_bytes(data[:mark])
+        assert len(cut.cells) == 1 and cut.leaf.tolist() == [0] * len(stored.corner)
+        np.testing.assert_array_equal(cut.listed, np.arange(len(stored.corner)))
+        assert (cut.joined is None) == (mark == marks[0])
+        for name in ("corner", "edges", "rounding_of_outline", "points"):
+            np.testing.assert_array_equal(getattr(cut, name), getattr(stored, name))
+    for size in set(range(len(data))) - {*marks}:
         with pytest.raises(ValueError):
             Stored.from_bytes(data[:size])
 
 
-def test_pairs_without_the_lists_have_the_same_distances(stored):
+def test_pairs_that_are_cut_off_have_the_same_distances(stored):
     data = stored.to_bytes()
-    whole, cut = pairs_from_bytes(data), pairs_from_bytes(data[: Header.read(data).marks[0]])
+    whole = pairs_from_bytes(data)
     x, y = scenes.maze().workspace.sample_free(400, 0).reshape(2, 200, 2)
-    assert np.isfinite(whole(x, y)).all() and cut.num_bytes < whole.num_bytes
-    np.testing.assert_allclose(cut(x, y), whole(x, y), rtol=1e-6)
-    to_goal = np.asarray(cut.to(y[0])(x))
-    assert np.abs(to_goal - whole(x, y[0])).mean() < 1e-4  # one leaf is halved as often as that takes
+    assert np.isfinite(whole(x, y)).all()
+    for mark in Header.read(data).marks:
+        cut = pairs_from_bytes(data[:mark])
+        np.testing.assert_allclose(cut(x, y), whole(x, y), rtol=1e-6)
+        to_goal = np.asarray(cut.to(y[0])(x))
+        assert np.abs(to_goal - whole(x, y[0])).mean() < 1e-4  # one leaf is halved as often as that takes
 
 
 def test_distances_that_err_by_no_number_are_refused(stored):
     whole = Container.from_bytes(stored.to_bytes())
-    for number in (np.nan, np.inf, -1.0):
-        first = replace(whole.layers[0], body=np.float32(number).tobytes() + whole.layers[0].body[4:])
-        with pytest.raises(ValueError, match="its distances err by"):
-            Stored.from_bytes(replace(whole, layers=(first, whole.layers[1])).to_bytes())
+    for place in (0, 1):
+        for number in (np.nan, np.inf, -1.0):
+            layers = list(whole.layers)
+            layers[place] = replace(layers[place], body=np.float32(number).tobytes() + layers[place].body[4:])
+            with pytest.raises(ValueError, match="its distances err by"):
+                Stored.from_bytes(replace(whole, layers=tuple(layers)).to_bytes())
