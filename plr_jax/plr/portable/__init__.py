@@ -46,7 +46,8 @@ in 64 bits.
 
 Readers may answer otherwise outside the domain, as ``outside="clamp"`` does: after step 1, if all coordinates are
 finite, those along axes that are not periodic are limited to ``LO`` and ``HI``, and to the value there is added how
-far that moved the point: ``sqrt(m[0] m[0] + m[1] m[1] + ...)`` in 64 bits, of differences ``m`` of 32 bits, rounded.
+far that moved the point, by differences ``m``: ``s sqrt((m[0] / s) (m[0] / s) + (m[1] / s) (m[1] / s) + ...)``, where
+``s`` is the largest ``|m[i]|``, or 1 if that is 0.
 
 **Numbers of leaves**, in 64 bits, in the traversal of the tree. With the leaf's box ``[l, h]`` along each axis, ``l
 = lo + (hi - lo) (p 2**-k)``, ``h = lo + (hi - lo) ((p + 1) 2**-k)``:

@@ -13,6 +13,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.reading import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
+from plr_jax.plr.portable.arithmetic import total
 from plr_jax.plr.portable.header import c_header
 from plr_jax.plr.portable.leaf_table import LeafTable
 from plr_jax.plr.portable.point import point_query
@@ -239,8 +240,10 @@ class NumpyPLR:
         is_finite = np.isfinite(counted).all(axis=0)
         counted = [np.where(is_finite, along, np.float32(0)) for along in counted]
         nearest = self._program.nearest(_ARRAYS, counted)
-        moved = [(along - to).astype(np.float64) for along, to in zip(counted, nearest, strict=True)]
-        way = np.sqrt(sum(along * along for along in moved)).astype(np.float32)
+        moved = [along - to for along, to in zip(counted, nearest, strict=True)]
+        scale = np.abs(moved).max(axis=0)
+        scale = np.where(scale > 0, scale, np.float32(1))
+        way = scale * np.sqrt(total([np.square(along / scale) for along in moved]))
         return np.where(is_finite, self._at_counted(nearest, answer) + way, np.float32(np.inf))
 
     def _values(self, x: list[np.ndarray], above: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:

@@ -166,8 +166,8 @@ def length_of(along: list[Float[Array, "*batch"]]) -> Float[Array, "*#batch"]:
         return jnp.zeros(())
     largest = jax.lax.stop_gradient(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)
-    square = reduce(jnp.add, (jnp.square(each / scale) for each in along))
-    return scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0)
+    square = reduce(jnp.add, (rounded(jnp.square(each / scale)) for each in along))
+    return rounded(scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0))
 
 
 def _wrapped(tables: Tables, x: Float[Array, "*batch dim"]) -> Float[Array, "*batch dim"]:
