@@ -82,8 +82,9 @@ class PLR(HeldFile):
 
         The proof is about what :func:`construct`, :func:`certify` or :func:`solve_eikonal` was given, at points of
         free space, walls included, but not at such as count as free, or reach the goal, to the workspace's tolerance
-        alone. It covers what a query rounds; in a domain far from the origin, where 32-bit floats resolve points
-        worse than cells, it is about rounded points where they come as JAX arrays, or inside a compiled function.
+        alone. It covers what a query rounds. But in a domain far from the origin, as in UTM coordinates, 32-bit
+        floats resolve points worse than cells: of JAX's, and under ``jax.jit``, it is about the points that rounding
+        makes of them. Give NumPy's 64-bit points, outside of ``jit``, or enable ``jax_enable_x64``.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.

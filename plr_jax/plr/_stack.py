@@ -313,13 +313,13 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; the gradient is that of the leaf's function, finite
     everywhere, and zero where the distance is ``inf``; where a coordinate is NaN, any numbers or NaN.
 
-    An optimizer that may leave the domain asks with ``outside="clamp"``: there the value is that at the nearest point
-    of the domain and the way to it, in a straight line, so that to descend is to return::
+    An optimizer that may leave the domain asks with ``outside="clamp"``, so that to descend is to return::
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
     ``jax.export`` makes of a query, of batches of any size, what runs without this package; it takes some hundred
-    kilobytes, as tables are padded, and the package ``flatbuffers``. Close over the PLR, do not pass it::
+    kilobytes, as tables are padded, and the package ``flatbuffers``. Close over the PLR, or pass the arrays that
+    ``jax.tree.flatten`` makes of it: a program that takes the PLR itself cannot be serialized::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
@@ -330,7 +330,7 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
         x: Points, ``(..., dim)``, NumPy or JAX, in the units of the domain. Computed in their own precision, at
             least 32 bits; coefficients are 32-bit floats. Where the domain is far from the origin, as in UTM
             coordinates, NumPy's 64-bit points are placed in 64 bits and answered as near it; JAX's 32-bit ones, and
-            all under ``jax.jit``, are answered where rounding has put them.
+            all under ``jax.jit``, where rounding has put them (decimeters away) unless ``jax_enable_x64`` is on.
         outside: What points outside the domain get: ``"inf"``; ``"clamp"``, the value at the nearest point of the
             domain plus the straight-line distance to it in coordinates, ``inf`` if a coordinate is infinite; or
             ``"nan"``. It changes no answer inside. Along a periodic axis no finite coordinate is outside.

@@ -101,3 +101,20 @@ def test_the_example_of_the_documentation():
     n, dim = export.symbolic_shape("n, 2")
     program = export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
     np.testing.assert_array_equal(program.call(*in_the_maze(7)), plr(*in_the_maze(7)))
+
+
+def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
+    pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
+    one, other = built("cone", 450), built("cone", 400)
+    arrays, structure = jax.tree.flatten(one)
+    assert jax.tree.structure(other) == structure  # one program for all PLRs of a class
+    (x,) = in_the_maze(50)
+
+    def query(arrays, x):
+        return jax.tree.unflatten(structure, arrays)(x)
+
+    program = export.deserialize(export.export(jax.jit(query))(arrays, x).serialize())
+    for plr in (one, other):
+        np.testing.assert_allclose(program.call(jax.tree.leaves(plr), x), plr(x), rtol=1e-6, atol=1e-6)
+    with pytest.raises(ValueError, match="Cannot serialize"):
+        export.export(jax.jit(lambda plr, x: plr(x)))(one, x).serialize()

@@ -47,6 +47,25 @@ def test_answers_stay_in_double_precision_on_the_host_and_in_32_bits_under_jit()
         np.testing.assert_allclose(compiled, far(single.astype(np.float64)), atol=2e-3)
 
 
+def test_under_jit_what_is_proven_holds_in_64_bits():
+    """As the documentation says: in 32 bits it is about rounded points, which are elsewhere."""
+    there, oracle = maze(UTM, 200.0)
+    far = construct(oracle, there.bounds, leaf="cone", max_bytes=1000, certified=True)
+    x = there.sample_free(2000, 0)
+    distance, clearance = oracle(x), there.clearance(x)
+
+    def holds(points):
+        lower, upper = (np.asarray(bound, np.float64) for bound in jax.jit(far.bounds)(points))
+        return (lower <= distance) & (distance <= upper)
+
+    def clearance_error(points):
+        return np.abs(np.asarray(jax.jit(there.clearance)(points)) - clearance).max()
+
+    assert not holds(x).all() and 0.01 < clearance_error(x) < 0.5
+    with jax.enable_x64(True):
+        assert holds(x).all() and clearance_error(x) < 1e-6
+
+
 @pytest.fixture(scope="module")
 def farther():
     return construct(Euclidean(FARTHER + 0.3), Box(FARTHER, FARTHER + 2), leaf="continuous", max_leaves=100)

@@ -58,7 +58,7 @@ class FreeSpace:
         """Whether points lie in closed free space.
 
         Args:
-            x: Points, ``(..., 2)``.
+            x: Points, ``(..., 2)``, as for :meth:`clearance`.
 
         Returns:
             True where free, walls included, and within ``tolerance``, 1e-6 of the longer side of the bounds, of free
@@ -76,8 +76,9 @@ class FreeSpace:
         Its gradient is a unit vector: away from the nearest point of a wall in free space, and toward it elsewhere.
 
         Args:
-            x: Points, ``(..., 2)``. NumPy's are placed in 64 bits; of JAX's 32-bit ones, far from the origin of
-                coordinates, the clearance is that of where rounding has put them.
+            x: Points, ``(..., 2)``. NumPy's are placed in 64 bits. Of JAX's 32-bit ones, and of all under
+                ``jax.jit``, the clearance is that of where rounding has put them, far from the origin, as in UTM,
+                decimeters away: enable ``jax_enable_x64`` there.
 
         Returns:
             Distance to the boundary of free space, to 1e-6 of the longer side of the bounds: positive in free space,
