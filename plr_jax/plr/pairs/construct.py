@@ -31,10 +31,11 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     """Build a PairPLR: the distance between any two points of a planar workspace.
 
     The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
-    first. The file holds free space, which pairs of corners are joined, the partition and the lists. Distances are
-    exact but for the rounding of 32-bit floats, whatever the budget, and but for points nearer to a wall than 4e-6 of
-    the domain's width: these may see past its ends, and be told up to 2e-5 of the width too little. More bytes make
-    queries faster, up to a point, as fewer corners need to be looked at.
+    first. The file holds free space, which pairs of corners are joined, the partition and the lists, in layers of
+    which the first is enough to answer (see ``file_marks``). Distances are exact but for the rounding of 32-bit
+    floats, whatever the budget, and but for points nearer to a wall than 4e-6 of the domain's width: these may see
+    past its ends, and be told up to 2e-5 of the width too little. More bytes make queries faster, up to a point, as
+    fewer corners need to be looked at.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.
