@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import shapely
 
 import plr_jax
 from experiments.benchmarks._oracle import polygon_field
@@ -44,7 +45,7 @@ def _maps(seed: int, smoke: bool) -> Iterator[tuple[str, Workspace]]:
     if not smoke:
         floor, far = scenes.floor_plan().workspace, np.array([5e5, 4e6])
         yield "floor_plan", floor
-        rings = [far + np.array(obstacle.exterior.coords) for obstacle in floor.obstacles]
+        rings = [far + shapely.get_coordinates(obstacle) for obstacle in floor.obstacles]
         yield "floor_plan, UTM", Workspace((far + floor.bounds.lo, far + floor.bounds.hi), rings)
         yield f"{_CORNERS} corners", polygon_field(_CORNERS, seed)[0]
 

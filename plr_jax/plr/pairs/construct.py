@@ -17,7 +17,7 @@ from plr_jax.plr.pairs.joined import in_order, largest_difference, taut_edges
 from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
-from plr_jax.plr.pairs.stored import MOST_CORNERS, MOST_NUMBERS, WIDEST, Stored
+from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, most_leaves
 from plr_jax.plr.pairs.tables import RECEDING
 from plr_jax.plr.pairs.visible_corners import visible_corners
 from plr_jax.plr.partition.cells import Cells
@@ -87,9 +87,9 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
         by_leaf = np.lexsort((rank[lists.corner], place))
         return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
 
-    most_leaves = max(1, min(limits.max_leaves, MOST_NUMBERS // max(1, len(corner))))
+    most = min(limits.max_leaves, most_leaves(len(corner)))
     root = visible_corners(visibility, workspace, domain)
-    lists = grow_lists(root, domain, limits, most_leaves, lambda lists: len(stored(lists).to_bytes()))
+    lists = grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes()))
     if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
         raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
     return pairs_of_stored(stored(lists))
