@@ -20,6 +20,10 @@ from PIL import Image
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
 from plr_jax.plr.file.container import Header
+from plr_jax.plr.pairs.outline import Outline
+from plr_jax.plr.pairs.stored import Stored
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.tree import levels_of
 
 _GRID = """type octile
 height 8
@@ -134,8 +138,18 @@ def _plr_files() -> list[bytes]:
 
 
 def _pairs_files() -> list[bytes]:
-    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600).to_bytes()
-    return [pairs, pairs[: Header.read(pairs).marks[0]]]  # with lists, and cut off before them
+    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
+    data, many = pairs.to_bytes(), _many_corners(8192)
+    return [data, *(data[:mark] for mark in pairs.file_marks), *(many[:mark] for mark in Header.read(many).marks)]
+
+
+def _many_corners(count: int) -> bytes:
+    """Pairs of a corridor with so many corners in a byte or so each, whose tables take a gigabyte."""
+    x = np.arange(count // 2)
+    points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
+    outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
+    tree, corner, joined = levels_of(Cells.root(2))[0], np.arange(count), np.zeros((0, 2), np.int64)
+    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0, 0.0).to_bytes()
 
 
 def _picture_files() -> list[bytes]:

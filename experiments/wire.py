@@ -5,9 +5,14 @@ What a section does is told in its file in ``experiments/wire_sections/``.
 """
 
 from experiments._sections import Section, run_sections
-from experiments.wire_sections import prefixes, ranges, sizes
+from experiments.wire_sections import pair_prefixes, prefixes, ranges, sizes
 
-SECTIONS: dict[str, Section] = {"prefixes": prefixes, "sizes": sizes, "ranges": ranges}
+SECTIONS: dict[str, Section] = {
+    "prefixes": prefixes,
+    "pair_prefixes": pair_prefixes,
+    "sizes": sizes,
+    "ranges": ranges,
+}
 
 if __name__ == "__main__":
     run_sections("wire", __doc__, SECTIONS)

@@ -53,6 +53,10 @@ def load(path: str | os.PathLike) -> PLR:
 def load_pairs(path: str | os.PathLike) -> PairPLR:
     """Read a PairPLR that :func:`save` wrote; it answers alike, bit for bit.
 
+    What a query reads is many times as large as the file, and made when it is first asked: of thousands of corners
+    that takes seconds to minutes. A file that was cut off at one of its ``file_marks`` is one of the same distances,
+    whose queries take longer; its bounds are as true.
+
     Args:
         path: The file.
 

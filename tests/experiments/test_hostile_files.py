@@ -32,14 +32,14 @@ def test_a_mutated_plr_file_has_checksums_that_fit(name):
     files = reader.valid()
     for data in files:
         assert reader.repaired(data) == data
-        if Header.read(data).marks[:1] != (len(data),):  # of which nothing can be cut off
+        if len(data) not in Header.read(data).marks:  # of which nothing can be cut off
             cut = reader.repaired(data[:-9])
             assert len(cut) == len(data) - 9
             assert len(Container.from_bytes(cut).layers) == len(Container.from_bytes(data).layers)
         start = len(Header.read(data).data)
         changed = data[:start] + bytes([data[start] ^ 1]) + data[start + 1 :]
         assert reader.repaired(changed) != changed and Container.from_bytes(reader.repaired(changed))
-    assert sum(len(Container.from_bytes(data).layers) == 2 for data in files) == 1
+    assert max(len(Container.from_bytes(data).layers) for data in files) > 1
 
 
 def unnamed(path):

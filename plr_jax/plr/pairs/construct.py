@@ -17,7 +17,7 @@ from plr_jax.plr.pairs.joined import in_order, largest_difference, taut_edges
 from plr_jax.plr.pairs.lattice import outline_of
 from plr_jax.plr.pairs.outline import Outline
 from plr_jax.plr.pairs.pair_plr import PairPLR, pairs_of_stored
-from plr_jax.plr.pairs.stored import MOST_CORNERS, MOST_NUMBERS, WIDEST, Stored
+from plr_jax.plr.pairs.stored import MOST_CORNERS, WIDEST, Stored, most_leaves
 from plr_jax.plr.pairs.tables import RECEDING
 from plr_jax.plr.pairs.visible_corners import visible_corners
 from plr_jax.plr.partition.cells import Cells
@@ -31,10 +31,11 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     """Build a PairPLR: the distance between any two points of a planar workspace.
 
     The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
-    first. The file holds free space, which pairs of corners are joined, the partition and the lists. Distances are
-    exact but for the rounding of 32-bit floats, whatever the budget, and but for points nearer to a wall than 4e-6 of
-    the domain's width: these may see past its ends, and be told up to 2e-5 of the width too little. More bytes make
-    queries faster, up to a point, as fewer corners need to be looked at.
+    first. The file holds free space, which pairs of corners are joined, the partition and the lists, in layers of
+    which the first is enough to answer (see ``file_marks``). Distances are exact but for the rounding of 32-bit
+    floats, whatever the budget, and but for points nearer to a wall than 4e-6 of the domain's width: these may see
+    past its ends, and be told up to 2e-5 of the width too little. More bytes make queries faster, up to a point, as
+    fewer corners need to be looked at.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.
@@ -86,9 +87,9 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
         by_leaf = np.lexsort((rank[lists.corner], place))
         return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
 
-    most_leaves = max(1, min(limits.max_leaves, MOST_NUMBERS // max(1, len(corner))))
+    most = min(limits.max_leaves, most_leaves(len(corner)))
     root = visible_corners(visibility, workspace, domain)
-    lists = grow_lists(root, domain, limits, most_leaves, lambda lists: len(stored(lists).to_bytes()))
+    lists = grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes()))
     if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
         raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
     return pairs_of_stored(stored(lists))

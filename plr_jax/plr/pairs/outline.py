@@ -141,7 +141,7 @@ def _require_few_crossings(ends: Float[np.ndarray, "walls 2 2"]) -> None:
     import shapely
 
     walls: Any = shapely.linestrings(ends)
-    tree = shapely.STRtree(walls)
+    tree: Any = shapely.STRtree(walls)
     of_ends: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
     for each, predicate, most in ((walls, "crosses", 2 * len(walls)), (of_ends, "intersects", 3 * len(walls))):
         meetings = 0

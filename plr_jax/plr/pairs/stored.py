@@ -46,8 +46,7 @@ if TYPE_CHECKING:
 MOST_CORNERS = 2**13
 WIDEST = 1e18
 """Width of the widest domain: squares of distances stay within 32-bit floats."""
-MOST_NUMBERS = 2**24
-"""Leaves times corners, where there are several leaves: of a table that queries read."""
+_MOST_NUMBERS = 2**24  # of a table of leaves and corners that queries read
 _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
@@ -136,23 +135,13 @@ class Stored:
     def from_bytes(data: bytes) -> "Stored":
         """What a file's bytes hold; raises ``ValueError`` saying what is wrong with them."""
         container = Container.from_bytes(data)
-        if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
-            raise ValueError("it holds the distance to one goal; use load")
-        if any(layer.proof_code for layer in container.layers) or container.folding is not None:
-            raise ValueError("its pairs have proofs or folded points")
-        domain = container.domain
-        if domain.dim != 2 or domain.is_periodic:
-            raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
-        if not domain.width.max() <= WIDEST:
-            raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
+        _require_pairs(container)
         body, *others = (BitReader(layer.body) for layer in container.layers)
-        rounding = _read_rounding(body)
-        outline = read_outline(body, domain.lo)
+        rounding, joined, rounding_of_outline = _read_rounding(body), None, None
+        outline = read_outline(body, container.domain.lo)
         corner = np.flatnonzero(body.read_set(len(outline.points)))
-        count = len(corner)
-        if count > MOST_CORNERS:
+        if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it has {count} corners; at most {MOST_CORNERS} are read")
-        joined, rounding_of_outline = None, None
         if not body.at_end():
             joined = _read_pairs(body, count)
         else:
@@ -162,19 +151,30 @@ class Stored:
                 rounding, joined = _read_rounding(body), _read_pairs(body, count)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
-        levels, leaf, listed = levels_of(Cells.root(2))[0], np.zeros(count, np.int64), np.arange(count)
         if len(others) > 1:
             raise ValueError(f"its pairs have {len(others)} layers of lists")
+        leaves = levels_of(Cells.root(2))[0], np.zeros(count, np.int64), np.arange(count)
         if others:
-            body = others[0]
-            levels = read_tree(body, 2)
-            if (leaves := 1 + sum(len(level.axis) for level in levels)) > max(1, MOST_NUMBERS // max(1, count)):
-                raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
-            most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
-            leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
-            if not body.at_end():
-                raise ValueError("it holds more data than its leaves need")
-        return Stored(domain, outline, corner, joined, levels, leaf, listed, rounding, rounding_of_outline)
+            leaves = _read_leaves(others[0], count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
+        return Stored(container.domain, outline, corner, joined, *leaves, rounding, rounding_of_outline)
+
+
+def most_leaves(count: int) -> int:
+    """How many leaves there may be with so many corners."""
+    return max(1, _MOST_NUMBERS // max(1, count))
+
+
+def _require_pairs(container: Container) -> None:
+    """Raise ``ValueError`` where a file is not one of pairs in the plane."""
+    if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
+        raise ValueError("it holds the distance to one goal; use load")
+    if any(layer.proof_code for layer in container.layers) or container.folding is not None:
+        raise ValueError("its pairs have proofs or folded points")
+    domain = container.domain
+    if domain.dim != 2 or domain.is_periodic:
+        raise ValueError(f"its pairs are of points of {domain}; they ought to be of a region in the plane")
+    if not domain.width.max() <= WIDEST:
+        raise ValueError(f"its domain is {domain.width.max():g} wide, more than {WIDEST:g}")
 
 
 def _read_rounding(body: BitReader) -> float:
@@ -208,6 +208,19 @@ def _pair_of_number(number: Int[np.ndarray, "pairs"]) -> Int[np.ndarray, "pairs 
     j -= j * (j - 1) // 2 > number
     j += j * (j + 1) // 2 <= number
     return np.stack([number - j * (j - 1) // 2, j], axis=1)
+
+
+def _read_leaves(
+    body: BitReader, count: int, most: int
+) -> tuple[list[Level], Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
+    """The tree that comes next and its leaves' lists of some of so many corners."""
+    levels = read_tree(body, 2)
+    if (leaves := 1 + sum(len(level.axis) for level in levels)) > most_leaves(count):
+        raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
+    leaf, listed = _read_lists(body, tree_of_levels(levels, 2), count, most)
+    if not body.at_end():
+        raise ValueError("it holds more data than its leaves need")
+    return levels, leaf, listed
 
 
 def _write_lists(

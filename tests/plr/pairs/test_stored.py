@@ -116,9 +116,9 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
 
 def test_more_leaves_and_corners_than_tables_are_made_of_are_refused(stored, monkeypatch):
     most = len(stored.cells) * len(stored.corner)
-    monkeypatch.setattr("plr_jax.plr.pairs.stored.MOST_NUMBERS", most)
+    monkeypatch.setattr("plr_jax.plr.pairs.stored._MOST_NUMBERS", most)
     assert len(Stored.from_bytes(stored.to_bytes()).cells) == len(stored.cells) > 1
-    monkeypatch.setattr("plr_jax.plr.pairs.stored.MOST_NUMBERS", most - 1)
+    monkeypatch.setattr("plr_jax.plr.pairs.stored._MOST_NUMBERS", most - 1)
     with pytest.raises(ValueError, match=f"{len(stored.cells)} leaves and 12 corners, more than tables are made of"):
         Stored.from_bytes(stored.to_bytes())
 
