@@ -26,6 +26,7 @@ _RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
 _MUCH_ROOM = 8.0  # times as large a tree may be yet, far from the limits
 _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
+_FIRST_SHARE = 0.25  # of what the limits allow, that the first tree should take: the power is but a guess yet
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # about as many as one more takes, and what it is the first to name
 _ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
@@ -161,7 +162,8 @@ class _Search:
     def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
         if len(now) == 1:
-            return now.price * (max(room, 2.0) ** -_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP)
+            room = max(_FIRST_SHARE * room, 2.0)
+            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP)
         before = len(_best_leaves(self._levels, _RATE_STEP * now.price, least_share).cells)
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price
