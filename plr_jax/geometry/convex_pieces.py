@@ -81,8 +81,8 @@ def contain(
     """Whether each piece holds its points, ``k`` each, to the tolerance."""
     near = np.ones(points.shape[:2], bool)
     for along, at in zip(pieces, np.moveaxis(points, 2, 0), strict=True):
-        near &= at >= along.min(axis=1, keepdims=True) - tolerance
-        near &= at <= along.max(axis=1, keepdims=True) + tolerance
+        near &= at >= lowest(along)[:, None] - tolerance
+        near &= at <= highest(along)[:, None] + tolerance
     piece, place = np.nonzero(near)
     (x, y), (px, py) = pieces[:, piece], points[piece, place].T
     inside = np.ones(len(piece), bool)
@@ -124,9 +124,9 @@ def cut_parts(
     along, upper = axis[part], is_upper[part]
     bound = np.where(upper, lo[part, along], hi[part, along])
     height = (pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
-    reaches = np.flatnonzero(height.max(axis=1) > 0)
+    reaches = np.flatnonzero(highest(height) > 0)
     rows, part, height = rows[reaches], part[reaches], height[reaches]
-    is_cut = height.min(axis=1) < 0
+    is_cut = lowest(height) < 0
     result = pieces[:, rows]
     result[:, is_cut] = clip(result[:, is_cut], height[is_cut])
     return result, part, rows, is_cut
@@ -149,3 +149,13 @@ def clip_to_box(
 def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
     """What belongs to the next corner."""
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)
+
+
+def lowest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
+    """The least value of each piece, found corner by corner: NumPy is slow where the last axis is short."""
+    return np.ascontiguousarray(values.T).min(axis=0)
+
+
+def highest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
+    """The largest value of each piece, as :func:`lowest`."""
+    return np.ascontiguousarray(values.T).max(axis=0)

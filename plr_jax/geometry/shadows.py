@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import runs
-from plr_jax.geometry.convex_pieces import Pieces, contain, following
+from plr_jax.geometry.convex_pieces import Pieces, contain, following, highest, lowest
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import VisibilityTable
 
@@ -72,10 +72,10 @@ class Shadows:
         rounding = _ROUNDING * self.table.tolerance
         blur = rounding / np.maximum(distance, rounding)
         apart = distance > self.table.tolerance
-        wraps = np.where(apart, key, -np.inf).max(axis=1) - np.where(apart, key, np.inf).min(axis=1) > 2
+        wraps = highest(np.where(apart, key, -np.inf)) - lowest(np.where(apart, key, np.inf)) > 2
         key += np.where(wraps[:, None] & (key < 2), 4.0, 0.0)
-        first = np.where(apart, key + blur, np.inf).min(axis=1)
-        last = np.where(apart, key - blur, -np.inf).max(axis=1)
+        first = lowest(np.where(apart, key + blur, np.inf))
+        last = highest(np.where(apart, key - blur, -np.inf))
         beyond = np.where(first >= 4, 4.0, 0.0)
         return first - beyond, last - beyond, wraps & (first < 4)
 
@@ -90,8 +90,8 @@ class Shadows:
         crosses = (beside >= 0) != (next_beside >= 0)
         share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
         at = along + share * (next_along - along)
-        near = np.where(crosses, at, np.inf).min(axis=1)
-        far = np.where(crosses, at, -1.0).max(axis=1)
+        near = lowest(np.where(crosses, at, np.inf))
+        far = highest(np.where(crosses, at, -1.0))
         middle = np.where(far > 0, (near + far) / 2, np.inf)
         return (self.start[shadow] < middle) & (middle < self.end[shadow])
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Sources
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.geometry.convex_pieces import Pieces, highest
 from plr_jax.geometry.corners import TurnPoints
 from plr_jax.geometry.shadows import Shadows
 
@@ -133,6 +133,6 @@ class Sight:
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
         for normal in self.turns.normal[:, turn]:
-            height = (x * normal[:, :1] + y * normal[:, 1:]).max(axis=1)
+            height = highest(x * normal[:, :1] + y * normal[:, 1:])
             may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
         return may
