@@ -3,6 +3,8 @@
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +15,46 @@ if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
     from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.plr import PLR
+    from plr_jax.plr._file import Contents
+    from plr_jax.plr.file.container import Container
 
 BEST = "best"
 _EXTENSION_BYTES, _MARK_BYTES = 4, 4
 """Of a header with a label, and at the most of each mark."""
 _CROWDED, _BYTES_A_SOURCE = 4, 7
 """Times the budget that all corners may take where leaves that name them are tried, and bytes of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """Leaves with their proof, and their file without a label. Neither is a PLR yet, for which JAX is imported."""
+
+    contents: "Contents"
+
+    @cached_property
+    def data(self) -> bytes:
+        """The bytes of the file."""
+        from plr_jax.plr._file import encode
+
+        return encode(self.contents)
+
+    @cached_property
+    def container(self) -> "Container":
+        """The file."""
+        from plr_jax.plr.file.container import Container
+
+        return Container.from_bytes(self.data)
+
+    @property
+    def body_size(self) -> int:
+        """Bytes of its layer."""
+        return len(self.container.last.body)
+
+    @property
+    def max_error(self) -> float:
+        """The proven largest error; ``inf`` if nothing is proven, as construction was interrupted."""
+        certificate = self.contents.certificate
+        return math.inf if certificate is None else certificate.max_error
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -51,27 +86,28 @@ def build_file(
     seed: int,
     max_bytes: int | None,
     **limits: int | float | None,
-) -> tuple["PLR", dict[str, float], bool]:
-    """A PLR with its proof and a label, in a file that begins with coarser ones, and what :func:`build_proven` says.
+) -> tuple["Container", Built, dict[str, float], bool]:
+    """A file that begins with coarser PLRs, its last one, and what else :func:`build_proven` says of that.
 
     Limits are of the whole file. An interrupt ends what is being built and leaves out what is finer. A coarser one
     that is as large as what comes after it is left out, with a warning. ``ValueError`` names the option that is too
     small, and how many bytes are enough for a leaf with all that is around it.
     """
-    from plr_jax.plr import progressive
+    from plr_jax.plr.file.container import layered, require_label
     from plr_jax.plr.growth.limits import BudgetTooSmall
 
+    require_label(label)
     if sorted(set(prefixes)) != list(prefixes) or (max_bytes is not None and prefixes and prefixes[-1] >= max_bytes):
         raise ValueError(f"Prefixes must rise, up to less than --max-bytes, got {', '.join(map(str, prefixes))}.")
     extension = len(label.encode()) + _EXTENSION_BYTES + _MARK_BYTES * len(prefixes)
-    plrs: list[PLR] = []
+    plrs: list[Built] = []
     errors: dict[str, float] = {}
     parts = [*(("--prefix", size) for size in prefixes), ("--max-bytes", max_bytes)]
     for number, (option, size) in enumerate(parts, 1):
         of_file = limits if option == "--max-bytes" else {}
-        taken = extension + sum(plr.num_bytes for plr in plrs)
+        taken = extension + sum(len(plr.data) for plr in plrs)
         budget = None if size is None else max(1, size - taken)
-        if plrs and budget is not None and budget <= (coarser := plrs[-1].num_bytes):
+        if plrs and budget is not None and budget <= (coarser := len(plrs[-1].data)):
             raise ValueError(
                 f"{option} {size} is too small: {taken} bytes are for what comes before, and a finer one takes more "
                 f"than {coarser}; allow more than {taken + coarser}."
@@ -92,8 +128,8 @@ def build_file(
                 f"{option} {size} is too small: one leaf takes {error.num_bytes} bytes, the label and what "
                 f"else comes before it {taken}; allow at least {error.num_bytes + taken}."
             ) from error
-        if not (interrupted and plrs and _body_size(plr) <= _body_size(plrs[-1])):  # which is better
-            smaller = [coarser for coarser in plrs if _body_size(coarser) < _body_size(plr)]
+        if not (interrupted and plrs and plr.body_size <= plrs[-1].body_size):  # which is better
+            smaller = [coarser for coarser in plrs if coarser.body_size < plr.body_size]
             if len(smaller) < len(plrs):
                 warnings.warn(
                     "prefixes as large as what comes after them are left out: the limits allow no larger file.",
@@ -102,11 +138,7 @@ def build_file(
             plrs, errors = [*smaller, plr], of_models
         if interrupted:
             break
-    return progressive(plrs).with_label(label), errors, interrupted
-
-
-def _body_size(plr: "PLR") -> int:
-    return len(plr.container.last.body)
+    return replace(layered([plr.container for plr in plrs]), label=label), plrs[-1], errors, interrupted
 
 
 def build_proven(
@@ -118,8 +150,8 @@ def build_proven(
     *,
     seed: int,
     **limits: int | float | None,
-) -> tuple["PLR", dict[str, float], bool]:
-    """A PLR with its proof, the proven largest error of each leaf model that was tried, and whether that ended early.
+) -> tuple[Built, dict[str, float], bool]:
+    """What was built with its proof, the proven largest error of each leaf model tried, and whether that ended early.
 
     Of several, those that cannot be built are left out; ``ValueError`` if none can be built. An interrupt (Ctrl-C)
     ends what is being built and leaves the rest untried. A terminal shows how many models of ``what`` are done, and
@@ -139,8 +171,8 @@ def build_proven(
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
                 refused.append(error)
                 continue
-            errors[name] = float("inf") if plr.max_error is None else plr.max_error  # if interrupted in its proof
-            if best is None or errors[name] < errors[best.leaf.name]:
+            errors[name] = plr.max_error
+            if best is None or plr.max_error < best.max_error:
                 best = plr
             if interrupted:
                 break
@@ -149,14 +181,15 @@ def build_proven(
     return best, errors, interrupted
 
 
-def _constructed(oracle: "VisibilityGraph", domain: "Box", leaf: str, options: dict[str, Any]) -> tuple["PLR", bool]:
-    """The PLR of one leaf model, and whether that was interrupted, of which there is no other warning."""
-    from plr_jax.plr import ConstructionInterrupted, construct
+def _constructed(oracle: "VisibilityGraph", domain: "Box", leaf: str, options: dict[str, Any]) -> tuple[Built, bool]:
+    """What is built of one leaf model, and whether that was interrupted, of which there is no other warning."""
+    from plr_jax.plr._construct import construct_leaves
+    from plr_jax.plr.growth.limits import ConstructionInterrupted
 
     interrupted = False
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ConstructionInterrupted)
-        plr = construct(oracle, domain, leaf=leaf, **options)
+        plr = Built(construct_leaves(oracle, domain, leaf=leaf, **options))
     for warning in caught:
         if issubclass(warning.category, ConstructionInterrupted):
             interrupted = True

@@ -103,7 +103,9 @@ def build(
     """Compress the exact distance to a goal in a MAP into a small file, with a proof of its largest error."""
     began = time.perf_counter()
     from plr_jax import metrics
-    from plr_jax.plr import save
+    from plr_jax._atomic import write_atomically
+    from plr_jax.plr import NumpyPLR
+    from plr_jax.plr.file.container import Header
     from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
@@ -125,22 +127,24 @@ def build(
     with saying("finding what corners see"):
         exact = prepared_oracle(workspace, goal_point, oracle)
     limits = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    plr, errors, interrupted = build_file(
+    container, built, errors, interrupted = build_file(
         exact, str(named.to(goal_point)), prefix or (), leaf, leaf_bounds, seed=seed, **limits
     )
-    save(plr, output)
+    data, leaves, name = container.to_bytes(), built.contents.cells, built.contents.leaf.name
+    write_atomically(output, data)
     if interrupted:
-        typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
+        typer.echo(f"Interrupted: {output} holds the {len(leaves):,} leaves built so far.", err=True)
         raise typer.Exit(INTERRUPTED_EXIT)
-    built = time.perf_counter() - began
+    seconds = time.perf_counter() - began
     # A seed of its own, so that the error is not measured where the planes were fitted.
     with saying("measuring the error"):
-        report = metrics.error_map(plr, exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
-    marks = ", ".join(f"{mark:,}" for mark in plr.file_marks)
+        report = metrics.error_map(NumpyPLR(data), exact, workspace.sample_free(_ERROR_POINTS, seed + 1))
+    marks = ", ".join(f"{mark:,}" for mark in Header.read(data).marks)
     begins = f", coarser in its first {marks}" if marks else ""
-    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes{begins}; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    others = ", ".join(f"{name} {error:.3g}" for name, error in errors.items() if name != plr.leaf.name)
-    proven = f"{plr.leaf.name}: no error above {plr.max_error:.3g}, proven"
+    depth = leaves.depth.sum(axis=1).max()
+    typer.echo(f"wrote   {output}: {len(data):,} bytes{begins}; {len(leaves):,} leaves, depth {depth}")
+    others = ", ".join(f"{other} {error:.3g}" for other, error in errors.items() if other != name)
+    proven = f"{name}: no error above {built.max_error:.3g}, proven"
     typer.echo(f"leaf    {proven} ({others})" if others else f"leaf    {proven}")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     typer.echo(
@@ -151,7 +155,7 @@ def build(
         typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
     if report.num_unanswered:
         typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
-    typer.echo(f"time    {built:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
+    typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
 @command(

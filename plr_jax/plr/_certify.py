@@ -1,6 +1,7 @@
 """Proving how far a PLR can be from the distance function that it stands for."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -9,17 +10,18 @@ from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr._assembly import with_certificate
 from plr_jax.plr._file import Contents
 from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.branch_and_bound import prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.partition.cells import grown_domain
 from plr_jax.plr.partition.tree import tree_of_levels
 
+if TYPE_CHECKING:
+    from plr_jax.plr._plr import PLR
 
-def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
+
+def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the distance for a PLR that exists.
 
     Nothing is sampled: the oracle says, for whole cells, which sources some of their points may use and which all of
@@ -40,6 +42,9 @@ def certify(plr: PLR, oracle: DistanceFn, *, leaf_bounds: bool = False) -> PLR:
             oracle does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal:
             then nothing can be proven.
     """
+    from plr_jax.plr._assembly import with_certificate
+    from plr_jax.plr._plr import PLR  # and JAX, which no proof needs
+
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be certified, got {shortened(plr)}.")
     if plr.tables.folding is not None:

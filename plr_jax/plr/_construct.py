@@ -2,17 +2,19 @@
 
 import os
 import warnings
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import wraps
+from inspect import signature
+from typing import TYPE_CHECKING, ParamSpec
 
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
-from plr_jax.plr._plr import PLR
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.folding.choice import folding_of
@@ -30,10 +32,28 @@ from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
 from plr_jax.plr.sampling.pattern import sample_pattern
 from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
+if TYPE_CHECKING:
+    from plr_jax.plr._plr import PLR
+
 _DENSER = 8  # times as many samples where the first ones hardly meet what is free
 _MOST_SAMPLES = 2**16
+Arguments = ParamSpec("Arguments")
 
 
+def _assembled(leaves_of: Callable[Arguments, Contents]):
+    """What gives leaves, as what gives the PLR of them, which alone needs JAX."""
+
+    @wraps(leaves_of)
+    def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> "PLR":
+        from plr_jax.plr._assembly import plr_of_leaves
+
+        return plr_of_leaves(leaves_of(*args, **kwargs))
+
+    vars(construct)["__signature__"] = signature(leaves_of).replace(return_annotation="PLR")
+    return construct
+
+
+@_assembled
 def construct(
     distance_fn: DistanceFn,
     domain: Box | tuple[ArrayLike, ArrayLike],
@@ -54,7 +74,7 @@ def construct(
     seed: int = 0,
     executor: Executor | None = None,
     checkpoint: str | os.PathLike | None = None,
-) -> PLR:
+) -> Contents:
     """Build a PLR of a distance function: Algorithm 1 of the paper.
 
     The default is best-first: the leaf of the largest sample error is split next, along the axis whose halves
@@ -210,8 +230,12 @@ def construct(
             contents = replace(contents, certificate=certificate_of(contents, root, proof))
         except KeyboardInterrupt:
             message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
-    return plr_of_leaves(contents)
+            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+    return contents
+
+
+construct_leaves = construct.__wrapped__
+"""The same, which gives what the file of the PLR holds: JAX is not imported."""
 
 
 def proof_of(certified: bool, leaf_bounds: bool) -> Proof:

@@ -13,6 +13,7 @@ import plr_jax
 from plr_jax import VisibilityGraph, construct, scenes
 from plr_jax.cli._app import saying
 from plr_jax.cli._build import build_file
+from plr_jax.plr import _construct
 from plr_jax.oracles.cells.cell_sources import VisibleSources
 from plr_jax.plr import from_bytes, load, save
 from plr_jax.plr.leaves import leaf_names
@@ -268,7 +269,7 @@ def test_a_prefix_as_large_as_what_comes_after_it_is_left_out(tmp_path):
 
 
 def test_an_interrupt_keeps_the_prefixes_that_are_done(tmp_path, monkeypatch):
-    build, calls = plr_jax.plr.construct, []
+    build, calls = _construct.construct_leaves, []
 
     def interrupted(*arguments, **limits):
         calls.append(limits["max_bytes"])
@@ -277,7 +278,7 @@ def test_an_interrupt_keeps_the_prefixes_that_are_done(tmp_path, monkeypatch):
         warnings.warn("interrupted", plr_jax.plr.ConstructionInterrupted, stacklevel=1)
         return build(*arguments, **{**limits, "max_bytes": 100})
 
-    monkeypatch.setattr(plr_jax.plr, "construct", interrupted)
+    monkeypatch.setattr(_construct, "construct_leaves", interrupted)
     path = tmp_path / "out.plr"
     result = run("build", "maze", "-o", path, "--max-bytes", 900, "--prefix", 300, "--leaf", "plane")
     assert result.exit_code == 130 and len(calls) == 2

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from plr_jax import VisibilityGraph, construct, save, scenes
+from plr_jax import VisibilityGraph, construct, load, save, scenes
 
 
 def script(code, *arguments, **environment):
@@ -106,6 +106,19 @@ def test_query_imports_no_heavy_library(maze, tmp_path):
     )
     done = script(code, maze, tmp_path / "points.csv")
     assert done.returncode == 0 and len(done.stdout.split(",")) == 3, done.stderr
+
+
+def test_build_writes_what_construct_gives_and_does_not_import_jax(maze, tmp_path):
+    code = (
+        "import sys; from plr_jax.cli import load_app\n"
+        "try: load_app()(['build', 'maze', '--leaf', 'cone', '--max-bytes', sys.argv[1], '-o', sys.argv[2]])\n"
+        "except SystemExit as end: assert not end.code\n"
+        "sys.exit('jax' in sys.modules)"
+    )
+    done = script(code, 300 + len("maze --goal=0.06,0.07") + 4, tmp_path / "built.plr")  # room for the label
+    assert done.returncode == 0, done.stderr
+    built = load(tmp_path / "built.plr")
+    assert built.label == "maze --goal=0.06,0.07" and built.with_label("").to_bytes() == maze.read_bytes()
 
 
 def test_a_reader_that_has_seen_enough_ends_query_quietly(maze):

@@ -30,10 +30,12 @@ Those of pairs each add to the ones before; cut off at a mark, the file is one o
 
 import struct
 import zlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
+from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.domain import domain_to_bytes, read_domain
 from plr_jax.plr.file.fields import ByteReader, varint
@@ -200,6 +202,40 @@ class Container:
             layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
             start = end
         return Container(header.domain, tuple(layers), header.folding, header.label)
+
+
+def layered(containers: Sequence[Container]) -> Container:
+    """The last of some containers, behind the last layers of the others; raises ``ValueError`` if that is no file."""
+    if not 0 < len(containers) <= MOST_LAYERS + 1:
+        raise ValueError(f"A file holds 1 to {MOST_LAYERS + 1} PLRs, got {len(containers)}.")
+    *coarser, last = containers
+    for each in coarser:
+        if each.domain != last.domain or _folding_bytes(each) != _folding_bytes(last):
+            raise ValueError(
+                f"The PLRs of a file have one domain, and fold points alike, got {each.domain} and {last.domain}."
+            )
+    layers = tuple(each.last for each in containers)
+    sizes = [len(layer.body) for layer in layers]
+    if any(larger <= size for size, larger in pairwise(sizes)):
+        raise ValueError(f"Each PLR of a file must have more bytes than the one before, got {sizes} without headers.")
+    return replace(last, layers=layers)
+
+
+def _folding_bytes(container: Container) -> bytes:
+    return b"" if container.folding is None else folding_to_bytes(container.folding)
+
+
+def require_label(label: str) -> None:
+    """Raise ``ValueError`` unless a file has room for this label."""
+    if not isinstance(label, str) or not _fits(label):
+        raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
+
+
+def _fits(label: str) -> bool:
+    try:
+        return len(label.encode()) <= MOST_LABEL_BYTES
+    except UnicodeEncodeError:  # half a surrogate pair
+        return False
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import jax
 import numpy as np
 
-from plr_jax._arrays import padded, padded_size, shortened
-from plr_jax.plr.file.container import MOST_LABEL_BYTES, Container, Header
+from plr_jax._arrays import padded, padded_size
+from plr_jax.plr.file.container import Container, Header, require_label
 
 if TYPE_CHECKING:
     from jaxtyping import Array, UInt8
@@ -62,8 +62,7 @@ class HeldFile:
         Raises:
             ValueError: If it is no text, or longer.
         """
-        if not isinstance(label, str) or not _fits(label):
-            raise ValueError(f"A label is a text of at most {MOST_LABEL_BYTES:,} bytes, got {shortened(label)}.")
+        require_label(label)
         if label == self.label:
             return self
         data = replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()
@@ -73,13 +72,6 @@ class HeldFile:
     def resident_bytes(self) -> int:
         """Bytes of the tables that a query reads."""
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
-
-
-def _fits(label: str) -> bool:
-    try:
-        return len(label.encode()) <= MOST_LABEL_BYTES
-    except UnicodeEncodeError:  # half a surrogate pair
-        return False
 
 
 def held(data: bytes) -> "UInt8[np.ndarray, 'padded']":

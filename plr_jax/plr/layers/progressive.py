@@ -3,12 +3,9 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from plr_jax._arrays import shortened
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.file.container import MOST_LAYERS
-from plr_jax.plr.file.folding import folding_to_bytes
+from plr_jax.plr.file.container import layered
 from plr_jax.plr.file.held import held
 
 
@@ -37,21 +34,5 @@ def progressive(plrs: Sequence[PLR]) -> PLR:
     for plr in plrs:
         if not isinstance(plr, PLR):
             raise ValueError(f"plrs must be PLRs, got {shortened(plr)}.")
-    if not 0 < len(plrs) <= MOST_LAYERS + 1:
-        raise ValueError(f"A file holds 1 to {MOST_LAYERS + 1} PLRs, got {len(plrs)}.")
-    *coarser, last = plrs
-    for plr in coarser:
-        if plr.domain != last.domain or _folding_bytes(plr) != _folding_bytes(last):
-            raise ValueError(
-                f"The PLRs of a file have one domain, and fold points alike, got {plr.domain} and {last.domain}."
-            )
-    layers = tuple(plr.container.last for plr in plrs)
-    sizes = [len(layer.body) for layer in layers]
-    if (np.diff(sizes) <= 0).any():
-        raise ValueError(f"Each PLR of a file must have more bytes than the one before, got {sizes} without headers.")
-    return replace(last, file=held(replace(last.container, layers=layers).to_bytes()))
-
-
-def _folding_bytes(plr: PLR) -> bytes:
-    folding = plr.container.folding
-    return b"" if folding is None else folding_to_bytes(folding)
+    whole = layered([plr.container for plr in plrs])
+    return replace(plrs[-1], file=held(whole.to_bytes()))
