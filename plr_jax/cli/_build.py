@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 if TYPE_CHECKING:
+    from plr_jax._types import ArrayLike, Distances
     from plr_jax.geometry.box import Box
     from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
+    from plr_jax.oracles.cells.cell_sources import VisibleSources
     from plr_jax.plr._file import Contents
     from plr_jax.plr.file.container import Container
 
@@ -55,6 +57,24 @@ class Built:
         """The proven largest error; ``inf`` if nothing is proven, as construction was interrupted."""
         certificate = self.contents.certificate
         return math.inf if certificate is None else certificate.max_error
+
+
+@dataclass(frozen=True, eq=False)
+class _OracleOfBox:
+    """An oracle that finds once what it says of a box as one cell, for all leaf models that are tried."""
+
+    oracle: "VisibilityGraph"
+    box: "Box"
+
+    @cached_property
+    def _cell(self) -> "VisibleSources":
+        return self.oracle.cell_sources(self.box)
+
+    def cell_sources(self, domain: "Box") -> "VisibleSources":
+        return self._cell if domain == self.box else self.oracle.cell_sources(domain)
+
+    def __call__(self, x: "ArrayLike") -> "Distances":
+        return self.oracle(x)
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -159,15 +179,18 @@ def build_proven(
     """
     from tqdm import tqdm
 
+    from plr_jax.plr.partition.cells import grown_domain
+
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
     best, errors, interrupted = None, {}, False
     refused: list[ValueError] = []
     names = _tried(oracle, limits) if leaf == BEST else [leaf]
+    of_box = _OracleOfBox(oracle, grown_domain(domain))
     with tqdm(names, what, unit=" models", leave=False, disable=None) as progress:
         for name in progress:
             progress.set_description(f"{what}: leaves of kind {name!r}")
             try:
-                plr, interrupted = _constructed(oracle, domain, name, options)
+                plr, interrupted = _constructed(of_box, domain, name, options)
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
                 refused.append(error)
                 continue
@@ -181,7 +204,7 @@ def build_proven(
     return best, errors, interrupted
 
 
-def _constructed(oracle: "VisibilityGraph", domain: "Box", leaf: str, options: dict[str, Any]) -> tuple[Built, bool]:
+def _constructed(oracle: _OracleOfBox, domain: "Box", leaf: str, options: dict[str, Any]) -> tuple[Built, bool]:
     """What is built of one leaf model, and whether that was interrupted, of which there is no other warning."""
     from plr_jax.plr._construct import construct_leaves
     from plr_jax.plr.growth.limits import ConstructionInterrupted
