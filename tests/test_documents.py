@@ -48,7 +48,8 @@ def test_hostile_json_is_refused_by_name(content, message, tmp_path):
         ("a: &a [*a]", "neither aliases nor tags"),
         ("a: !!python/name:os.system", "neither aliases nor tags"),
         ("!!timestamp foo", "neither aliases nor tags"),
-        ("[" * 5000, DEEP),
+        ("[" * 500, DEEP),
+        ("[" * 5000, f"({DEEP}|exceeded maximum nesting depth)"),  # some parsers have a limit of their own
         ("- " * 33 + "1", DEEP),
         ("1" * 400, "larger integer"),
         ("1" * 5000, "at most 1000 characters"),
@@ -59,7 +60,7 @@ def test_hostile_json_is_refused_by_name(content, message, tmp_path):
         ("\x00", "control characters"),
         (b"\xff", "expected text in UTF-8"),
     ],
-    ids=range(15),
+    ids=range(16),
 )
 def test_hostile_yaml_is_refused_by_name(content, message, tmp_path):
     for read in (scenes.read_dbcbs, scenes.read_trajectories):
