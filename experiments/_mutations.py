@@ -19,11 +19,10 @@ from PIL import Image
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.stored import Stored
 from plr_jax.plr.file.container import Header
-from plr_jax.plr.pairs.outline import Outline
-from plr_jax.plr.pairs.stored import Stored
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.partition.cells import Cells, levels_of
 
 _GRID = """type octile
 height 8

@@ -19,8 +19,8 @@ from experiments._results import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, Box, VisibilityGraph, Workspace, construct, metrics
+from plr_jax.plr.partition.cells import tree_of
 from plr_jax.plr.partition.faces import face_points, shared_faces
-from plr_jax.plr.partition.tree import tree_of
 
 POINT_SEED, FACE_SEED = 1_000, 3_000
 BESIDE = 2.0**-22

@@ -13,8 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax._arrays import as_finite, as_numbers, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.motion import footprint, smaller_angle, team_dof
-from plr_jax.robots.robot import Robot, check_body
+from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 

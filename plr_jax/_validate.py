@@ -21,8 +21,7 @@ from jaxtyping import Float, Int
 from plr_jax._problem import Problem, as_path, path_cost, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.motion import shorter_turn
-from plr_jax.robots.robot import Robot
+from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and the deepest overlap that counts as touching, as a share of the extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps

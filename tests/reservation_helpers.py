@@ -6,7 +6,7 @@ from team_helpers import MIXED, search_of
 
 from plr_jax import scenes
 from plr_jax.planners import Status
-from plr_jax.planners.replanning.reservations import ReservationTable
+from plr_jax.planners.replanning import ReservationTable
 
 TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(12), 0.4), "mixed": (MIXED, 0.6)}
 

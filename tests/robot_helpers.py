@@ -5,11 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
 from plr_jax.robots.robot import Robot
+from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
 
 
 @dataclass(frozen=True)

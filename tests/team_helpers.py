@@ -5,10 +5,9 @@ import shapely
 from planner_helpers import joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace
-from plr_jax.planners.lacam.moves import TeamMoves
-from plr_jax.planners.lacam.search import LaCAM
+from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.lattice.edges import kinds_of
+from plr_jax.planners.lattice.joint import kinds_of
 
 TRIANGLE = PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)])
 MIXED = Problem(

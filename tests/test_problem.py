@@ -3,10 +3,8 @@ import pytest
 
 from plr_jax._problem import Problem, makespan, motion_costs, path_cost, separation
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.motion import footprint
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import footprint
+from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]
 ROOM = Workspace(((0, 0), (1, 1)), [WALL])

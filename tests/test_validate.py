@@ -10,12 +10,11 @@ from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions,
 from plr_jax import scenes
 from plr_jax._problem import Problem, path_cost
 from plr_jax._validate import validate
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.motion import team_dof
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import team_dof
+from plr_jax.robots.shapes import DiscRobot, RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party trajectories are absent")

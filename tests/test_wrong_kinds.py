@@ -6,7 +6,7 @@ import pytest
 from plr_jax import BLOptions, Box, PointRobot, Problem, Workspace, construct, from_bytes, plot, save, scenes, zero
 from plr_jax.planners import sba_star_plan
 from plr_jax.plr import PLR, NumpyPLR, quantile, refine
-from plr_jax.plr.refinement.losses import Quantile
+from plr_jax.plr.refinement.objective import Quantile
 
 ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))

@@ -17,13 +17,13 @@ from experiments._planning import plan
 from experiments._tables import aligned
 from experiments.team_sections._plans import two_teams
 from plr_jax import BLOptions
-from plr_jax.collision.broad_phase import Traffic
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.planners.lacam import moves
-from plr_jax.planners.lacam.moves import TeamMoves
+from plr_jax.collision.team import JointMotionTest, Traffic
+from plr_jax.planners import lacam as moves
+from plr_jax.planners import smoothing as corridor
+from plr_jax.planners import smoothing as shortcuts
+from plr_jax.planners.lacam import TeamMoves
 from plr_jax.planners.lattice.joint import JointLattice
-from plr_jax.planners.replanning.conflicts import Conflicts
-from plr_jax.planners.smoothing import corridor, shortcuts
+from plr_jax.planners.replanning import Conflicts
 
 NUM_ROBOTS, NUM_TEAMS = 29, 3
 SEARCHERS = {"both": ("lacam", "bl"), "best-first": ("bl",)}

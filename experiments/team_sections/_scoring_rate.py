@@ -19,7 +19,7 @@ from experiments._tables import aligned
 from experiments.team_sections._plans import two_teams
 from plr_jax import BLOptions, Problem, straight_line
 from plr_jax.planners.bl import search
-from plr_jax.planners.bl.successors import Successors, best_successors
+from plr_jax.planners.bl.search import Successors, best_successors
 from plr_jax.planners.lattice.joint import JointLattice, State
 
 SECONDS = 5.0

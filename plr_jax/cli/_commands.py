@@ -203,7 +203,7 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
     import jax
 
     from plr_jax._arrays import padded, padded_size
-    from plr_jax.plr import load
+    from plr_jax._io import load
 
     gradients = jax.jit(jax.vmap(jax.grad(load(file))))
 
@@ -240,7 +240,8 @@ def export(
 def info(file: FileArgument) -> None:
     """Say what is in a .plr file."""
     from plr_jax._arrays import told
-    from plr_jax.plr import from_bytes, load
+    from plr_jax._io import load
+    from plr_jax.plr import from_bytes
 
     plr = load(file)
     typer.echo(f"file       {printable(str(file))}")
@@ -300,7 +301,7 @@ def plot(
     ] = Picture.distance,
 ) -> None:
     """Draw a .plr file."""
-    from plr_jax.plr import load
+    from plr_jax._io import load
 
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES, inputs=(file, map))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import typer
 
 from plr_jax import metrics, plot, scenes
+from plr_jax._io import save
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.cli import _planning
 from plr_jax.cli._app import fail
@@ -17,7 +18,7 @@ from plr_jax.cli._inputs import DEFAULT_BYTES, Heuristic
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.planners import BLOptions
-from plr_jax.plr import PLR, construct, save
+from plr_jax.plr import PLR, construct
 
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3

@@ -18,8 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._deadline import require_time
-from plr_jax.robots.motion import shorter_turn
-from plr_jax.robots.robot import Robot
+from plr_jax.robots.robot import Robot, shorter_turn
 
 _MAX_BISECTIONS = 12
 _CORNERS = 1 << 16  # of bodies at a time, between two looks at the clock, which bounds the temporaries as well

@@ -16,8 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members, runs
 from plr_jax._deadline import require_time
-from plr_jax.collision.boxes import judge_boxes
-from plr_jax.collision.convex import judge_convex
+from plr_jax.collision.kernels import judge_boxes, judge_convex
 from plr_jax.collision.moving import MovingBodies, bisect, moving
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.dependencies import eliminated, resolve
+from plr_jax.plr.partition.faces import eliminated, resolve
 
 
 class _Ties(NamedTuple):

@@ -10,10 +10,8 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
-from plr_jax.eikonal.program import SlopeProgram
-from plr_jax.eikonal.rescaling import Rescaling, rescaling_of
-from plr_jax.plr.partition.cells import PLACING
-from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.eikonal.program import Rescaling, SlopeProgram, rescaling_of
+from plr_jax.plr.partition.cells import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
 _ROUNDING = 1e-9  # share of values and of slopes, many times what their evaluation rounds

@@ -5,9 +5,8 @@ from jaxtyping import Float, Int, Int8
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
-from plr_jax.eikonal.costs import cell_costs
 from plr_jax.eikonal.elements import function_space
-from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax.eikonal.mesh import Mesh, cell_costs, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap

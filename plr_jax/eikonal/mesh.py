@@ -1,6 +1,6 @@
 """The mesh of a configuration space: dyadic cells, halved along all axes at once, that are free, blocked or mixed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -8,11 +8,13 @@ from jaxtyping import Bool, Float, Int, Int8, Num
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from plr_jax._arrays import as_booleans
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
-from plr_jax.plr.partition.tree import Tree, corner_bits, tree_of
-from plr_jax.spaces import CellState, ConfigurationSpace
+from plr_jax.plr.sampling.cell_fit import sample_pattern
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, cost_bounds, pulled
 
 _OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_curve", "_splits", "_spread", "_corners")
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
@@ -234,3 +236,110 @@ def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> Int8[np.n
 def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
     lo, hi = (np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi)) for q in cells.grown_boxes(domain))
     return lo, hi
+
+
+# What motions cost in the cells of a mesh: bounds over each.
+#
+# In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
+# ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which
+# way a
+# motion goes.
+
+
+@dataclass(frozen=True, eq=False)
+class CellCosts:
+    """Bounds of the cost of motions in each cell.
+
+    Attributes:
+        motion: The cost of a motion, times a factor.
+        cost_map: The factor, or None if it is 1 everywhere.
+        lower: The least factor in each cell.
+        upper: The largest in each cell, and beside it where a query may place points in it.
+        pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
+    """
+
+    motion: MotionCost
+    cost_map: CostMap | None
+    lower: Float[np.ndarray, "cells"]
+    upper: Float[np.ndarray, "cells"]
+    pulls: Float[np.ndarray, "2 cells dim"] | None = None
+
+    @property
+    def midway(self) -> "CellCosts":
+        """The same, with the middle of the bounds of the factor as its upper one: for estimates."""
+        least = (
+            self.lower
+            if self.pulls is None
+            else np.maximum(self.lower, np.linalg.norm(self.pulls, axis=2).max(axis=0))
+        )
+        return replace(self, upper=(least + self.upper) / 2)  # so that no motion costs less than nothing
+
+    @property
+    def least_rates(self) -> Float[np.ndarray, "cells"]:
+        """What motions cost at the least over their lengths, whichever way they go."""
+        if self.pulls is None:
+            return self.lower
+        return np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0)
+
+    def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """What straight motions within cells cost at the most."""
+        pulls = None if self.pulls is None else self.pulls[:, cell]
+        return self.motion.norm(change) * self.upper[cell] + pulled(pulls, change)
+
+
+def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
+    """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
+    motion = space.motion_cost
+    if cost_map is None:
+        return CellCosts(motion, None, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
+    lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
+    if pulls is None:
+        lower, _, _ = cost_bounds(motion, cost_map, *mesh.boxes)
+    return CellCosts(motion, cost_map, lower, upper, pulls)
+
+
+# Cells classified by samples: all that can be said where configurations alone can be tested.
+
+
+_NUM_SAMPLES = 8  # of a box, beside the corners and the center
+_NUM_OF_MOTION = 33
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSpace:
+    """A configuration space whose boxes are what all their samples are; nothing of it is proven."""
+
+    space: FreeTest
+    seed: int
+
+    @property
+    def domain(self) -> Box:
+        """That of the space."""
+        return self.space.domain
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        """That of the space."""
+        return self.space.motion_cost
+
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether configurations are free."""
+        return as_booleans("is_free", self.space.is_free(q), len(np.asarray(q)))
+
+    @cached_property
+    def _samples(self) -> Float[np.ndarray, "k dim"]:
+        return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
+
+    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
+        """Free or blocked if all samples are, else mixed."""
+        x = lo[:, None] + (hi - lo)[:, None] * self._samples
+        free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
+        state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
+        return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Whether all samples of straight motions are."""
+        q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
+        x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
+        free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
+        return np.asarray(free.all(axis=1))

@@ -17,9 +17,8 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.costs import CellCosts
-from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.eikonal.mesh import CellCosts, Mesh
+from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
 _ROUNDS = 24

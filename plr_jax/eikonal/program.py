@@ -27,9 +27,116 @@ from pyamg import ruge_stuben_solver
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
 from scipy.sparse.linalg import cg, splu
 
-from plr_jax.eikonal.costs import CellCosts
 from plr_jax.eikonal.elements import FunctionSpace
-from plr_jax.eikonal.slopes import SlopeSets
+from plr_jax.eikonal.mesh import CellCosts
+
+# Values bent down, level by level, so that slopes that are a little too steep are no longer.
+#
+# Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
+# values
+# by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther from the
+# goal
+# only moves down by what is lost. That is far less than dividing everything by the largest factor.
+
+
+@dataclass(frozen=True, eq=False)
+class Rescaling:
+    """A piecewise linear function of values, 0 at 0, that rises by at most one unit a unit.
+
+    Attributes:
+        level: Where its pieces meet, ascending.
+        value: What it is there.
+    """
+
+    level: Float[np.ndarray, "levels"]
+    value: Float[np.ndarray, "levels"]
+
+    def __call__(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """The values bent down."""
+        return np.interp(u, self.level, self.value)
+
+
+def rescaling_of(
+    lowest: Float[np.ndarray, "cells"], highest: Float[np.ndarray, "cells"], factor: Float[np.ndarray, "cells"]
+) -> Rescaling:
+    """That which divides slopes by a factor, where it is above 1, in cells of given lowest and highest values."""
+    order = np.argsort(factor, kind="stable")
+    order = order[factor[order] > 1]
+    level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
+    steepest = np.ones(len(level) - 1)
+    first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
+    for cell in order.tolist():  # the steepest last
+        steepest[first[cell] : last[cell]] = factor[cell]
+    value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
+    return Rescaling(level, value - np.interp(0.0, level, value))
+
+
+# How steep a lower bound of the cost-to-go may be: convex sets of gradients, one a control point.
+#
+# Along a motion ``dq``, the cost-to-go falls by no more than the motion costs. So of a lower bound with gradient
+# ``g``,
+# ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and weighted turn,
+# a
+# product of balls; where something pulls, a ball moved along a segment. Gradients are in coordinates in which a step
+# of length 1 within any block of axes costs 1.
+
+
+Vectors = Float[np.ndarray, "dim controls"]
+_TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class SlopeSets:
+    """The sets.
+
+    Attributes:
+        blocks: Axes whose gradients are bounded together.
+        radius: Of the balls, at each control point.
+        pulls: Ends of the segment at each control point; None for none. There is one block then.
+    """
+
+    blocks: Sequence[Sequence[int]]
+    radius: Float[np.ndarray, "controls"]
+    pulls: Float[np.ndarray, "2 dim controls"] | None = None
+
+    def project(self, g: Vectors, radius: Float[np.ndarray, "controls"]) -> Vectors:
+        """The nearest vectors in the sets, their balls of another radius."""
+        offset = self._nearest_offset(g)
+        g, nearest = g - offset, np.empty_like(g)
+        for block in self.blocks:
+            axes = list(block)
+            length = np.sqrt(np.sum(g[axes] ** 2, axis=0))
+            nearest[axes] = g[axes] * (radius / np.maximum(length, radius))
+        return nearest + offset
+
+    def _nearest_offset(self, g: Vectors) -> Vectors | float:
+        """The nearest points of the segments, of what gradients are the negative of."""
+        if self.pulls is None:
+            return 0.0
+        first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
+        t = np.sum((g - first) * along, axis=0) / np.maximum(np.sum(along**2, axis=0), _TINY)
+        return first + np.clip(t, 0.0, 1.0) * along
+
+    def lengths(self, g: Vectors) -> Float[np.ndarray, "controls"]:
+        """The radii of the balls that would just hold vectors."""
+        g = g - self._nearest_offset(g)
+        return np.sqrt(np.max([np.sum(g[list(block)] ** 2, axis=0) for block in self.blocks], axis=0))
+
+    def factors(self, g: Vectors) -> Float[np.ndarray, "controls"]:
+        """By what vectors have to be divided, at the most, to be in the sets; below 1 within."""
+        length = self.lengths(g)
+        if self.pulls is None:
+            return length / self.radius
+        inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball about 0
+        return 1 + (length - self.radius) / np.maximum(inner, _TINY)
+
+    def costs(self, flow: Vectors) -> Float[np.ndarray, "controls"]:
+        """What it costs to move along a flow toward the goal, which is against its vectors."""
+        norm = np.sum([np.sqrt(np.sum(flow[list(block)] ** 2, axis=0)) for block in self.blocks], axis=0)
+        if self.pulls is None:
+            return self.radius * norm
+        return self.radius * norm + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
+
 
 _RELAXATION = 1.6
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
@@ -37,7 +144,6 @@ _TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
 _RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
 _MOST_STEPS = 50  # of conjugate gradients
 _COARSEST_GRID = 500  # unknowns of multigrid's smallest equations
-_TINY = float(np.finfo(float).tiny)
 
 Flow = Float[np.ndarray, "dim controls"]
 

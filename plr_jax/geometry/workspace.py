@@ -16,7 +16,7 @@ from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.masks.regions import placed_region, rounded_one_by_one
+from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
     as_bounds,
     as_components,
@@ -31,7 +31,7 @@ from plr_jax.geometry.polygons import (
     triangulate,
     united_within,
 )
-from plr_jax.geometry.visibility import Triangulation, triangulation_of
+from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 
 if TYPE_CHECKING:
     from plr_jax.geometry.free_space import FreeSpace

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.first_visible import first_visible_in_parts
-from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts
-from plr_jax.optimize._unit_motions import unit_motions
+from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts, unit_motions
 
 _GAIN = 1e-6  # share of the cost of legs by which they must become cheaper
 _WIDEST, _NUM_SHIFTS = 1 / 32, 8  # of vertices, as a share of the domain; each half of the one before

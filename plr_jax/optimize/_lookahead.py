@@ -18,8 +18,7 @@ from plr_jax.geometry.first_visible import first_visible_in_parts
 from plr_jax.optimize._cheaper import made_cheap
 from plr_jax.optimize._dents import Dents
 from plr_jax.optimize._descent import Descent
-from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts
-from plr_jax.optimize._unit_motions import unit_motions
+from plr_jax.optimize._path_costs import STEP_TOLERANCE, PathCosts, unit_motions
 
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # step, as a share of the domain; lengths, each half of the one before
 _FALL = 0.1  # least share of a step's cost by which the cost-to-go falls along it

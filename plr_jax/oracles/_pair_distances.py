@@ -13,9 +13,8 @@ from scipy.sparse import csgraph
 
 from plr_jax._arrays import parts, run_members
 from plr_jax._types import Distances
-from plr_jax.geometry.corners import CornerVisibility
+from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
 from plr_jax.geometry.graph import Graph
-from plr_jax.geometry.turn_regions import triangles_at, views_by_triangle
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from plr_jax._arrays import as_number, require_integer
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
-from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._heuristics import estimates, require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 

@@ -15,7 +15,7 @@ from plr_jax._atomic import write_atomically
 from plr_jax._documents import errors_named, format_name, json_of, require_format
 from plr_jax._problem import Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
-from plr_jax.robots.motion import between, motions_under_way
+from plr_jax.robots.robot import between, motions_under_way
 
 _KIND = "solution"
 _VERSION = 1

@@ -9,8 +9,7 @@ a dark page, and use colors that color-blind readers can tell apart.
 from plr_jax.plot._animation import Animation, animate
 from plr_jax.plot._page import save
 from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
-from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_workspace
-from plr_jax.plot._surface import plot_surface
+from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_surface, plot_workspace
 
 __all__ = [
     "Animation",

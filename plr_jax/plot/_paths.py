@@ -1,16 +1,238 @@
 """Pictures of what a planner is asked and what it answers: problems, paths, samples."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+import shapely
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 
 from plr_jax._arrays import as_numbers
-from plr_jax._problem import Problem
+from plr_jax._problem import Problem, as_path, row_times
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.plot._page import FONT_SIZE, INK
 from plr_jax.plot._plane import plot_workspace
-from plr_jax.plot._robots import add_body, add_numbers, add_outline, color_of, outline
-from plr_jax.plot._timeline import timeline
+from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
+
+# A path as motion in time.
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Joint configurations and when they are reached.
+
+    Args:
+        times: From 0 to the makespan of the path, never falling.
+        configurations: ``(steps, robots, dof)``, headings continued beyond pi, so that robots turn the way in
+            which headings run.
+    """
+
+    times: Float[np.ndarray, "steps"]
+    configurations: Float[np.ndarray, "steps robots dof"]
+
+    @property
+    def duration(self) -> float:
+        """Time that the path takes: its makespan."""
+        return float(self.times[-1])
+
+    def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
+        """Joint configurations at some times, clipped to those of the path."""
+        row, after, share = motions_under_way(self.times, times)
+        share = share[:, None, None]
+        return (1 - share) * self.configurations[row] + share * self.configurations[after]
+
+    def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
+        """The path from one time to another: every step in between, and both ends."""
+        inner = self.configurations[(self.times > first) & (self.times < last)]
+        ends = self.at(np.array([first, last]))
+        return np.concatenate([ends[:1], inner, ends[1:]])
+
+
+def timeline(problem: Problem, path: ArrayLike) -> Timeline:
+    """The path in time: each motion takes as long as its largest cost of a robot, so the whole its makespan.
+
+    Steps in which nothing moves are left out.
+
+    Raises:
+        ValueError: If the path has a wrong shape or is not finite.
+    """
+    path = as_path(problem, path)
+    broken = np.argwhere(~np.isfinite(path))
+    if broken.size:
+        raise ValueError(f"A path must be finite, got {path[tuple(broken[0][:2])]} in step {broken[0][0]}.")
+    moves = np.diff(path, axis=0)
+    if problem.dof == 3:
+        turns = np.array([robot.dof == 3 for robot in problem.robots])
+        moves[..., 2] = np.where(turns, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
+    kept = moves.any(axis=(1, 2))
+    continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])
+    continued[..., :2] = path[..., :2]  # without the rounding of sums
+    rows = np.append(True, kept)
+    return Timeline(row_times(problem, path)[rows], continued[rows])
+
+
+# Robots in a picture: their colors, bodies and numbers.
+
+
+# Chosen among named color-blind-safe palettes so that any two (the first four above all) stay apart as normal,
+# red-, green- and blue-blind readers see them.
+ROBOT_COLORS = ("#0072B2", "#E69F00", "#B22222", "#56B4E9", "#009988", "#882255", "#D55E00", "#1B4F9C")
+DASHES = (3.0, 1.6)  # of a goal's outline, in line widths
+_DOT = 0.011  # radius of a point robot's dot, over the longer side of the bounds
+_CORNERS = 72  # of a disc as a polygon
+_AHEAD = 0.7  # cosine of the angle to the heading within which sides are the front
+_LIGHT = 0.55  # colors brighter than this carry dark numbers
+_AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
+
+BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
+
+
+def color_of(i: int) -> str:
+    """Color of a robot; from the ninth on, they repeat."""
+    return ROBOT_COLORS[i % len(ROBOT_COLORS)]
+
+
+def ink_on(color: str) -> str:
+    """Color of a number that is legible on a color."""
+    return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
+
+
+def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
+    """Corners of a robot's body in its own frame, counterclockwise; a point is a small disc."""
+    radius = drawn_rounding(robot, bounds)
+    if radius == 0:
+        return robot.core
+    angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return robot.core[np.argmax(way @ robot.core.T, axis=1)] + radius * way
+
+
+def drawn_rounding(robot: Robot, bounds: Box) -> float:
+    """Radius by which a core is drawn rounded; a point gets that of a small dot."""
+    return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
+
+
+def nose(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
+    """A bar near the front of a body, in its own frame, that shows where it heads."""
+    corners = body_outline(robot, bounds)
+    x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
+    (_, y0), (_, y1) = shapely.get_coordinates(
+        shapely.intersection(
+            shapely.Polygon(corners), shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
+        )
+    )[[0, -1]]
+    middle, half = (y0 + y1) / 2, 0.28 * abs(y1 - y0)
+    return np.array([[x, middle - half], [x, middle + half]])
+
+
+def front(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
+    """The sides of a body that face where it heads, in its own frame."""
+    corners = body_outline(robot, bounds)
+    sides = np.roll(corners, -1, axis=0) - corners
+    facing = sides[:, 1] / np.hypot(*sides.T)
+    ahead = facing >= min(_AHEAD, facing.max() - 1e-9)
+    first = int(np.flatnonzero(ahead & ~np.roll(ahead, 1))[0])
+    return corners[(first + np.arange(ahead.sum() + 1)) % len(corners)]
+
+
+def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
+    """Corners of a robot's body at a configuration, counterclockwise."""
+    return placed(robot, body_outline(robot, bounds), q)
+
+
+def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
+    """Draw a robot as a solid body, and the bar that shows where it heads if it has a heading."""
+    robot, color = problem.robots[i], color_of(i)
+    corners = outline(robot, q, problem.workspace.bounds)
+    body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
+    ax.add_patch(body)
+    if robot.dof == 2:
+        return body, None
+    ends = placed(robot, nose(robot, problem.workspace.bounds), q)
+    (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
+    return body, bar
+
+
+def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
+    """Draw a robot as a dashed outline, as goals are; a white line under it parts it from bodies."""
+    robot, bounds = problem.robots[i], problem.workspace.bounds
+    corners = outline(robot, q, bounds)
+    style = {"edgecolor": color_of(i), "linewidth": 1.2}
+    ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
+    ax.add_patch(Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2))
+    if robot.dof == 3:  # its front is a line without gaps
+        ahead = placed(robot, front(robot, bounds), q)
+        ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
+
+
+def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
+    """Write the number of a robot."""
+    text = ax.text(at[0], at[1], str(i), color=color, fontsize=FONT_SIZE - 1, weight="bold", zorder=LABEL)
+    text.set(ha="center", va="center_baseline")
+    return text
+
+
+def add_numbers(
+    ax: Axes, problem: Problem, bodies: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "_ dof"]
+) -> None:
+    """Number solid bodies, and goals if there are any: inside where there is room, else beside them."""
+    bounds, num_robots = problem.workspace.bounds, len(bodies)
+    robots, ends = [*problem.robots, *problem.robots[: len(goals)]], [*bodies, *goals]
+    shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
+    solid, dashed = shapes[:num_robots], [shape.exterior for shape in shapes[num_robots:]]
+    taken = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
+    for k, (robot, q, shape) in enumerate(zip(robots, ends, shapes, strict=True)):
+        i = k % num_robots
+        size = number_size(ax, i)
+        if fits := 2 * robot.inscribed_radius >= 0.75 * size:
+            # Off the center where a goal's outline runs through it.
+            inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
+            spot = _freest(inside, dashed, size) if k < num_robots else q[:2]
+        if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
+            spot = _freest(_beside(shape, q[:2], size), taken, size)
+            taken.append(_square(spot, size))
+            text = add_number(ax, i, spot, color_of(i))
+            text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+        else:
+            add_number(ax, i, spot, ink_on(color_of(i)) if k < num_robots else color_of(i))
+
+
+def number_size(ax: Axes, i: int) -> float:
+    """Width and height that the number of a robot takes, in workspace units."""
+    ax.apply_aspect()
+    points = FONT_SIZE * (1 if i < 10 else 1.5)
+    units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
+    return float(units[1, 0] - units[0, 0])
+
+
+def _beside(body: shapely.Polygon, center: Float[np.ndarray, "2"], size: float) -> list[Float[np.ndarray, "2"]]:
+    """Eight places for a number around a body, close to it."""
+    spots = []
+    for way in np.array(_AROUND):
+        reach = max(float(way @ (corner - center)) for corner in shapely.get_coordinates(body))
+        spots.append(center + (reach + 0.62 * size) * way)
+    return spots
+
+
+def _freest(
+    spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
+) -> Float[np.ndarray, "2"]:
+    """The first spot at which a number covers least of what is taken."""
+    covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
+    return spots[int(np.argmin(covered))]
+
+
+def _square(center: Float[np.ndarray, "2"], size: float) -> shapely.Polygon:
+    x, y = center
+    return shapely.box(x - size / 2, y - size / 2, x + size / 2, y + size / 2)
+
 
 # z-orders: above obstacles, so that a wrong path is seen to be wrong, and below solid bodies.
 _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0

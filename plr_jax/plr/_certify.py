@@ -10,12 +10,10 @@ from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr._file import Contents
-from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr.certificate.branch_and_bound import prove_bounds
+from plr_jax.plr._file import Contents, filled_coefficients
+from plr_jax.plr.certificate.bounds import prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
-from plr_jax.plr.partition.cells import grown_domain
-from plr_jax.plr.partition.tree import tree_of_levels
+from plr_jax.plr.partition.cells import grown_domain, tree_of_levels
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR

@@ -18,19 +18,16 @@ from plr_jax.plr._file import Contents
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.file.container import frame_size
 from plr_jax.plr.folding.choice import folding_of
+from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.growth.limits import ConstructionInterrupted, check_limits
-from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, SourcedLeafModel
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.partition.cells import Cells, levels_of
 from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.sampling.asked import as_executor, asked
-from plr_jax.plr.sampling.cell_fit import Sampler, WeightFn
+from plr_jax.plr.sampling.cell_fit import FitRule, Sampler, WeightFn, least_squares, sample_pattern
 from plr_jax.plr.sampling.cell_memory import CellMemory
 from plr_jax.plr.sampling.folded import FoldedFn, FoldedWeights
-from plr_jax.plr.sampling.pattern import sample_pattern
-from plr_jax.plr.sampling.plane_fits import FitRule, least_squares
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR

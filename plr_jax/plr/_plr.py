@@ -13,24 +13,23 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from plr_jax._arrays import padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents, decode, decode_cells
-from plr_jax.plr._filled import counted_from, filled_coefficients, planes_of_leaves
+from plr_jax.plr._file import Contents, counted_from, decode, decode_cells, filled_coefficients, planes_of_leaves
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.file.held import HeldFile
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.portable.evaluator import NumpyPLR
 from plr_jax.plr.query.frame import Corner, Outside, as_outside, corner_if_far
-from plr_jax.plr.query.lower_bound import LowerBound
 from plr_jax.plr.query.points import (
+    LowerBound,
     PointPlacement,
+    TableStack,
     as_array,
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
     waypoints_of_points,
 )
-from plr_jax.plr.query.stack import TableStack
 from plr_jax.plr.query.tables import Tables, build_tables
 
 

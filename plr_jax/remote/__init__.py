@@ -12,10 +12,11 @@ from plr_jax._arrays import as_finite_point, as_number, require_integer, shorten
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import VisibilityGraph
-from plr_jax.plr import PLR, PairPLR, construct, from_bytes
+from plr_jax.pairs import PairPLR
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.pairs.stored import Stored
+from plr_jax.plr import PLR, construct, from_bytes
 from plr_jax.plr.file.container import MOST_BYTES, PAIRS_CODE, Header
-from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.pairs.stored import Stored
 from plr_jax.remote.ranges import Fetched, fetch
 
 _FIRST_BYTES = 4096

@@ -1,15 +1,22 @@
 """Named scenes, the scene file format, readers of public formats, and variants of a problem."""
 
-from plr_jax.scenes._crowded import crowd, door
 from plr_jax.scenes._dbcbs import read_dbcbs, read_trajectories
 from plr_jax.scenes._file import is_scene, load, save
-from plr_jax.scenes._geojson import read_geojson
-from plr_jax.scenes._map_server import read_map_server
+from plr_jax.scenes._geojson import read_geojson, read_polygons
 from plr_jax.scenes._movingai import Scenario, read_cells, read_map, read_scen
-from plr_jax.scenes._perturbed import perturbed
-from plr_jax.scenes._pictures import read_image
-from plr_jax.scenes._polygons import read_polygons
-from plr_jax.scenes._published import cross, floor_plan, four_rooms, maze, single_door, tangle, thin_maze
+from plr_jax.scenes._pictures import read_image, read_map_server
+from plr_jax.scenes._published import (
+    cross,
+    crowd,
+    door,
+    floor_plan,
+    four_rooms,
+    maze,
+    perturbed,
+    single_door,
+    tangle,
+    thin_maze,
+)
 from plr_jax.scenes._workspaces import read_workspace
 
 __all__ = [

@@ -13,12 +13,9 @@ from plr_jax._atomic import write_atomically
 from plr_jax._documents import errors_named, format_name, json_of, require_format
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
 from plr_jax.robots.robot import Robot
-from plr_jax.scenes._polygons import rings_of
+from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
+from plr_jax.scenes._geojson import rings_of
 
 _KIND = "scene"
 _VERSION = 3

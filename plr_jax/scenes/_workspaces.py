@@ -10,11 +10,9 @@ from plr_jax._documents import errors_named, json_of, yaml_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._dbcbs import read_dbcbs
 from plr_jax.scenes._file import is_scene, load
-from plr_jax.scenes._geojson import is_geojson, read_geojson
-from plr_jax.scenes._map_server import is_map_server, read_map_server
+from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons
 from plr_jax.scenes._movingai import read_map
-from plr_jax.scenes._pictures import PICTURE_ENDINGS, read_image
-from plr_jax.scenes._polygons import read_polygons
+from plr_jax.scenes._pictures import PICTURE_ENDINGS, is_map_server, read_image, read_map_server
 
 _ENDINGS = (".map", ".json", ".geojson", ".yaml", ".yml", *PICTURE_ENDINGS)
 

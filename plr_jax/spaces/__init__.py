@@ -1,14 +1,14 @@
 """Configuration spaces: what is free, of points and of whole boxes, and what a motion costs."""
 
 from plr_jax.spaces._arm import PlanarArm as PlanarArm
-from plr_jax.spaces._cost_map import CostMap as CostMap
-from plr_jax.spaces._cost_map import DirectionalCost as DirectionalCost
-from plr_jax.spaces._cost_map import LipschitzCost as LipschitzCost
-from plr_jax.spaces._cost_map import cost_bounds as cost_bounds
-from plr_jax.spaces._cost_map import motion_rates as motion_rates
-from plr_jax.spaces._cost_map import pulled as pulled
-from plr_jax.spaces._directional import Climbing as Climbing
-from plr_jax.spaces._directional import Current as Current
+from plr_jax.spaces._costs import Climbing as Climbing
+from plr_jax.spaces._costs import CostMap as CostMap
+from plr_jax.spaces._costs import Current as Current
+from plr_jax.spaces._costs import DirectionalCost as DirectionalCost
+from plr_jax.spaces._costs import LipschitzCost as LipschitzCost
+from plr_jax.spaces._costs import cost_bounds as cost_bounds
+from plr_jax.spaces._costs import motion_rates as motion_rates
+from plr_jax.spaces._costs import pulled as pulled
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
 from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
 from plr_jax.spaces._space import CellState as CellState

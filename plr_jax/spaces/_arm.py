@@ -14,8 +14,8 @@ from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, shor
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.motion import shorter_turn
-from plr_jax.spaces._obstacles import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.robots.robot import shorter_turn
+from plr_jax.spaces._plane import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory

@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import left_normal
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body
-from plr_jax.spaces._obstacles import are_free_motions, come_near, have_walls_within
+from plr_jax.spaces._plane import are_free_motions, come_near, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _WIDEST_ARC = math.pi / 3

@@ -11,10 +11,11 @@ from PIL import Image
 
 import plr_jax
 from plr_jax import VisibilityGraph, construct, scenes
+from plr_jax._io import load, save
 from plr_jax.cli._app import saying
 from plr_jax.cli._build import build_file
 from plr_jax.oracles.cells.cell_sources import VisibleSources
-from plr_jax.plr import _construct, from_bytes, load, save
+from plr_jax.plr import _construct, from_bytes
 from plr_jax.plr.leaves import leaf_names
 
 

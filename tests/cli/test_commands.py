@@ -7,7 +7,7 @@ from cli_helpers import mistake, run
 
 import plr_jax
 from plr_jax import Box, construct, scenes
-from plr_jax.plr import load, save
+from plr_jax._io import load, save
 
 
 def test_query_prints_what_the_plr_answers(maze, tmp_path):

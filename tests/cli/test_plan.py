@@ -12,10 +12,7 @@ from plr_jax.cli._inputs import TEAM_SCENES, Heuristic, read_problem, require_wr
 from plr_jax.oracles import robot_distance_fns
 from plr_jax.planners import BLOptions, Status, bl_plan, straight_line
 from plr_jax.plr import construct
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
 
 run, mistake = (partial(command, "plan") for command in (cli_helpers.run, cli_helpers.mistake))
 SQUARE = Workspace(((0, 0), (10, 10)))

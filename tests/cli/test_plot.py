@@ -3,7 +3,7 @@ import pytest
 from cli_helpers import mistake, run
 from PIL import Image
 
-from plr_jax.plr import load, save
+from plr_jax._io import load, save
 
 
 @pytest.mark.parametrize("kind", ["distance", "cells", "surface", "error"])

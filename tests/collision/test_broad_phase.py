@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING
 
-from plr_jax.collision.broad_phase import Traffic, circles, circles_along, within_reach
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import Traffic, circles, circles_along, motions_apart, within_reach
 
 TEAM = [DISC, BAR, POINT, WING, PEBBLE, DISC]
 

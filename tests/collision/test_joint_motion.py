@@ -5,9 +5,7 @@ import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
-from plr_jax.collision.broad_phase import Traffic
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import JointMotionTest, Traffic, motions_apart
 from plr_jax.collision.walls import MotionTest
 
 WORKSPACE = Workspace(((0, 0), (6, 6)), [shapely.box(2.5, 2.5, 3.5, 3.5)])

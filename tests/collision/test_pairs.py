@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
 
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.collision.team import motions_apart
+from plr_jax.robots.shapes import DiscRobot, RectangleRobot
 
 TOLERANCE = 1e-9
 CORNER = BAR.circumscribed_radius

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import _deadline
-from plr_jax.collision import convex, moving, pairs, walls
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision import kernels as convex
+from plr_jax.collision import moving, walls
+from plr_jax.collision import team as pairs
+from plr_jax.collision.team import JointMotionTest, motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.polygon import PolygonRobot
+from plr_jax.robots.shapes import PolygonRobot
 
 BLOCKS = [[(x, y), (x + 0.3, y), (x + 0.2, y + 0.4)] for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
 ROOM = Workspace(((0, 0), (4, 4)), BLOCKS)
@@ -69,7 +70,7 @@ def test_pairs_in_portions(robots, monkeypatch):
     (a0, a1), (b0, b1) = columns(40), columns(30, 0.5)
     motions = robots[0], a0[:, None], a1[:, None], robots[1], b0, b1
     whole = motions_apart(*motions, 1e-9)
-    for module, name, value in ((moving, "_CORNERS", 20), (pairs, "_CHUNK", 7), (pairs, "_MOST", 70)):
+    for module, name, value in ((moving, "_CORNERS", 20), (pairs, "_CHUNK_PAIRS", 7), (pairs, "_MOST", 70)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(motions_apart(*motions, 1e-9), whole)
     assert 0 < whole.mean() < 1

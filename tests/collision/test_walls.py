@@ -7,9 +7,7 @@ from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shape
 
 from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import DiscRobot, PolygonRobot, RectangleRobot
 
 UP = np.pi / 2
 

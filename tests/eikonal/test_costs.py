@@ -1,8 +1,7 @@
 import numpy as np
 
 from plr_jax import Current, PlaneSpace, Workspace
-from plr_jax.eikonal.costs import cell_costs
-from plr_jax.eikonal.mesh import coarse_mesh
+from plr_jax.eikonal.mesh import cell_costs, coarse_mesh
 
 SPACE = PlaneSpace(Workspace(((0, 0), (1, 1))))
 

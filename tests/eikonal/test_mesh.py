@@ -7,8 +7,7 @@ from eikonal_helpers import BoxSpace, mesh_of, random_mesh
 
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import PLACING, Cells
-from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.plr.partition.cells import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState
 
 BLOCKED, FREE, MIXED = CellState

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.eikonal.rescaling import rescaling_of
+from plr_jax.eikonal.program import rescaling_of
 
 # Multiples of 1/8, so that ends of intervals meet often.
 LEVEL = st.integers(-8, 40).map(lambda k: k / 8)

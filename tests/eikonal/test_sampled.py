@@ -2,7 +2,7 @@ import numpy as np
 from eikonal_helpers import BoxSpace
 from space_helpers import random_boxes
 
-from plr_jax.eikonal.sampled import SampledSpace
+from plr_jax.eikonal.mesh import SampledSpace
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import CellState, ConfigurationSpace
 

@@ -3,14 +3,12 @@ import pytest
 from eikonal_helpers import EMPTY, ROOM, check_bounds, random_mesh
 
 from plr_jax import PlaneSpace, VisibilityGraph, solve_eikonal
-from plr_jax.eikonal.solve import _field
-from plr_jax.eikonal.storing import _changes_beside, _intersections, _with_proof
+from plr_jax.eikonal.solve import _changes_beside, _field, _intersections, _with_proof
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import CornerLeafModel
-from plr_jax.plr.partition.cells import PLACING, Cells
-from plr_jax.plr.partition.pairs import overlapping_leaves
-from plr_jax.plr.partition.tree import levels_of, tree_of
+from plr_jax.plr.partition.cells import PLACING, Cells, levels_of, tree_of
+from plr_jax.plr.partition.faces import overlapping_leaves
 
 
 def random_tree(seed, dim, splits=40):

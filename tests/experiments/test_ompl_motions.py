@@ -6,9 +6,9 @@ from robot_helpers import random_motions
 
 from experiments.baselines.ompl import task_of
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
-from plr_jax.robots.motion import shorter_turn
+from plr_jax.robots.robot import shorter_turn
 
 base = pytest.importorskip("ompl.base", reason="OMPL baselines: pip install 'plr-jax[baselines]'")
 kernels = pytest.importorskip("experiments.baselines.ompl_motions", reason="OMPL baselines need numba")

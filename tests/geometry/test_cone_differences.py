@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from piece_helpers import as_pieces, box, points_of, random_pieces
 
-from plr_jax.geometry.cone_differences import cone_above_plane, difference_of_cones
-from plr_jax.geometry.convex_pieces import clip_to_box
+from plr_jax.geometry.convex_pieces import clip_to_box, cone_above_plane, difference_of_cones
 
 SEEDS = st.integers(0, 100_000)
 DENSE = np.linspace(0, 1, 129)

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from plr_jax import FreeSpace, Workspace, scenes
-from plr_jax.geometry.free_space import cells as cells_module
+from plr_jax.geometry import free_space as cells_module
 
 NEEDLE = [(2, 2), (8, 2.001), (2, 2.002)]
 TOUCHING = [[(2, 5), (4, 5), (4, 7), (2, 7)], [(4, 7), (6, 7), (6, 9), (4, 9)]]

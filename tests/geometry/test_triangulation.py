@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plr_jax.geometry.boundary import Boundary, boundary_of
+from plr_jax.geometry.triangulation import triangulation_of
 from plr_jax.geometry.vectors import cross_product
-from plr_jax.geometry.visibility import triangulation_of
 from plr_jax.geometry.workspace import Workspace
 
 TEN = ((0, 0), (10, 10))

@@ -80,7 +80,7 @@ def test_what_a_corner_sees_is_what_shapely_finds_one_pair_at_a_time(seed):
 def test_many_viewpoints_are_swept_in_parts(monkeypatch):
     workspace = random_workspace(3)
     whole = corner_views(workspace)
-    monkeypatch.setattr("plr_jax.geometry.visibility.table._VIEWS", 1)
+    monkeypatch.setattr("plr_jax.geometry.visibility._VIEWS", 1)
     parts = corner_views(workspace)
     np.testing.assert_array_equal(parts.key, whole.key)
     np.testing.assert_array_equal(parts.edge, whole.edge)

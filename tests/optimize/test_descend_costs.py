@@ -20,8 +20,7 @@ from plr_jax import (
     solve_eikonal,
 )
 from plr_jax.optimize._descent import DescentStatus
-from plr_jax.optimize._path_costs import PathCosts
-from plr_jax.optimize._unit_motions import unit_motions
+from plr_jax.optimize._path_costs import PathCosts, unit_motions
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 SQUARE = Workspace(((0, 0), (2, 2)))

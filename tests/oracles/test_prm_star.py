@@ -9,7 +9,7 @@ from oracle_helpers import CUT, GAP, NOTHING, UNIT, free_points, roadmap
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import Roadmap
 from plr_jax.oracles._metric import metric_of
-from plr_jax.oracles._prm_star import checked_is_free, checked_is_visible, prm_star_radius
+from plr_jax.oracles._roadmap import checked_is_free, checked_is_visible, prm_star_radius
 
 LINE = Box([0.0], [10.0])
 

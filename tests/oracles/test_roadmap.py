@@ -175,7 +175,7 @@ def test_batches_larger_than_memory_allows_are_cut(monkeypatch):
     x = free_points(GAP, 200)
     expected, sampled = roadmap(GAP)(x), roadmap(GAP, is_visible=None, resolution=0.01)(x)
     monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
-    monkeypatch.setattr("plr_jax.oracles._prm_star._BATCH", 64)
+    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
     np.testing.assert_array_equal(roadmap(GAP)(x), expected)
     np.testing.assert_array_equal(roadmap(GAP, is_visible=None, resolution=0.01)(x), sampled)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plr_jax.oracles._shared_cones import SharedCones
+from plr_jax.oracles.cells.family_sources import SharedCones
 
 POINTS = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.25]])  # two corners, then two goals
 

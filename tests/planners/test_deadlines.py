@@ -6,16 +6,16 @@ from planner_helpers import ROOM, joint_lattice_of, planned, search_budget
 from team_helpers import MIXED, team_of
 
 from plr_jax import BLOptions, DiscRobot, Problem, bl_plan, scenes
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.planners import Status, level, straight_line
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.planners import Status, straight_line
+from plr_jax.planners import lacam as team_moves
+from plr_jax.planners import searches as level
 from plr_jax.planners.bl import search as best_first
-from plr_jax.planners.bl.heuristic_table import heuristic_table, tabulate
-from plr_jax.planners.lacam import moves as team_moves
+from plr_jax.planners.bl.search import heuristic_table, tabulate
 from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.replanning.conflicts import Conflicts
+from plr_jax.planners.replanning import Conflicts
 from plr_jax.planners.searches import Searches
-from plr_jax.planners.smoothing.corridor import shorten_in_corridors
-from plr_jax.planners.smoothing.shortcuts import shorten
+from plr_jax.planners.smoothing import shorten, shorten_in_corridors
 
 NEVER, LONG_AGO = float("inf"), -1.0  # on the clock
 FAR_OFF = 1e12
@@ -124,7 +124,7 @@ def test_tables_of_large_teams_are_evaluated_in_smaller_portions(monkeypatch):
             return heuristic.per_robot(q)
 
     whole = tabulate(joint, heuristic)
-    monkeypatch.setattr("plr_jax.planners.bl.heuristic_table._CHUNK", 300)
+    monkeypatch.setattr("plr_jax.planners.bl.search._CHUNK", 300)
     for column, expected in zip(tabulate(joint, Counting()), whole, strict=True):
         np.testing.assert_array_equal(column, expected)
     assert max(rows) <= 300 * 16

@@ -8,9 +8,9 @@ from planner_helpers import nudged_discs, nudged_team
 from team_helpers import MIXED
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, scenes
-from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.level import build_level, num_bytes
+from plr_jax.planners.searches import build_level, num_bytes
 
 
 def level_of(problem, step):

@@ -13,12 +13,8 @@ from PIL import Image
 from plr_jax import plot, scenes
 from plr_jax._problem import Problem, makespan
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.plot._robots import ROBOT_COLORS
-from plr_jax.plot._timeline import timeline
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.plot._paths import ROBOT_COLORS, timeline
+from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
 
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
 STARTS = np.array([(1, 1, 0), (1, 3, 3.0), (1, 5, 0)])

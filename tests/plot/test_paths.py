@@ -10,11 +10,9 @@ from matplotlib.patches import Polygon
 from plr_jax import plot, scenes
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.plot._robots import ROBOT_COLORS, ink_on
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.motion import footprint
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.plot._paths import ROBOT_COLORS, ink_on
+from plr_jax.robots.robot import footprint
+from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
 
 # Robots of every kind and of different sizes; the headings of the round ones mean nothing.
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]

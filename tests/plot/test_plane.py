@@ -12,7 +12,7 @@ from matplotlib.patches import PathPatch
 from plr_jax import plot
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.plot._surface import _pieces
+from plr_jax.plot._plane import _pieces
 from plr_jax.plr import construct
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.

@@ -9,10 +9,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
-from plr_jax.plr.leaves.plane.codec import encode_planes
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.leaves.plane import encode_planes
+from plr_jax.plr.partition.cells import Cells, levels_of, tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import levels_of, tree_of
 
 UNIT = Box([0, 0], [1, 1])
 

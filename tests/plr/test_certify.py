@@ -8,11 +8,12 @@ from piece_helpers import WORKSPACES, box
 from plr_helpers import UNIT, cone
 
 from plr_jax import scenes
+from plr_jax._io import load, save
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
-from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes, load, save
+from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
 NUM_POINTS = 100_000
@@ -215,7 +216,7 @@ def test_proofs_end_where_bounds_cannot_get_better(maze, monkeypatch):
     """Then they are as they were found so far, and hold."""
     plr = construct(maze, UNIT, max_leaves=20)
     tight = certify(plr, maze, leaf_bounds=True)
-    monkeypatch.setattr("plr_jax.plr.certificate.branch_and_bound._MOST_PIECES", 10)
+    monkeypatch.setattr("plr_jax.plr.certificate.bounds._MOST_PIECES", 10)
     loose = certify(plr, maze, leaf_bounds=True)
     assert np.ptp(loose.band, axis=0).sum() > np.ptp(tight.band, axis=0).sum()
     check_bounds(loose, maze, 5_000)

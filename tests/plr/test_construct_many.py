@@ -9,7 +9,7 @@ import pytest
 
 import plr_jax
 from plr_jax.plr import _construct_many
-from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.partition.cells import levels_of
 
 MAZE = plr_jax.scenes.maze().workspace
 NUM_GOALS = 7

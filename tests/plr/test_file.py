@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, contents_of_planes, points, random_contents, sealed, three_leaves, walled
 
 from plr_jax import VisibilityGraph, Workspace
+from plr_jax._io import load, save
 from plr_jax.geometry.box import Box
-from plr_jax.plr import Plane, construct, from_bytes, load, progressive, save
+from plr_jax.plr import Plane, construct, from_bytes, progressive
 from plr_jax.plr._file import decode, decode_cells, encode
 from plr_jax.plr.file.container import Container, Header, Layer
-from plr_jax.plr.leaves.plane.codec import StoredPlanes
+from plr_jax.plr.leaves.plane import StoredPlanes
 
 MODELS = ("plane", "continuous", "smooth")
 

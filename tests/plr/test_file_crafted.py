@@ -10,13 +10,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, from_bytes
 from plr_jax.plr._assembly import with_stored
 from plr_jax.plr._file import Contents, decode, encode
-from plr_jax.plr.file.bits import BitWriter
+from plr_jax.plr.file.bits import BitWriter, write_tree
 from plr_jax.plr.file.container import Container, Layer
-from plr_jax.plr.file.tree import write_tree
 from plr_jax.plr.leaves import code_of_leaf, leaf_model
-from plr_jax.plr.leaves.plane.codec import StoredPlanes, encode_planes
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import Level, levels_of, tree_of_levels
+from plr_jax.plr.leaves.plane import StoredPlanes, encode_planes
+from plr_jax.plr.partition.cells import Cells, Level, levels_of, tree_of_levels
 
 
 def with_body(leaf, dim, cells, write):

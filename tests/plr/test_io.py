@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
 
-from plr_jax.plr import Plane, construct, from_bytes, load, load_numpy, load_pairs, save
-from plr_jax.plr.file import container, reading
+from plr_jax._io import load, load_pairs, save
+from plr_jax.plr import Plane, construct, from_bytes, load_numpy
+from plr_jax.plr.file import container
+from plr_jax.plr.file import container as reading
 
 
 def assert_same(one, other):

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
+from plr_jax._io import save
 from plr_jax.geometry.box import Box
-from plr_jax.plr import PLR, construct, evaluate, save
+from plr_jax.plr import PLR, construct, evaluate
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.query.points import evaluate_points
 

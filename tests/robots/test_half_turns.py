@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plr_jax import BLOptions, PointRobot, PolygonRobot, Problem, Workspace, bl_plan, path_cost, validate
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
-from plr_jax.optimize.trajectory.retiming import subdivided, unwrapped
+from plr_jax.optimize.trajectory.scaled_problem import subdivided, unwrapped
 from plr_jax.planners import Stats, Status
 from plr_jax.planners._solution import solution_of
-from plr_jax.plot._timeline import timeline
-from plr_jax.robots.motion import shorter_turn, smaller_angle
+from plr_jax.plot._paths import timeline
+from plr_jax.robots.robot import shorter_turn, smaller_angle
 
 HAND = PolygonRobot([(0, -0.05), (3, -0.05), (3, 0.05), (0, 0.05)])  # about its left end
 NOWHERE = np.zeros((0, 1, 3))

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import PolygonRobot, RectangleRobot
 
 TRIANGLE = [(-1.0, -1.0), (2.0, -1.0), (-1.0, 3.0)]
 

@@ -4,10 +4,8 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.motion import footprint, shorter_turn, team_dof
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.robot import footprint, shorter_turn, team_dof
+from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
 
 
 def test_radii_of_the_discs_within_and_around():

@@ -6,8 +6,7 @@ import pytest
 import shapely
 
 from plr_jax import scenes
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import DiscRobot, RectangleRobot
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party problems are absent")

@@ -7,10 +7,7 @@ import shapely
 from plr_jax import scenes
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.polygon import PolygonRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import DiscRobot, PointRobot, PolygonRobot, RectangleRobot
 
 POINT = [PointRobot()]
 

@@ -5,9 +5,7 @@ import pytest
 import shapely
 
 from plr_jax import scenes
-from plr_jax.robots.disc import DiscRobot
-from plr_jax.robots.point import PointRobot
-from plr_jax.robots.rectangle import RectangleRobot
+from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
 
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])

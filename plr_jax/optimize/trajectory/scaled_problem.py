@@ -8,6 +8,8 @@ Way points move by hat functions of all widths, from half the path to a single r
 quickly as details do. Lengths are shares of the workspace's extent, which suits 32-bit floats.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +17,82 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from plr_jax._arrays import runs
+from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import DimensionedFn
 from plr_jax.optimize.trajectory.clearance import Outlines, PaddedBoundary, convex_clearances, round_clearances
-from plr_jax.optimize.trajectory.compilation import jit_iterations
+from plr_jax.robots.robot import between, shorter_turn
+
+# Paths of as many rows as wanted, and the same motions at other times.
+
+
+Path = Float[np.ndarray, "rows robots dof"]
+
+_SHORTEST = 0.3  # share of the path's time in which a robot makes all its motions, at the shortest
+
+
+def subdivided(problem: Problem, path: Float[np.ndarray, "steps robots dof"], rows: int) -> Path:
+    """The same path of as many rows as wanted, at least 2 and its own: its costliest motions are divided evenly."""
+    path = path if len(path) > 1 else np.repeat(path, 2, axis=0)
+    cost = motion_costs(problem, path[:-1], path[1:]).sum(axis=1)
+    count = np.ones(len(cost), dtype=np.intp)
+    for _ in range(rows - len(path)):
+        count[np.argmax(cost / count)] += 1
+    motion, step = runs(count)
+    share = (step / count[motion])[:, None, None]
+    return np.concatenate([between(path[motion], path[motion + 1], share), path[-1:]])
+
+
+def retimed(path: Path, rng: np.random.Generator) -> Path:
+    """The same motions of each robot, begun and ended at random times, in as many rows; robots may collide."""
+    whole, last = unwrapped(path), len(path) - 1
+    result = np.empty_like(path)
+    for i in range(path.shape[1]):
+        duration = rng.uniform(_SHORTEST, 1.0)
+        begin = rng.uniform(0.0, 1.0 - duration)
+        when = np.clip((np.linspace(0.0, 1.0, last + 1) - begin) / duration, 0.0, 1.0) * last
+        row = np.minimum(when.astype(np.intp), last - 1)
+        share = (when - row)[:, None]
+        result[:, i] = (1 - share) * whole[row, i] + share * whole[row + 1, i]
+    result[0], result[-1] = path[0], path[-1]
+    return result
+
+
+def unwrapped(path: Path) -> Path:
+    """The path with headings that do not jump by whole turns."""
+    change = np.diff(path, axis=0, prepend=path[:1])
+    change[1:, :, 2:] = shorter_turn(path[:-1, :, 2:], path[1:, :, 2:])
+    return path[:1] + np.cumsum(change, axis=0)
+
+
+# How the iterations are compiled: hundreds of small operations and their derivatives.
+
+
+_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+
+
+def jit_iterations(iterate: Callable) -> Callable:
+    """``jax.jit`` without XLA's slow code generator for fused operations, where this version has a choice."""
+
+    @functools.cache
+    def compiled() -> Callable:
+        return jax.jit(iterate, compiler_options=_known(_OPTIONS))
+
+    @functools.wraps(iterate)
+    def call(*args: Any) -> Any:
+        return compiled()(*args)
+
+    return call
+
+
+def _known(options: dict[str, bool]) -> dict[str, bool]:
+    """The options, if this version of XLA knows them."""
+    try:
+        jax.jit(lambda: 0, compiler_options=options)()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return options
+
 
 _STEEPNESS = 10.0  # of the penalty; the pull of a path on a row is at most 2, and in a hurry 6
 _RATES = (3e-3, 3e-6)  # learning rate at first and at last
@@ -30,7 +105,7 @@ _EARLY = 3e-4  # share of it by which paths aim to end before, so that they do n
 _PIECES = 2  # of a motion in which something turns, each taken for a chord
 _SMOOTHING = 1e-6  # length below which a motion costs less than its length, so that it has a gradient at rest
 
-Path = Float[Array, "rows robots dof"]
+PathScaledProblem = Float[Array, "rows robots dof"]
 
 
 class ScaledProblem(NamedTuple):
@@ -102,7 +177,7 @@ def moves_of(
 
 def _advanced(
     problem: ScaledProblem,
-    path: Path,
+    path: PathScaledProblem,
     longest: Float[Array, ""],
     aims: Aims,
     descent: DescentState,
@@ -123,7 +198,9 @@ def _advanced(
     return jax.lax.scan(step, descent, progress)
 
 
-def _moves(problem: ScaledProblem, path: Path, weights: Float[Array, "hats robots dof"]) -> Path:
+def _moves(
+    problem: ScaledProblem, path: PathScaledProblem, weights: Float[Array, "hats robots dof"]
+) -> PathScaledProblem:
     unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / problem.lever[:, None])
     return jnp.tensordot(jnp.asarray(_hats(len(path))), weights, 1) * unit
 
@@ -135,7 +212,7 @@ def _adam() -> Any:
 
 
 def _loss(
-    problem: ScaledProblem, path: Path, longest: Float[Array, ""], aims: Aims, progress: Float[Array, ""]
+    problem: ScaledProblem, path: PathScaledProblem, longest: Float[Array, ""], aims: Aims, progress: Float[Array, ""]
 ) -> Float[Array, ""]:
     margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
     penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(problem, path))
@@ -150,7 +227,7 @@ def _loss(
     return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(problem, path, aims.distance_fns)
 
 
-def _costs(problem: ScaledProblem, path: Path) -> Float[Array, "motions robots"]:
+def _costs(problem: ScaledProblem, path: PathScaledProblem) -> Float[Array, "motions robots"]:
     """Cost of each robot's motions."""
     change = jnp.diff(path, axis=0)
     cost = jnp.sqrt((change[..., :2] ** 2).sum(axis=-1) + _SMOOTHING**2)
@@ -172,7 +249,7 @@ def _overtime(costs: Float[Array, "motions robots"], longest: Float[Array, ""]) 
     return _hinge(costs.max(axis=1).sum() - (longest - early), early)
 
 
-def _clearances(problem: ScaledProblem, path: Path) -> tuple[Float[Array, "..."], ...]:
+def _clearances(problem: ScaledProblem, path: PathScaledProblem) -> tuple[Float[Array, "..."], ...]:
     if problem.outlines.all_round:
         return round_clearances(problem.walls, problem.outlines, path[:-1, :, :2], path[1:, :, :2])
     share = jnp.arange(_PIECES + 1)[:, None, None, None] / _PIECES
@@ -180,7 +257,7 @@ def _clearances(problem: ScaledProblem, path: Path) -> tuple[Float[Array, "..."]
     return convex_clearances(problem.walls, problem.outlines, times[:-1], times[1:])
 
 
-def _lag(problem: ScaledProblem, path: Path, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
+def _lag(problem: ScaledProblem, path: PathScaledProblem, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
     """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cone_differences import difference_of_cones
 from plr_jax.geometry.convex_pieces import (
     Pieces,
     areas,
@@ -19,8 +18,9 @@ from plr_jax.geometry.convex_pieces import (
     clip_to_box,
     contain,
     cut_parts,
+    difference_of_cones,
 )
-from plr_jax.geometry.turn_regions import TurnRegions
+from plr_jax.geometry.corners import TurnRegions
 from plr_jax.oracles.cells.sight import Sight, Walls
 
 _CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many

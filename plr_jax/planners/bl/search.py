@@ -1,20 +1,176 @@
 """Best-first search over joint configurations that claims every cell of the joint space once."""
 
 import heapq
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from tqdm import tqdm
 
 from plr_jax._arrays import runs
+from plr_jax._deadline import require_time
+from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.heuristic_table import HeuristicTable
 from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.bl.successors import best_successors
-from plr_jax.planners.lattice.joint import JointLattice, State
-from plr_jax.planners.lattice.motions import Lattice
+from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
+
+# Joint configurations and their children: products of the robots' primitives, scored and checked together.
+
+
+class Successors(NamedTuple):
+    """The best children of some joint configurations, by score, best first.
+
+    Args:
+        score: Sums of the robots' terms; ``inf`` for children that collide.
+        primitive: The primitive of each robot.
+        num_scored: Joint children, whole and partial, that were scored to find them.
+        num_valid: Of the whole ones, how many collide with nothing.
+        whole: Whether no collision-free child is missing.
+    """
+
+    score: Float[np.ndarray, "n m"]
+    primitive: UInt8[np.ndarray, "n m robots"]
+    num_scored: int
+    num_valid: int
+    whole: Bool[np.ndarray, "n"]
+
+
+def best_successors(
+    joint: JointLattice, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int
+) -> Successors:
+    """The best children of joint configurations, one robot added after the other.
+
+    The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next
+    robot joins. A product that fits is not cut, so that its children are complete. The ``terms`` are each robot's, of
+    its configurations' primitives, ``inf`` where blocked.
+    """
+    score = np.zeros((len(state), 1), np.float32)
+    primitive = np.zeros((len(state), 1, 0), np.uint8)
+    num_scored, num_valid, whole = 0, len(state), np.ones(len(state), dtype=bool)
+    rows = np.arange(len(state))[:, None]
+    for i, term in enumerate(terms):
+        extended = score[:, :, None] + term[state[:, i], None]
+        for j in range(i):
+            near, collide = joint.collisions(j, i, state)
+            if collide.any():
+                penalty = np.where(collide, np.float32(np.inf), np.float32(0.0))
+                extended[near] += penalty[np.arange(len(near))[:, None], primitive[near, :, j]]
+        num_scored += extended.size
+        score = extended.reshape(len(state), -1)
+        valid = np.count_nonzero(score < np.inf, axis=1)
+        num_valid = int(valid.sum())
+        kept = np.broadcast_to(np.arange(score.shape[1]), score.shape)
+        if width < score.shape[1]:
+            whole &= valid <= width
+            kept = np.argpartition(score, width - 1, axis=1)[:, :width]
+            score = np.take_along_axis(score, kept, axis=1)
+        parent, own = np.divmod(kept, term.shape[1])
+        primitive = np.concatenate([primitive[rows, parent], own[..., None].astype(np.uint8)], axis=2)
+    order = np.argsort(score, axis=1, kind="stable")
+    return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
+
+
+# What a search knows of the cost-to-go: a heuristic's terms as tables over the lattices, or the plain function.
+
+
+_CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
+_PURPOSE = "the heuristic was known"
+_INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
+
+Table = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
+
+
+class HeuristicTable(NamedTuple):
+    """A weighted heuristic over the robots' lattices.
+
+    A separable heuristic is evaluated once a configuration of a robot, before the search. Of any other, each joint
+    child is evaluated; straight lines then choose which children are worth it where there are too many.
+
+    The ``tables`` hold each robot's unweighted terms (of a ``plain`` heuristic, which has none, those of straight
+    lines), ``scores`` the cost of each configuration's primitives and the weighted term of where they lead;
+    ``farthest`` is the least that stands for an infinite joint estimate.
+    """
+
+    weight: float
+    tables: tuple[Table, ...]
+    scores: tuple[Float[np.ndarray, "nodes primitives"], ...]
+    plain: HeuristicFn | None
+    farthest: float
+
+    def __call__(self, joint: JointLattice, state: State) -> Float[np.ndarray, "n"]:
+        """Weighted estimates of joint configurations, always finite."""
+        if self.plain is None:
+            return self.weight * np.sum([table[s] for table, s in zip(self.tables, state.T, strict=True)], axis=0)
+        values = estimates(self.plain, joint.configurations(state))
+        known = values < _INFINITE
+        return self.weight * np.where(known, values, max(self.farthest, 2 * values[known].max(initial=0.0)))
+
+    def rescored(
+        self, joint: JointLattice, state: State, children: Successors
+    ) -> tuple[Float[np.ndarray, "n m"], UInt8[np.ndarray, "n m robots"]]:
+        """Successors by the heuristic itself where straight lines chose them."""
+        if self.plain is None:
+            return children.score, children.primitive
+        row, column = np.nonzero(np.isfinite(children.score))
+        primitive = children.primitive[row, column]
+        score = np.full(children.score.shape, np.inf, np.float32)
+        score[row, column] = joint.move_costs(state[row], primitive) + self(joint, joint.move(state[row], primitive))
+        order = np.argsort(score, axis=1, kind="stable")
+        rows = np.arange(len(score))[:, None]
+        return score[rows, order], children.primitive[rows, order]
+
+
+def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float = math.inf) -> list[Table]:
+    """A heuristic's terms over the robots' lattices, ``ValueError`` if it returns NaN or another shape.
+
+    A negative estimate counts as 0.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    """
+    size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
+    # One column a robot, so that a team's PLRs answer in one call; shorter columns repeat their first rows.
+    state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
+    values = np.empty(state.shape)
+    for begin in range(0, size, chunk):
+        require_time(deadline, _PURPOSE)
+        q = joint.configurations(state[begin : begin + chunk])
+        values[begin : begin + chunk] = require_estimates(heuristic.per_robot(q), q.shape[:2])
+    return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
+
+
+def heuristic_table(
+    joint: JointLattice,
+    values: Sequence[Float[np.ndarray, "_"]],
+    weight: float,
+    plain: HeuristicFn | None = None,
+    deadline: float = math.inf,
+) -> HeuristicTable:
+    """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
+
+    An infinite estimate never prunes: it counts as farther than all finite ones.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    """
+    tables, scores = tuple(_finite(column) for column in values), []
+    for lattice, table in zip(joint.lattices, tables, strict=True):
+        require_time(deadline, _PURPOSE)
+        scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
+    return HeuristicTable(weight, tables, tuple(scores), plain, float(2 * sum(table.max() for table in tables)))
+
+
+def _finite(values: Table) -> Table:
+    """A table whose infinite estimates exceed all others."""
+    known = values < _INFINITE
+    largest = values[known].max(initial=0.0)
+    return np.where(known, values, 2 * largest)
+
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
 _MOTION_BYTES, _ESTIMATE_BYTES = 16, 16  # what a motion takes in the tables of a robot, and a node

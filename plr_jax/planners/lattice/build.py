@@ -21,7 +21,7 @@ from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.planners.lattice.motions import Ends, Lattice, MotionTable
+from plr_jax.planners.lattice.joint import Ends, Lattice, MotionTable
 from plr_jax.robots.robot import Robot
 
 Primitive: TypeAlias = tuple[int, int, int]

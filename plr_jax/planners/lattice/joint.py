@@ -1,13 +1,118 @@
 """The lattices of a team: joint configurations, joint motions, and which of them collide."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.sparse import csgraph as sparse_graphs
+from scipy.sparse import csr_array
 
 from plr_jax._problem import Problem
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.planners.lattice.motions import Lattice
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.robots.robot import Robot
+
+# Motions between configurations as tables: those that robots of one kind share, and each robot's view of them.
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """Configurations of one kind of robot, and the motions between them.
+
+    The first primitive stays. One that leaves the lattice or hits an obstacle leads back to its own configuration at
+    infinite cost. The representatives of the cells come first, ``num_cells`` of them, then starts and goals, to which
+    no primitive leads.
+    """
+
+    q: Float[np.ndarray, "nodes dof"]
+    child: Int[np.ndarray, "nodes primitives"]
+    cost: Float[np.ndarray, "nodes primitives"]
+    num_cells: int
+
+
+class Ends(NamedTuple):
+    """The start and the goal of a robot, or of each of several, which stand for their cells.
+
+    Args:
+        node: Their nodes.
+        cell: The nodes of their cells' representatives, which the robot never visits.
+        begin: Where the motions to them by each primitive begin, -1 where none does: first the motions from
+            representatives, then those from the robot's other end. No motion leads to both.
+        cost: What these motions cost, ``inf`` where they are not free.
+    """
+
+    node: Int[np.ndarray, "*robots 2"]
+    cell: Int[np.ndarray, "*robots 2"]
+    begin: Int[np.ndarray, "*robots 2 2 primitives"]
+    cost: Float[np.ndarray, "*robots 2 2 primitives"]
+
+
+def motions_with_ends(
+    table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]:
+    """Where the primitives of nodes lead one robot, or each its own of several, and what they cost.
+
+    Motions to a start or a goal take the place of those to its cell.
+    """
+    child, cost = table.child[node], table.cost[node]
+    enters = ends.begin == node[:, None, None, None]
+    row, *_, primitive = np.nonzero(enters)
+    entry = np.broadcast_to(ends.cost, enters.shape)[enters]
+    end = np.broadcast_to(ends.node[..., None, None], enters.shape)[enters]
+    child[row, primitive] = np.where(np.isfinite(entry), end, node[row])
+    cost[row, primitive] = entry
+    return child, cost
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells."""
+
+    table: MotionTable
+    ends: Ends
+
+    @property
+    def q(self) -> Float[np.ndarray, "nodes dof"]:
+        """The configurations."""
+        return self.table.q
+
+    @property
+    def start(self) -> int:
+        """The node of the start."""
+        return int(self.ends.node[0])
+
+    @property
+    def goal(self) -> int:
+        """The node of the goal."""
+        return int(self.ends.node[1])
+
+    @property
+    def num_primitives(self) -> int:
+        """Primitives, staying among them."""
+        return self.table.child.shape[1]
+
+    @property
+    def child(self) -> Int[np.ndarray, "nodes primitives"]:
+        """Where the primitives of all nodes lead."""
+        return self._motions[0]
+
+    @property
+    def cost(self) -> Float[np.ndarray, "nodes primitives"]:
+        """What the primitives of all nodes cost."""
+        return self._motions[1]
+
+    @cached_property
+    def _motions(self) -> tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]]:
+        return motions_with_ends(self.table, self.ends, np.arange(len(self.q)))
+
+    @cached_property
+    def stride(self) -> float:
+        """Largest distance that a primitive translates, in workspace units."""
+        offset = self.q[self.child] - self.q[:, None]
+        return float(np.hypot(offset[..., 0], offset[..., 1]).max())
+
 
 State: TypeAlias = Int[np.ndarray, "n robots"]
 """Joint configurations, as indices into the robots' lattices."""
@@ -50,3 +155,159 @@ class JointLattice(NamedTuple):
         motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
         motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
         return near, ~self.test.apart(i, *motions_a, j, *motions_b)
+
+
+# The motions of one kind of robot as edges of a graph, and costs along it.
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Robots of a team that share a table of motions, as arrays.
+
+    Args:
+        robot: What they are.
+        table: Their motions.
+        members: Which robots of the team they are.
+        ends: Their starts and goals.
+    """
+
+    robot: Robot
+    table: MotionTable
+    members: Int[np.ndarray, "robots"]
+    ends: Ends
+
+    def motions(
+        self, node: Int[np.ndarray, "robots"]
+    ) -> tuple[Int[np.ndarray, "robots primitives"], Float[np.ndarray, "robots primitives"]]:
+        """Where the primitives of each robot lead from its node, and what they cost."""
+        return motions_with_ends(self.table, self.ends, node)
+
+    @cached_property
+    def edges(self) -> "Edges":
+        """Their motions as edges."""
+        return Edges(self)
+
+
+class Edges:
+    """The motions of a kind of robot, staying among them: those that all share, then those into the ends of each.
+
+    Attributes:
+        begin, end, cost: Nodes and costs of each edge. One more, edge ``num_edges``, leads nowhere at infinite cost.
+        own: For each robot the edges into its start and its goal.
+        stride: Largest distance that one translates, in workspace units.
+    """
+
+    def __init__(self, kind: Kind):
+        self.kind, self.num_nodes = kind, len(kind.table.q)
+        begin, primitive = np.nonzero(np.isfinite(kind.table.cost))
+        shared = begin, kind.table.child[begin, primitive], kind.table.cost[begin, primitive]
+        self.num_shared = len(begin)
+        ends = kind.ends
+        own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
+        into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
+        self.num_edges = self.num_shared + len(own[0])
+        first = np.searchsorted(own[0], np.arange(1, len(kind.members)))
+        self.own = np.split(np.arange(self.num_shared, self.num_edges), first)
+        nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
+        columns = zip(shared, into_ends, nowhere, strict=True)
+        self.begin, self.end, self.cost = (np.concatenate(column) for column in columns)
+        away = kind.table.q[self.end[:-1], :2] - kind.table.q[self.begin[:-1], :2]
+        self.stride = float(np.hypot(*away.T).max())
+
+    @cached_property
+    def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        """The shared edges that end in each node, filled up with ``num_edges``."""
+        order = np.argsort(self.end[: self.num_shared], kind="stable")
+        end = self.end[order]
+        rank = np.arange(len(end)) - np.searchsorted(end, end)
+        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
+        into = np.full((size, self.num_nodes), self.num_edges)
+        into[rank, end] = order
+        return into
+
+    def into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
+        """The edges of one robot that end in each node, filled up with ``num_edges``."""
+        into, own = self._into_nodes.copy(), self.own[row]
+        into[:, self.kind.ends.cell[row]] = self.num_edges
+        for node in self.kind.ends.node[row]:
+            edges = own[self.end[own] == node]
+            into[1 : 1 + len(edges), node] = edges  # after the one that stays
+        return into
+
+    @cached_property
+    def q(self) -> tuple[Float[np.ndarray, "edges dof"], Float[np.ndarray, "edges dof"]]:
+        """Where each edge begins and ends."""
+        return self.kind.table.q[self.begin], self.kind.table.q[self.end]
+
+    @cached_property
+    def _by_nodes(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """The edges in the order of their nodes, the cheapest of several first, and what they are ordered by."""
+        key = self.begin[:-1] * self.num_nodes + self.end[:-1]
+        order = np.lexsort((self.cost[:-1], key))
+        return order, key[order]
+
+    def along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
+        """The edges along a path."""
+        order, key = self._by_nodes
+        return order[np.searchsorted(key, nodes[:-1] * self.num_nodes + nodes[1:])]
+
+    @cached_property
+    def _cheapest(self) -> Bool[np.ndarray, "edges"]:
+        """Whether an edge is one that is shared, leads elsewhere, and has no cheaper one beside it."""
+        order, key = self._by_nodes
+        cheapest = np.zeros(len(self.begin), dtype=bool)
+        cheapest[order[np.append(True, key[1:] != key[:-1])]] = True
+        cheapest[self.num_shared :] = False
+        return cheapest & (self.begin != self.end)
+
+    def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
+        """Cost of the cheapest motions from each node to the goals of some robots; ``inf`` where there are none.
+
+        That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
+        """
+        edge, num_nodes = np.flatnonzero(self._cheapest), self.num_nodes
+        begin, end, cost = [self.end[edge]], [self.begin[edge]], [self.cost[edge]]
+        # Backward, each search begins at a node of its own, from which the edges into the goal lead.
+        for i, row in enumerate(rows.tolist()):
+            own = self.own[row][self.end[self.own[row]] == self.kind.ends.node[row, 1]]
+            begin.append(np.full(len(own), num_nodes + i))
+            end.append(self.begin[own])
+            cost.append(self.cost[own])
+        edges = np.concatenate(cost), (np.concatenate(begin), np.concatenate(end))
+        graph = csr_array(edges, shape=(num_nodes + len(rows),) * 2)
+        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + np.arange(len(rows)))[:, :num_nodes]
+        costs[np.arange(len(rows)), self.kind.ends.node[rows, 1]] = 0.0
+        return costs
+
+    def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
+        """Cost of the cheapest motions from the starts of some robots to each node but their goals, likewise."""
+        return sparse_graphs.dijkstra(self._graph, indices=self.kind.ends.node[rows, 0])
+
+    @cached_property
+    def _graph(self) -> csr_array:
+        """The cheapest shared edges."""
+        edge = np.flatnonzero(self._cheapest)
+        return csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
+
+
+def kinds_of(joint: JointLattice) -> list[Kind]:
+    """The robots of a team by the tables that they share, in the order of their first ones."""
+    members: dict[int, list[int]] = {}
+    for i, lattice in enumerate(joint.lattices):
+        members.setdefault(id(lattice.table), []).append(i)
+    kinds = []
+    for alike in members.values():
+        ends = Ends(*map(np.stack, zip(*(joint.lattices[i].ends for i in alike), strict=True)))
+        robot, table = joint.problem.robots[alike[0]], joint.lattices[alike[0]].table
+        kinds.append(Kind(robot, table, np.array(alike), ends))
+    return kinds
+
+
+def by_robot(kinds: Sequence[Kind], values: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+    """What is known of each kind's robots, as rows in the order of the team."""
+    rows = {
+        robot: row
+        for kind, of_kind in zip(kinds, values, strict=True)
+        for robot, row in zip(kind.members.tolist(), of_kind, strict=True)
+    }
+    return [rows[i] for i in range(len(rows))]

@@ -1,11 +1,12 @@
-"""Bounds of how much the distance is above what a leaf holds, over all free points of a piece of it.
+"""How far the distance is above and below what every leaf holds: pieces are halved where that is not sure enough.
 
-The distance is nowhere above the cone of a source that all of the piece sees, and nowhere below the least cone of the
-sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and the way
-there, which is free.
+Bounds of a piece hold for all of it, and the error at its center is one that is met; where the center's distance is
+known as a bound alone, that is taken for met, and bounds may be less tight. Pieces whose bounds are not much beyond
+errors that are met are done with; the others are halved, which brings both together.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -14,6 +15,14 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import run_members
 from plr_jax._types import CellSources
 from plr_jax.geometry.convex_pieces import Pieces
+
+# Bounds of how much the distance is above what a leaf holds, over all free points of a piece of it.
+#
+# The distance is nowhere above the cone of a source that all of the piece sees, and nowhere below the least cone of
+# the
+# sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and the
+# way
+# there, which is free.
 
 
 @runtime_checkable
@@ -79,3 +88,96 @@ def proven_errors(
     errors = np.zeros(visible.num_cells)
     np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
     return errors
+
+
+# Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
+_MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
+_RATIO = 1.005  # of a bound of the largest error and an error that is met
+_RATIO_OF_LEAVES = 1.04  # the same where each leaf has bounds of its own
+_OF_LARGEST = 1e-3  # of the largest error, by which bounds of a leaf may be beyond what is met, however small that is
+
+
+@runtime_checkable
+class LeafFunctions(Protocol):
+    """What leaves hold."""
+
+    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """Values at points, of given leaves."""
+        ...
+
+    def below_cones(
+        self,
+        leaf: Int[np.ndarray, "n"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Smallest and largest value of cones ``offset + |x - apex|`` minus given leaves' functions, over pieces."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LeafBounds:
+    """Bounds of the distance minus what each leaf holds, over all its points from which the goal can be reached."""
+
+    lower: Float[np.ndarray, "leaves"]
+    upper: Float[np.ndarray, "leaves"]
+
+    @property
+    def largest(self) -> float:
+        """The largest error of all."""
+        return float(max(self.upper.max(initial=0.0), -self.lower.min(initial=0.0)))
+
+
+def prove_bounds(functions: LeafFunctions, visible: CellSources, each_leaf: bool) -> LeafBounds:
+    """Bounds for leaves, whose sources are given as cells: that of the largest error tight, or those of each leaf.
+
+    In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
+    """
+    num_leaves = visible.num_cells
+    lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
+    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # of the errors that are met
+    leaf = visible.cell
+    for round_ in range(_MOST_ROUNDS):
+        met = visible.distance - functions.values(leaf, visible.center)
+        np.minimum.at(least, leaf, met)
+        np.maximum.at(most, leaf, met)
+        below, above = bounds_of_pieces(
+            visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
+        )
+        low_enough, high_enough = _good_bounds(least, most, visible.slack, each_leaf)
+        open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
+        open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
+        np.minimum.at(lower, leaf[~open_], below[~open_])
+        np.maximum.at(upper, leaf[~open_], above[~open_])
+        if not open_.any():
+            break
+        visible = _halved(visible, np.flatnonzero(open_))
+        leaf = leaf[open_][visible.cell // 2]
+    return LeafBounds(lower - visible.slack, upper + visible.slack)
+
+
+def _good_bounds(
+    least: Float[np.ndarray, "leaves"], most: Float[np.ndarray, "leaves"], slack: float, each_leaf: bool
+) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
+    """Bounds that need not be better, given errors that are met."""
+    largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+    if not each_leaf:
+        enough = np.full(len(most), _RATIO * largest + slack)
+        return -enough, enough
+    spare = (_RATIO_OF_LEAVES - 1) * (most - least) + _OF_LARGEST * largest + slack
+    return least - spare, most + spare
+
+
+def _halved(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
+    """Both halves of some pieces, each cut across where it is longest: two cells a piece."""
+    alone = visible.pieces_as_cells(piece)
+    lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
+    each = np.arange(len(piece))
+    axis = np.argmax(hi - lo, axis=1)
+    middle = (lo + hi)[each, axis] / 2
+    lower_hi, upper_lo = hi.copy(), lo.copy()
+    lower_hi[each, axis] = upper_lo[each, axis] = middle
+    parent, is_upper = np.repeat(each, 2), np.tile([False, True], len(each))
+    los, his = np.stack([lo, upper_lo], axis=1).reshape(-1, 2), np.stack([lower_hi, hi], axis=1).reshape(-1, 2)
+    return alone.parts(parent, axis[parent], is_upper, los, his)

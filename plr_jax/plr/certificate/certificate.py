@@ -15,7 +15,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from plr_jax.plr.certificate.branch_and_bound import LeafBounds
+from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.frame import LARGEST
 

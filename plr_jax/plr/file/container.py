@@ -4,14 +4,14 @@ Layout of version 5, with numbers as in ``fields.py``:
 
     2s      magic, b"P\xb5"
     u8      low four bits: version; high four: number of axes, 0 for more than 15
-    u8      three bits: code of the leaf model; 7 for distances of pairs of points (see ``plr/pairs/stored.py``)
+    u8      three bits: code of the leaf model; 7 for distances of pairs of points (see ``pairs/stored.py``)
             two bits: what it keeps of a proof (see ``plr/certificate/certificate.py``)
             one bit: are points folded?
             one bit: is there a label, or are there several layers?
             one bit: is the domain kept in floats?
     ...     number of axes, if there are more than 15
     ...     the domain (see ``domain.py``)
-    ...     how points are folded, if they are (see ``plr/file/folding.py``); leaves are then of the box of those
+    ...     how points are folded, if they are (see ``plr/file/domain.py``); leaves are then of the box of those
     ...     the label, if that bit is set: its length in bytes, and it in UTF-8; then the number of layers but the
             last one, and of each its size in bytes
     ...     layers. Each but the last one begins with
@@ -28,6 +28,7 @@ is cut off behind one of them, at a *mark*, is one of that PLR. So whoever fetch
 Those of pairs each add to the ones before; cut off at a mark, the file is one of the same pairs, which take longer.
 """
 
+import os
 import struct
 import zlib
 from collections.abc import Sequence
@@ -37,9 +38,7 @@ from itertools import accumulate, pairwise
 
 from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.domain import domain_to_bytes, read_domain
-from plr_jax.plr.file.fields import ByteReader, varint
-from plr_jax.plr.file.folding import folding_to_bytes, read_folding
+from plr_jax.plr.file.domain import ByteReader, domain_to_bytes, folding_to_bytes, read_domain, read_folding, varint
 from plr_jax.plr.folding.folding import Folding
 
 VERSION = 5
@@ -241,3 +240,18 @@ def _fits(label: str) -> bool:
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
     """Bytes of a file of one layer besides its bit stream."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
+
+
+# Files as bytes, of which no more is read than may be a PLR.
+
+
+_START = 2**12
+
+
+def read_bytes(path: str | os.PathLike) -> bytes:
+    """What a file holds: all of it, or one byte more than a file may have; of what is no PLR file only the start."""
+    with open(path, "rb") as file:
+        data = file.read(_START)
+        if data.startswith(MAGIC):  # or there is nothing to read for, and it may not end
+            data += file.read(MOST_BYTES + 1 - len(data))
+        return data

@@ -5,7 +5,7 @@ from plr_jax.plr.file.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.model import Cone
 from plr_jax.plr.leaves.continuous.model import Continuous
-from plr_jax.plr.leaves.plane.model import Plane
+from plr_jax.plr.leaves.plane import Plane
 
 # In the order of their codes.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())

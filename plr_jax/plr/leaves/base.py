@@ -12,11 +12,10 @@ from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.growth.best_first import ShouldSplitRule, SplitRule
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.rules import ShouldSplitRule, SplitRule
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import Cells, Level, Tree
 from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.partition.tree import Level, Tree
 from plr_jax.plr.query.frame import Corner, is_far
 from plr_jax.plr.sampling.cell_fit import Sampler
 

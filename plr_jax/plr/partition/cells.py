@@ -1,6 +1,8 @@
 """Dyadic cells: the nodes of a binary space partition that halves one axis at a time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -102,3 +104,106 @@ def grown_domain(domain: Box) -> Box:
     """The box that holds all points for which a query may ask a domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
+
+
+# The tree over a partition's leaves: level by level, as a file stores it, and as a table of nodes.
+
+
+MAX_DEPTH = 60  # a leaf's path, one bit a split, fits a 64-bit integer
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """The nodes of one depth, left to right: which are split, and the axis of each of those."""
+
+    inner: Bool[np.ndarray, "nodes"]
+    axis: Int[np.ndarray, "splits"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The nodes of a tree, level by level from the root.
+
+    A leaf's ``axis`` is 0 and its ``child`` -1; of another node ``child`` is the lower one, the upper one follows it.
+    Leaves stand in the order of the tree's traversal, ``order`` is their index among the cells the tree was made for;
+    ``splits`` are the split nodes of each level.
+    """
+
+    cells: Cells
+    axis: Int[np.ndarray, "nodes"]
+    child: Int[np.ndarray, "nodes"]
+    node_of_leaf: Int[np.ndarray, "leaves"]
+    splits: list[Int[np.ndarray, "_"]]
+    order: Int[np.ndarray, "leaves"]
+
+    @property
+    def leaves(self) -> Cells:
+        """Cells of the leaves, in the order of the tree's traversal."""
+        return self.cells[self.node_of_leaf]
+
+    @cached_property
+    def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
+        """Which leaf a node is, in the order of the tree's traversal; -1 if none."""
+        leaf = np.full(len(self.child), -1)
+        leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
+        return leaf
+
+
+def levels_of(cells: Cells) -> tuple[list[Level], Int[np.ndarray, "leaves"]]:
+    """Levels of a tree whose leaves are the cells, and the leaves' indices in order of its traversal.
+
+    A node's cell can be halved along every axis along which all its leaves are narrower than itself; where there
+    are several, any gives a tree of the same leaves, and the first is taken.
+    """
+    node = np.zeros(len(cells), np.int64)
+    path = np.zeros(len(cells), np.int64)
+    active = np.arange(len(cells))
+    node_depth = np.zeros((1, cells.dim), np.int64)
+    levels = []
+    while len(active):
+        narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
+        for each_axis in range(cells.dim):  # NumPy is fast here for single indices alone
+            below = cells.depth[active, each_axis] - node_depth[node[active], each_axis]
+            np.minimum.at(narrower[:, each_axis], node[active], below)
+        inner = np.any(narrower, axis=1)
+        axis = np.argmax(narrower > 0, axis=1)
+        levels.append(Level(inner, axis[inner]))
+        active = active[inner[node[active]]]
+        split = axis[node[active]]
+        below = cells.depth[active, split] - node_depth[node[active], split] - 1
+        upper = (cells.position[active, split] >> below) & 1
+        path[active] |= upper << (MAX_DEPTH + 1 - len(levels))
+        node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
+        node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
+    return levels, np.argsort(path, kind="stable")
+
+
+def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
+    """Corners of a cell in the order used everywhere: 0 for the lower, 1 for the upper end along each axis."""
+    return np.array(list(product((0, 1), repeat=dim)))
+
+
+def tree_of(cells: Cells) -> Tree:
+    """The tree whose leaves are the given cells, in any order."""
+    levels, order = levels_of(cells)
+    return replace(tree_of_levels(levels, cells.dim), order=order)
+
+
+def tree_of_levels(levels: list[Level], dim: int) -> Tree:
+    """The tree of given levels."""
+    num_nodes = sum(len(level.inner) for level in levels)
+    axis, child, path = np.zeros(num_nodes, np.int64), np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
+    nodes, parts, splits, first = Cells.root(dim), [], [], 0
+    for depth, level in enumerate(levels):
+        split = first + np.flatnonzero(level.inner)
+        first += len(level.inner)
+        axis[split] = level.axis
+        child[split] = first + 2 * np.arange(len(split))
+        path[child[split]] = path[split]
+        path[child[split] + 1] = path[split] | (1 << (MAX_DEPTH - depth))
+        parts.append(nodes)
+        splits.append(split)
+        nodes = nodes[level.inner].split(level.axis)
+    leaves = np.flatnonzero(child < 0)
+    node_of_leaf = leaves[np.argsort(path[leaves])]
+    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))

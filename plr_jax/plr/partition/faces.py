@@ -1,13 +1,217 @@
 """Which leaves share faces, and between which corners a split put another."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.pairs import Pairs, leaf_pairs, overlap
-from plr_jax.plr.partition.tree import Tree, corner_bits
+from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+# Pairs of leaves that have something in common, found down two trees of one domain at once.
+
+
+Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
+
+
+Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
+"""Which pairs stay, once the node of a side gave way to its lower (0) or upper (1) half, split by an axis each."""
+
+
+def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
+    """Pairs of leaves below pairs of nodes: the larger node gives way to its children, until both are leaves.
+
+    Args:
+        a: The tree of the first nodes.
+        b: That of the second ones.
+        pairs: Nodes of ``a``, of ``b``, and what else there is to tell of a pair, which its children inherit.
+        keep: Which of the children's pairs have in common what is looked for.
+
+    Returns:
+        Numbers of leaves in the order of their tree's traversal, and what else there is to tell.
+    """
+    trees, found = (a, b), []
+    depths = [tree.cells.depth.sum(axis=1) for tree in trees]
+    while pairs.shape[1]:
+        inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
+        found.append(pairs[:, ~inner.any(axis=0)])
+        first = inner[0] & (~inner[1] | (depths[0][pairs[0]] <= depths[1][pairs[1]]))
+        children = []
+        for side, which in enumerate((first, inner.any(axis=0) & ~first)):
+            parents = pairs[:, which]
+            axis = trees[side].axis[parents[side]]
+            for half in range(2):
+                child = parents.copy()
+                child[side] = trees[side].child[parents[side]] + half
+                children.append(child[:, keep(child, side, half, axis)])
+        pairs = np.concatenate(children, axis=1)
+    leaves = np.concatenate(found, axis=1) if found else pairs.copy()
+    for side, tree in enumerate(trees):
+        leaves[side] = tree.leaf_of_node[leaves[side]]
+    return leaves
+
+
+def overlap(
+    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether cells overlap along an axis: of dyadic intervals one then contains the other."""
+    common = np.minimum(a.depth[i, axis], b.depth[j, axis])
+    return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
+
+
+def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
+    """All pairs of leaves of two trees of one domain whose interiors meet."""
+
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
+
+    return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
+
+
+# Values that depend on others, which depend on others, without cycles.
+
+
+ZERO = 1e-9
+"""Below which combinations of weights that are multiples of small powers of two are 0."""
+
+
+def resolve(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
+    """From what every dependent value is made of to what it is made of in the end: free values alone."""
+    from scipy.sparse import csr_array, diags_array
+
+    step = csr_array(step + diags_array(is_free))
+    while step[:, np.flatnonzero(is_free == 0)].nnz:
+        step = csr_array(step @ step)
+        step.eliminate_zeros()
+    return step
+
+
+def eliminated(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
+    """A map of the groups under which all rows vanish: each row gives up the finest group in it."""
+    from scipy.sparse import csr_array
+
+    solved: dict[int, dict[int, float]] = {}  # a group, as a combination of groups that are none of the keys
+    rows.data[np.abs(rows.data) <= ZERO] = 0
+    rows.eliminate_zeros()
+    work = 0
+    for start, end in zip(rows.indptr[:-1], rows.indptr[1:], strict=True):
+        row: dict[int, float] = {}
+        for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
+            work += _add(row, weight, solved.get(index, {index: 1.0}))
+        require_few(work, most)
+        if not row:
+            continue
+        pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
+        scale = row.pop(pivot)
+        solution = {index: -weight / scale for index, weight in row.items()}
+        for other in solved.values():
+            if pivot in other:
+                work += _add(other, other.pop(pivot), solution)
+        solved[pivot] = solution
+    table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
+    group, index, weight = np.array(table).reshape(-1, 3).T
+    kept = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
+    coordinates = np.concatenate([group, kept]).astype(int), np.concatenate([index, kept]).astype(int)
+    return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
+
+
+def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
+    """Add a multiple of another row; how many weights it has."""
+    for index, weight in other.items():
+        total = row.get(index, 0.0) + factor * weight
+        if abs(total) > ZERO:
+            row[index] = total
+        else:
+            row.pop(index, None)
+    return len(other)
+
+
+def require_few(number: int | float, most: int) -> None:
+    """Raise ``ValueError`` if weights are more than are allowed."""
+    if number > most:
+        raise ValueError(
+            f"its tied leaves hang on one another by {number:.3g} weights or more; {most} are allowed. Build it of "
+            "fewer leaves or in fewer dimensions, or of planes, which are not tied"
+        )
+
+
+# Which leaf touches another the most: where a function continues that a leaf has none of its own of.
+
+
+_TOUCH = 2.0**-20  # what touching in a point along an axis counts, in finest slots
+
+
+def neighbor_of_largest_contact(
+    cells: Cells,
+    unreachable: Int[np.ndarray, "unreachable"],
+    reachable: Int[np.ndarray, "reachable"],
+    periodic: tuple[bool, ...] = (),
+) -> Int[np.ndarray, "unreachable"]:
+    """For each unreachable leaf the reachable one that shares the largest face, edge or corner, the first of several.
+
+    -1 where it touches none, across the seams of ``periodic`` axes neither.
+    """
+    tree, is_periodic = tree_of(cells), np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
+    mine, others = _touching(tree, unreachable, reachable, is_periodic)
+    contact = _contacts(cells, mine, others, is_periodic)
+    order = np.lexsort((others, -contact, mine))
+    mine, others = mine[order], others[order]
+    first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
+    donor = np.full(len(cells), -1)
+    donor[mine[first]] = others[first]
+    return donor[unreachable]
+
+
+def _touching(
+    tree: Tree,
+    unreachable: Int[np.ndarray, "unreachable"],
+    reachable: Int[np.ndarray, "reachable"],
+    is_periodic: Bool[np.ndarray, "dim"],
+) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
+    """Pairs of an unreachable and a reachable leaf that touch."""
+    holds = _holding(tree, unreachable), _holding(tree, reachable)
+
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        stays = holds[0][pairs[0]] & holds[1][pairs[1]]
+        stays[stays] = _contacts(tree.cells, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        return stays
+
+    roots = np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64)
+    mine, others = tree.order[leaf_pairs(tree, tree, roots, keep)]
+    return mine, others
+
+
+def _holding(tree: Tree, leaves: Int[np.ndarray, "some"]) -> Bool[np.ndarray, "nodes"]:
+    """Which nodes hold one of some leaves."""
+    holds = np.zeros(len(tree.child), bool)
+    holds[tree.node_of_leaf] = np.isin(tree.order, leaves)
+    for splits in reversed(tree.splits):
+        holds[splits] = holds[tree.child[splits]] | holds[tree.child[splits] + 1]
+    return holds
+
+
+def _contacts(
+    cells: Cells, a: Int[np.ndarray, "n"], b: Int[np.ndarray, "n"], is_periodic: Bool[np.ndarray, "dim"]
+) -> Float[np.ndarray, "n"]:
+    """What pairs of cells share, as a share of the domain; 0 where they do not touch."""
+    contact, finest = np.ones(len(a)), cells.depth.max(axis=0)
+    for axis in range(cells.dim):
+        up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
+        lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b
+        hi_a, hi_b = (cells.position[a, axis] + 1) << up_a, (cells.position[b, axis] + 1) << up_b
+        low, high = np.maximum(lo_a, lo_b), np.minimum(hi_a, hi_b)
+        touch = high == low
+        if is_periodic[axis]:
+            first, last = np.minimum(lo_a, lo_b), np.maximum(hi_a, hi_b)
+            touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
+        contact *= np.where(touch, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]
+    return contact
+
 
 _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7  # in all, or for every leaf where that is more
 

@@ -58,7 +58,7 @@ far that moved the point, by differences ``m``: ``s sqrt((m[0] / s) (m[0] / s) +
 -   *Cones*: the source less ``ORIGIN + LO``, and its offset: ``sqrt`` of the squares of the way to its parent, summed
     axis by axis, added along the parents by doubling (see ``leaves/cone/codec.py``), plus that of the root.
 -   *Polynomials*: see below.
--   A leaf that nothing reaches continues its neighbor's (mean) plane: see ``plr/_filled.py``.
+-   A leaf that nothing reaches continues its neighbor's (mean) plane: see ``plr/_file.py``.
 
 **Polynomials.** A leaf has a number at each corner, its value there; a smooth leaf has one of each *kind* there, the
 derivative by ``t`` along some axes, along none the value. Corners (0 for the lower end along an axis, 1 for the upper

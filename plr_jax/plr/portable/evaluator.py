@@ -2,24 +2,215 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
+from math import floor, sqrt
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr.file.reading import read_bytes
+from plr_jax.plr.file.container import read_bytes
 from plr_jax.plr.leaves.base import as_sourced
 from plr_jax.plr.portable.arithmetic import total
-from plr_jax.plr.portable.header import c_header
-from plr_jax.plr.portable.leaf_table import LeafTable
-from plr_jax.plr.portable.point import point_query
-from plr_jax.plr.portable.program import Program
+from plr_jax.plr.portable.header import PythonWriter, c_header
+from plr_jax.plr.portable.program import CodedTree, Program
 from plr_jax.plr.query.frame import Outside, as_outside
-from plr_jax.plr.query.grid import FRACTION_BITS
+from plr_jax.plr.query.grid import FRACTION_BITS, spread_bits
+
+# From places to leaves in NumPy: a table of the first bits of places, and down the tree from there.
+
+
+_MOST_BITS = 16  # of the table, which then fits a core's second-level cache
+
+
+@dataclass(frozen=True, eq=False)
+class LeafTable:
+    """A table of nodes, one for each cell of a grid, and the tree below them.
+
+    Attributes:
+        tree: The tree.
+        bits: Of a place along each axis, that tell cells of the grid apart.
+        table: Code of the node that holds each cell, the deepest one.
+        children: Of the tree's split nodes, side by side, in the type of the table.
+    """
+
+    tree: CodedTree
+    bits: tuple[int, ...]
+    table: Integer[np.ndarray, "cells"]
+    children: Integer[np.ndarray, "children"]
+
+    @staticmethod
+    def of(tree: CodedTree) -> "LeafTable":
+        """Of a tree."""
+        deepest = np.zeros(tree.dim, np.int64)
+        np.maximum.at(deepest, tree.axis, tree.depth + 1)
+        bits = spread_bits(deepest, _MOST_BITS)
+        cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
+        code = np.full(cell.shape[1], tree.root)
+        moving = np.arange(len(code))
+        while len(moving):
+            node = code[moving] >> tree.kind_bits
+            is_split = code[moving] & ((1 << tree.kind_bits) - 1) < tree.dim
+            below = np.zeros(len(moving), np.int64)
+            below[is_split] = (bits[tree.axis] - 1 - tree.depth)[node[is_split]]
+            moves = is_split & (below >= 0)
+            moving, node, below = moving[moves], node[moves], below[moves]
+            code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
+        largest = max(tree.root, tree.children.max(initial=0))
+        code_type = np.uint16 if largest < 2**16 else np.uint32
+        return LeafTable(tree, tuple(bits.tolist()), code.astype(code_type), tree.children.astype(code_type).ravel())
+
+    @property
+    def _kind(self) -> int:
+        return (1 << self.tree.kind_bits) - 1
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the table knows every leaf."""
+        return bool((self.table & self._kind == self.tree.dim).all())
+
+    @cached_property
+    def codes(self) -> memoryview:
+        """The table, whose entries are then integers of Python."""
+        return self.table.data
+
+    @cached_property
+    def _child_codes(self) -> memoryview:
+        return self.children.data
+
+    @cached_property
+    def _depth(self) -> memoryview:
+        return self.tree.depth.data
+
+    def index_text(self, places: list[str]) -> str:
+        """The row of numbers for places, of 23 bits each, as text of Python."""
+        shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(places, self.bits, strict=True)]
+        index = shifted[0]
+        for along, bits in zip(shifted[1:], self.bits[1:], strict=True):
+            index = f"({index}) << {bits} | {along}"
+        if self.is_flat:
+            return f"codes[{index}] >> {self.tree.kind_bits}"
+        return f"descend(codes[{index}], ({', '.join(places)},))"
+
+    def row(self, code: int, places: tuple[int, ...]) -> int:
+        """The row of numbers for one place, below the node of that code."""
+        kind_bits = self.tree.kind_bits
+        while (axis := code & self._kind) != self.tree.dim:
+            node = code >> kind_bits
+            code = self._child_codes[2 * node + ((places[axis] >> (FRACTION_BITS - 1 - self._depth[node])) & 1)]
+        return code >> kind_bits
+
+    def rows(self, places: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
+        """The row of numbers for each place."""
+        index = places[0] >> (FRACTION_BITS - self.bits[0])
+        for place, bits in zip(places[1:], self.bits[1:], strict=True):
+            index = (index << bits) | (place >> (FRACTION_BITS - bits))
+        code = self.table[index]
+        moving = np.flatnonzero(code & self._kind != self.tree.dim)
+        while len(moving):
+            node = code[moving] >> self.tree.kind_bits
+            axis = self.tree.axis[node]
+            place = np.choose(axis, [along[moving] for along in places])
+            bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
+            code[moving] = self.children[2 * node + bit]
+            moving = moving[code[moving] & self._kind != self.tree.dim]
+        return code >> self.tree.kind_bits
+
+
+# A query of a single point in Python: the arithmetic of the format, written out for one PLR.
+#
+# What the steps are is known beforehand, and so is every number but the leaf's; what is left takes a few
+# microseconds.
+
+
+_UNWRAPPED = 1 - 2.0**-48  # of the width, up to where wrapping leaves coordinates as they are, however it rounds
+_LARGEST = float(np.finfo(np.float64).max)
+
+
+class _Rows(dict):
+    """Rows of a table as tuples of scalars, each made when it is first read."""
+
+    def __init__(self, table: Float[np.ndarray, "rows count"]):
+        self._table = table
+
+    def __missing__(self, row: int) -> tuple[np.float32, ...]:
+        self[row] = numbers = tuple(self._table[row])
+        return numbers
+
+
+def point_query(
+    program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
+) -> Callable[..., np.float32 | None]:
+    """The value at a point, given by its coordinates; None unless it is plainly inside or outside the domain.
+
+    Outside it is ``inf``, or NaN where a coordinate is.
+
+    ``numbers`` are those of the leaves; of such as are of cells, how many cells there are along each axis and which
+    it is come first.
+    """
+    do, domain = PythonWriter(), program.domain
+    given = [f"x{axis}" for axis in range(program.dim)]
+    # Beside the upper end of a periodic axis, wrapping in 64 bits may lead to the lower one.
+    unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
+    last = np.where(domain.periodic, unwrapped, domain.hi)
+    ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
+    inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
+    beyond = zip(given, _beyond(program), strict=True)
+    outside = [f"({name} < {below!r}) | ({name} > {above!r})" for name, (below, above) in beyond]
+    is_nan = " or ".join(f"{name} != {name}" for name in given)
+    precision = np.dtype(program.precision).name
+    of_type = "float" if precision == "float32" else "double"
+    x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
+    x = program.placed(do, program.counted(do, x))
+    above = program.above(do, x)
+    index = table.index_text([str(do.let("place", place)) for place in program.places(do, above)])
+    do.statements.append(f"leaf = {index}")
+    names = [f"n{i}" for i in range(numbers.shape[1])]
+    do.statements.append(f"{', '.join(names)}, = rows[leaf]")
+    read = [do.atom(name) for name in names]
+    num_of_cell = 2 * program.dim * program.leaf.is_of_cells
+    cell = list(zip(read[:num_of_cell:2], read[1:num_of_cell:2], strict=True))
+    value = program.value(do, x, above, read[num_of_cell:], cell)
+    lines = [
+        f"if not ({' and '.join(inside)}):",
+        f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # which compares all coordinates
+        "    return None",
+        *do.statements,
+        f"return {value}",
+    ]
+    source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
+    names_in_source: dict[str, Any] = {
+        **do.constants,
+        "rows": _Rows(numbers),
+        "descend": table.row,
+        "codes": table.codes,
+        "floor": floor,
+        "sqrt": sqrt,
+        "inf": np.float32(np.inf),
+        "nan": np.float32(np.nan),
+        "float32": np.float32,
+        "float64": np.float64,
+    }
+    exec(source, names_in_source)
+    return names_in_source["query"]
+
+
+def _beyond(program: Program) -> list[tuple[float, float]]:
+    """Along each axis the numbers below and above which coordinates are outside the domain, however they round."""
+    corner = np.zeros(program.dim) if program.corner is None else program.corner
+    beyond = []
+    for window, is_periodic, origin in zip(program.windows, program.domain.periodic, corner.tolist(), strict=True):
+        if is_periodic:
+            beyond.append((-_LARGEST, _LARGEST))
+        else:
+            below, above = np.nextafter(window.lo, np.float32(-np.inf)), np.nextafter(window.hi, np.float32(np.inf))
+            beyond.append((origin + float(below), origin + float(above)))
+    return beyond
+
 
 _CHUNK = 1 << 14  # points whose intermediate values fit a core's second-level cache
 _PLAIN = (float, int, np.float64, np.float32)

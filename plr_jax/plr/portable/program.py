@@ -8,11 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import Contents, decode
-from plr_jax.plr._filled import counted_from
+from plr_jax.plr._file import Contents, counted_from, decode
 from plr_jax.plr.leaves.base import LeafModel, as_sourced
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import tree_of_levels
+from plr_jax.plr.partition.cells import Cells, tree_of_levels
 from plr_jax.plr.portable.arithmetic import (
     Fold,
     Operations,

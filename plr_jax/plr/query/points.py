@@ -1,14 +1,16 @@
 """The compiled queries of tables, and the points that they are given: checked, and placed before they are rounded."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from plr_jax._arrays import as_queries
+from plr_jax._arrays import as_queries, padded_size, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.query.frame import Outside
@@ -86,3 +88,124 @@ class PointPlacement:
         if self.domain is not None:
             x = self.domain.wrapped(x)
         return x if self.corner is None else x - self.corner
+
+
+# A team's PLRs as one function: a whole batch of joint configurations in a few compiled calls.
+
+
+# The sizes of batch that are compiled. Where a call costs more than its work, few of them waste little; a few points
+# are worth their own, as JAX then computes at once instead of handing the work to another thread.
+_SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
+_CHUNK = _SIZES[-1]  # of larger batches, chunks in flight overlap with the copies between NumPy and JAX
+
+
+@dataclass(frozen=True, eq=False)
+class TableStack:
+    """The tables of several PLRs, one a robot, and how some want their points placed before they are rounded.
+
+    See :meth:`PLR.stack`. Where there is a band, the lower bound is meant.
+    """
+
+    tables: tuple[Tables, ...]
+    bands: tuple[Float[Array, "2 _"] | None, ...]
+    placements: tuple[PointPlacement | None, ...]
+
+    def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
+        """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
+        self._require_fit(q.shape)
+        distances = np.empty(q.shape[1::-1])
+        starts = range(0, len(q), _CHUNK)
+        # All calls are under way before the first result is waited for.
+        answers = [_evaluate(self.tables, self.bands, self._padded(q[begin : begin + _CHUNK])) for begin in starts]
+        for begin, answer in zip(starts, answers, strict=True):
+            columns = distances[:, begin : begin + _CHUNK]
+            for column, of_robot in zip(columns, answer, strict=True):
+                column[:] = np.asarray(of_robot)[: len(column)]
+        return distances.T
+
+    def _require_fit(self, shape: tuple[int, ...]) -> None:
+        if len(shape) != 3 or shape[1] != len(self.tables):
+            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
+        for i, table in enumerate(self.tables):
+            if table.dim > shape[2]:
+                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
+
+    def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
+        """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""
+        size = padded_size(len(q), _SIZES)
+        padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
+        padded[: len(q)], padded[len(q) :] = q, 0
+        for i, (table, placement) in enumerate(zip(self.tables, self.placements, strict=True)):
+            if placement is not None:
+                padded[: len(q), i, : table.dim] = placement(q[:, i, : table.dim])
+        return padded
+
+
+@jax.jit
+def _evaluate(
+    tables: tuple[Tables, ...], bands: tuple[Float[Array, "2 _"] | None, ...], q: Float[Array, "n robots dof"]
+) -> tuple[Float[Array, "n"], ...]:
+    """Distances robot by robot: side by side in one array, they would be computed in one slower loop."""
+    parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
+    return tuple(
+        evaluate_tables(table, part) if band is None else bounds_of_tables(table, band, part)[0]
+        for table, band, part in zip(tables, bands, parts, strict=True)
+    )
+
+
+# The proven lower bound of a PLR as a distance function.
+
+
+@runtime_checkable
+class BoundedFn(Protocol):
+    """A PLR of which something is proven."""
+
+    @property
+    def band(self) -> Float[Array, "2 rows"] | None:
+        """The proof."""
+        ...
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        ...
+
+    def bounds(self, x: ArrayLike, /) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Lower and upper bounds of the distance."""
+        ...
+
+    @staticmethod
+    def stack(plrs: Any, /) -> TableStack:
+        """One function of several."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class LowerBound:
+    """A distance function that is nowhere above the truth: see :attr:`plr_jax.PLR.lower`.
+
+    Attributes:
+        plr: The PLR.
+        is_lower_bound: True, by which planners know.
+    """
+
+    plr: BoundedFn
+    is_lower_bound = True
+
+    @property
+    def dim(self) -> int:
+        """Number of axes."""
+        return self.plr.dim
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """The lower of the bounds, of points ``(..., dim)``."""
+        return self.plr.bounds(x)[0]
+
+    @staticmethod
+    def stack(fns: Sequence["LowerBound"]) -> TableStack:
+        """One function of all robots' lower bounds, as PLRs stack."""
+        if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
+            raise ValueError(f"Lower bounds of PLRs can be stacked, at least one, got {shortened(fns)}.")
+        first, *_ = fns
+        return replace(first.plr.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))

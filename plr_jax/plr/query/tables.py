@@ -32,7 +32,6 @@ from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.blocks import Blocks, choose_block_bits, leaves_of_slots, pack_blocks
 from plr_jax.plr.query.folded import FoldedWindow
 from plr_jax.plr.query.frame import frame_of, unresolved_types
 from plr_jax.plr.query.grid import (
@@ -45,7 +44,15 @@ from plr_jax.plr.query.grid import (
     rows_of_class,
     slot_bits_of_rows,
 )
-from plr_jax.plr.query.pages import PagedLeaves, Pages, build_pages
+from plr_jax.plr.query.pages import (
+    Blocks,
+    PagedLeaves,
+    Pages,
+    build_pages,
+    choose_block_bits,
+    leaves_of_slots,
+    pack_blocks,
+)
 from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.trie import Trie
 

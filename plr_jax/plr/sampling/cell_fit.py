@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,8 +15,181 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.cell_memory import CellMemory
-from plr_jax.plr.sampling.pattern import Pattern
-from plr_jax.plr.sampling.plane_fits import FitRule, least_squares, masked_cells
+
+# Where a cell is sampled, the same in every cell, and what of a fit depends on that alone.
+
+
+_RANK_TOLERANCE = 1e-9
+_FACE_WEIGHT = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where a cell is sampled, the same in every cell.
+
+    Attributes:
+        u: Local coordinates of the samples; ``[-1, 1]`` spans the cell.
+        weight: Weight of each sample in the fit.
+    """
+
+    u: Float[np.ndarray, "k dim"]
+    weight: Float[np.ndarray, "k"]
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @cached_property
+    def reaches_beyond(self) -> bool:
+        """Whether some samples are outside their cell."""
+        return bool((np.abs(self.u) > 1).any())
+
+    @cached_property
+    def design(self) -> Float[np.ndarray, "k terms"]:
+        """Rows ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
+        return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
+
+    @cached_property
+    def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
+        """Maps the values at all samples to the least-squares plane."""
+        root = np.sqrt(self.weight)
+        return np.linalg.pinv(self.design * root[:, None]) * root
+
+    @cached_property
+    def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
+        """For each axis the designs of a plane in the lower and one in the upper half, side by side; 0 elsewhere."""
+        uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
+        return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
+
+    @cached_property
+    def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
+        """For each axis what maps the values at all samples to coordinates of the best fit by two planes.
+
+        The coordinates belong to orthonormal functions, so the sum of their squares is the part of the values' sum
+        of (weighted) squares that the planes explain.
+        """
+        root = np.sqrt(self.weight)[:, None]
+        bases = []
+        for design in self.halves:
+            functions, size, _ = np.linalg.svd(design * root, full_matrices=False)
+            bases.append(root * functions * (size > _RANK_TOLERANCE * size[0]))
+        return bases
+
+
+@lru_cache(maxsize=8)
+def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
+    """The center, a scrambled Sobol sequence inside the cell, its corners if they are few, and its faces.
+
+    A third of the samples lie on the faces. They find the free slivers behind a wall and the corners at which a
+    distance bends most against its plane; they check the fit more than they shape it, so their weight is small.
+    There must be ``dim + 1`` or more; their coordinates are in ``[-1 - 2 margin, 1 + 2 margin]``.
+    """
+    rng = np.random.default_rng(seed)
+    center = np.zeros((1, dim))
+    corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
+    faces = _sobol(dim, num_samples // 3, rng)
+    face = np.arange(len(faces)) % (2 * dim)
+    faces[np.arange(len(faces)), face // 2] = 2.0 * (face % 2) - 1
+    inside = _sobol(dim, num_samples - 1 - len(corners) - len(faces), rng)
+    u = np.concatenate([center, inside, corners, faces]) * (1 + 2 * margin)
+    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + len(inside), len(corners) + len(faces)])
+    return Pattern(u, weight)
+
+
+def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
+    from scipy.stats import qmc  # half a second of import that a query does not need
+
+    exponent = max(num_points - 1, 0).bit_length()
+    return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
+
+
+# COMPUTECOEFFICIENTS for many cells at once: the plane of each cell's samples, by batched least squares.
+#
+# A plane is fitted in the local coordinates ``u`` of its cell (``[-1, 1]`` along every axis), as its value at the
+# center and its half-differences: ``L(u) = center + half . u``. In those coordinates the design matrix of a cell
+# without unreachable samples is the same for all cells, so its pseudo-inverse is computed once.
+
+
+# Ridge on the slope, relative to the number of samples: small enough to leave a determined fit as it is (relative
+# change below 1e-8), large enough that a direction in which no sample varies gets slope zero.
+_RIDGE = 1e-9
+
+FitRule: TypeAlias = Callable[
+    [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
+    tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
+]
+"""COMPUTECOEFFICIENTS: from the pattern, the values and their weights to centers and half-differences."""
+
+
+def least_squares(
+    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
+    """The plane of the smallest (weighted) sum of squared errors: the paper's fit, best for the mean error.
+
+    A sample's weight is the pattern's times ``weight``. Where the samples of positive weight do not determine the
+    plane, the slope of least norm is taken: one sample gives its value with slope zero, none gives zero.
+
+    Args:
+        pattern: Where the cells are sampled.
+        value: Distance at each sample of each cell, finite.
+        weight: Weight of each, >= 0; 0 where the goal cannot be reached.
+
+    Returns:
+        The value at the center ``(cells,)`` and the half-differences ``(cells, dim)``.
+
+    References:
+        Section III-A of the paper.
+    """
+    plane = value @ pattern.pseudo_inverse.T
+    masked = masked_cells(weight)
+    if len(masked):
+        design, weight = pattern.design, weight[masked] * pattern.weight
+        plane[masked] = solve_planes(normal_matrices(design, weight), (weight * value[masked]) @ design)
+    return plane[:, 0], plane[:, 1:]
+
+
+def midrange(
+    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
+) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
+    """The slope of :func:`least_squares`, at the height that makes the largest error smallest.
+
+    Above and below the plane the samples of positive weight then err equally far. Meant for a ``tolerance``: fewer
+    leaves for the same largest error, at about twice the mean error for the same leaves. Takes and returns what
+    :func:`least_squares` does.
+    """
+    center, half = least_squares(pattern, value, weight)
+    residual = value - (center[:, None] + half @ pattern.u.T)
+    counts = weight > 0
+    counts |= ~counts.any(axis=1, keepdims=True)
+    highest = residual.max(axis=1, where=counts, initial=-np.inf)
+    lowest = residual.min(axis=1, where=counts, initial=np.inf)
+    return center + 0.5 * (highest + lowest), half
+
+
+def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
+    """Cells in which not every sample has weight 1."""
+    differs = weight != 1
+    return np.flatnonzero(differs.any(axis=1)) if differs.any() else np.zeros(0, np.int64)
+
+
+def normal_matrices(
+    design: Float[np.ndarray, "k terms"], weight: Float[np.ndarray, "cells k"]
+) -> Float[np.ndarray, "cells terms terms"]:
+    """The matrices of the normal equations of every cell."""
+    k, terms = design.shape
+    products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
+    return (weight @ products).reshape(-1, terms, terms)
+
+
+def solve_planes(
+    normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
+) -> Float[np.ndarray, "cells terms"]:
+    """Planes that solve the normal equations; of slope zero in directions in which no sample varies."""
+    terms, total = normal.shape[-1], normal[:, 0, 0].copy()
+    ridge = np.where(total > 0, _RIDGE * total, 1.0)
+    normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
+    normal[:, 0, 0] += total == 0
+    return np.linalg.solve(normal, projection[..., None])[..., 0]
+
 
 _FEW_A_TERM = 2  # reachable samples a coefficient of a plane
 

@@ -7,8 +7,7 @@ from plr_jax._types import DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import SharedFaces, face_points
-from plr_jax.plr.sampling.cell_fit import call_oracle
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import call_oracle, sample_pattern
 
 _NUM_POINTS = 32
 _FEW = 4  # points that most free faces need

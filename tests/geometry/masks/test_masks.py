@@ -6,9 +6,14 @@ import scipy.ndimage
 import shapely
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.masks.regions import placed_region, region_of_mask, rounded_one_by_one, without_specks
-from plr_jax.geometry.masks.simplification import CLEARANCE
-from plr_jax.geometry.masks.tracing import pixel_rings
+from plr_jax.geometry.masks import (
+    CLEARANCE,
+    pixel_rings,
+    placed_region,
+    region_of_mask,
+    rounded_one_by_one,
+    without_specks,
+)
 
 TOLERANCES = (0.25, 0.5, 0.8, 1.5)
 

@@ -7,8 +7,7 @@ import pytest
 from plr_jax import Workspace, scenes
 from plr_jax._pytree import as_pytree
 from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, nearest_and_pulls, slopes_at
-from plr_jax.optimize.placement.moves import moved
-from plr_jax.optimize.placement.seeding import _exchanged, _totals_after_exchange, starts
+from plr_jax.optimize.placement.search import _exchanged, _totals_after_exchange, moved, starts
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 

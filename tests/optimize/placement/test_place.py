@@ -8,7 +8,7 @@ import pytest
 
 from plr_jax import Placement, VisibilityGraph, Workspace, construct_pairs, place, scenes
 from plr_jax.optimize import OptimizationInterrupted
-from plr_jax.optimize.placement import driver
+from plr_jax.optimize.placement import place as driver
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 MAZE = scenes.maze().workspace

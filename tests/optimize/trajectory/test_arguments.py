@@ -5,7 +5,7 @@ import pytest
 
 from plr_jax import DiscRobot, Euclidean, Problem, RectangleRobot, VisibilityGraph, Workspace, construct
 from plr_jax.optimize import optimize_paths
-from plr_jax.optimize.trajectory.arguments import differentiable
+from plr_jax.optimize.trajectory.optimize_paths import differentiable
 
 PROBLEM = Problem(
     Workspace(((0, 0), (10, 10))), [RectangleRobot(1.0, 0.5)] * 2, [(1, 1, 0), (1, 4, 0)], [(9, 1, 0), (9, 4, 0)]

@@ -18,7 +18,7 @@ from plr_jax.optimize.trajectory.clearance import (
     point_clearance,
     round_clearances,
 )
-from plr_jax.optimize.trajectory.compilation import jit_iterations
+from plr_jax.optimize.trajectory.scaled_problem import jit_iterations
 
 # Compiled whole: operation by operation, they take longer to compile than to run.
 point_clearance, corner_clearance, round_clearances, convex_clearances = map(

@@ -2,8 +2,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from plr_jax.optimize.trajectory import compilation
-from plr_jax.optimize.trajectory.compilation import jit_iterations
+from plr_jax.optimize.trajectory import scaled_problem as compilation
+from plr_jax.optimize.trajectory.scaled_problem import jit_iterations
 
 
 @pytest.mark.parametrize("option", ["xla_cpu_use_fusion_emitters", "xla_cpu_of_another_version"])

@@ -27,7 +27,7 @@ from plr_jax import (
     validate,
 )
 from plr_jax.optimize import OptimizationInterrupted, optimize_paths
-from plr_jax.optimize.trajectory import driver
+from plr_jax.optimize.trajectory import optimize_paths as driver
 
 ROOM = Workspace(((0, 0), (10, 10)))
 BOX = Workspace(((0, 0), (10, 10)), [[(4, 3), (6, 3), (6, 7), (4, 7)]])

@@ -8,7 +8,7 @@ from planner_helpers import FOUR_NEIGHBORS
 from team_helpers import MIXED, team_of
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import motions_apart
 
 PROBLEMS = {"mixed": (MIXED, 0.6), "rooms": (scenes.four_rooms(8), 0.4), "crowd": (scenes.crowd(12), 0.4)}
 

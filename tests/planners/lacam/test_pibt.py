@@ -5,8 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from plr_jax.planners.lacam.moves import Moves
-from plr_jax.planners.lacam.pibt import PIBT
+from plr_jax.planners.lacam import PIBT, Moves
 
 
 def random_moves(rng, num_robots=4, num_primitives=4):

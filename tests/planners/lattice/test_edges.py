@@ -10,7 +10,7 @@ from planner_helpers import FOUR_NEIGHBORS, graph_of, joint_lattice_of, nudged_t
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners.lattice.build import PRIMITIVES
-from plr_jax.planners.lattice.edges import kinds_of
+from plr_jax.planners.lattice.joint import kinds_of
 
 WALLS = Workspace(((0, 0), (6, 5)), [shapely.box(2, 0, 2.3, 3), [(4, 2.1), (5, 3), (4.2, 4)]])
 MIXED = Problem(

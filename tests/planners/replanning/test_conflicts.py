@@ -6,9 +6,9 @@ from planner_helpers import search_budget
 from reservation_helpers import TEAMS
 from team_helpers import team_of
 
-from plr_jax.collision.pairs import motions_apart
+from plr_jax.collision.team import motions_apart
 from plr_jax.planners._budget import HeldMemory
-from plr_jax.planners.replanning.conflicts import Conflicts
+from plr_jax.planners.replanning import Conflicts
 
 
 @pytest.mark.parametrize("name", TEAMS)

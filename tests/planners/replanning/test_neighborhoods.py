@@ -5,7 +5,7 @@ import pytest
 from reservation_helpers import TEAMS, blocked_from_scratch, table_of
 
 from plr_jax import validate
-from plr_jax.planners.replanning.neighborhoods import replan_each, replan_neighborhoods, replan_together
+from plr_jax.planners.replanning import replan_each, replan_neighborhoods, replan_together
 
 
 @pytest.mark.parametrize("name", TEAMS)

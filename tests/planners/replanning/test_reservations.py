@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from reservation_helpers import TEAMS, blocked_from_scratch, table_of
 
-from plr_jax.collision.pairs import motions_apart
-from plr_jax.planners.replanning.neighborhoods import replan_each, replan_neighborhoods, replan_together
-from plr_jax.planners.replanning.reservations import num_bytes_of_table
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners.replanning import num_bytes_of_table, replan_each, replan_neighborhoods, replan_together
 
 
 def cheapest_by_networkx(joint, table, i):

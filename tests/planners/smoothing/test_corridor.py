@@ -8,8 +8,8 @@ import pytest
 from planner_helpers import ROOM, exact
 
 from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, bl_plan, path_cost, scenes, validate
-from plr_jax.collision.joint_motion import JointMotionTest
-from plr_jax.planners.smoothing.corridor import _cheapest, _groups, shorten_in_corridors
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.planners.smoothing import _cheapest, _groups, shorten_in_corridors
 
 NEVER = float("inf")
 

@@ -21,10 +21,10 @@ from plr_jax import (
     validate,
 )
 from plr_jax._problem import motion_costs
-from plr_jax.collision.joint_motion import JointMotionTest
+from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners import straight_line
 from plr_jax.planners.bl.search import BestFirstSearch
-from plr_jax.planners.smoothing.shortcuts import halved, shorten
+from plr_jax.planners.smoothing import halved, shorten
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
 BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.plr.certificate.branch_and_bound import LeafBounds
+from plr_jax.plr.certificate.bounds import LeafBounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.file.bits import BitReader, BitWriter
 

@@ -14,7 +14,7 @@ from plr_jax import ReedsShepp
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file import container as container_module
 from plr_jax.plr.file.container import MOST_AXES, MOST_LABEL_BYTES, Container, Header, Layer, frame_size
-from plr_jax.plr.file.fields import varint
+from plr_jax.plr.file.domain import varint
 from plr_jax.plr.folding.choice import folding_of
 
 DOMAIN = Box((-1, 0), (1, 3))

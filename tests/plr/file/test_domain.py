@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.file.container import frame_size
-from plr_jax.plr.file.domain import domain_to_bytes, read_domain
-from plr_jax.plr.file.fields import ByteReader, signed_varint
+from plr_jax.plr.file.domain import ByteReader, domain_to_bytes, read_domain, signed_varint
 
 DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
 DECIMALS = st.builds(lambda digits, places: digits / 10**places, st.integers(-(10**7), 10**7), st.integers(0, 6))

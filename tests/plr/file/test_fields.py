@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.plr.file.fields import ByteReader, signed_varint, varint
+from plr_jax.plr.file.domain import ByteReader, signed_varint, varint
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ import pytest
 from plr_helpers import sealed
 
 from plr_jax import Box, ReedsShepp, construct, from_bytes
-from plr_jax.plr.file.fields import ByteReader
-from plr_jax.plr.file.folding import folding_to_bytes, read_folding
+from plr_jax.plr.file.domain import ByteReader, folding_to_bytes, read_folding
 from plr_jax.plr.folding.choice import folding_of
 
 WINDOW = Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))

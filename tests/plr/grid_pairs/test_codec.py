@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.plr.grid_pairs.codec import MOST_BYTES, MOST_CELLS, decode_grid, encode_grid
+from plr_jax.pairs.grid_pairs import MOST_BYTES, MOST_CELLS, decode_grid, encode_grid
 
 GRID = np.random.default_rng(0).random((9, 14)) > 0.3
 

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from grid_helpers import drawn
 
-from plr_jax.plr.grid_pairs.corner_distances import FAR, corner_distances
-from plr_jax.plr.grid_pairs.sectors import corner_cells, seen_by_corners, taut_at_corners
+from plr_jax.pairs.grid_sectors import FAR, corner_cells, corner_distances, seen_by_corners, taut_at_corners
 
 BLOCK = drawn(
     ".....",

@@ -7,8 +7,7 @@ from plr_helpers import UNIT, cone, walled
 from plr_jax.plr import Plane, best_axis, construct, largest_error
 from plr_jax.plr.growth import best_first
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 AXIS_DEPTH = 7  # in the plane, for files of up to 2,048 bytes
 

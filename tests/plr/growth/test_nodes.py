@@ -4,11 +4,9 @@ from plr_helpers import UNIT, cone
 
 from plr_jax.plr import construct
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth.limits import check_limits
-from plr_jax.plr.growth.nodes import NEVER, Nodes, nodes_of_fit, split_order
+from plr_jax.plr.growth.limits import NEVER, Nodes, check_limits, nodes_of_fit, split_order
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 
 def nodes(priority, bound, axis=0, **limits):

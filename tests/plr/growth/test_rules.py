@@ -3,10 +3,9 @@ import pytest
 from plr_helpers import UNIT, lstsq_plane
 
 from plr_jax.plr import best_axis, center_error, cyclic_axis, largest_error, maximum_depth
-from plr_jax.plr.growth.rules import MAX_ASPECT_BITS, _sum_of_squares_after_split
+from plr_jax.plr.growth.best_first import MAX_ASPECT_BITS, _sum_of_squares_after_split
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 
 def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):

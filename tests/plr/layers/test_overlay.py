@@ -3,8 +3,8 @@ import pytest
 from plr_helpers import random_partition
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.layers.overlay import leaves_that_meet
-from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr._coarsen import leaves_that_meet
+from plr_jax.plr.partition.cells import tree_of
 
 
 @pytest.mark.parametrize("seed", range(12))

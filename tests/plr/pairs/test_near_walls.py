@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax.plr.pairs import near_walls
-from plr_jax.plr.pairs.near_walls import NearWalls, near_entries
+from plr_jax.pairs import near_walls
+from plr_jax.pairs.near_walls import NearWalls, near_entries
 
 
 def random_case(seed, leaves, corners, walls):

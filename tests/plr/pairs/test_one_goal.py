@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs, scenes
-from plr_jax.plr.pairs.one_goal import _joined, _sources, plr_to
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import tree_of
+from plr_jax.pairs.pair_plr import _joined, _sources, plr_to
+from plr_jax.plr.partition.cells import Cells, tree_of
 
 FLOOR = scenes.floor_plan().workspace
 GOALS = FLOOR.sample_free(6, seed=1)

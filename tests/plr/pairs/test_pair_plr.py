@@ -12,12 +12,11 @@ from piece_helpers import fan_workspace, general_workspace, lattice_workspace
 
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.pairs.stored import Stored
 from plr_jax.plr.file.container import Header
-from plr_jax.plr.pairs.outline import Outline
-from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.pairs.stored import Stored
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of
+from plr_jax.plr.partition.cells import Cells, levels_of
 
 MAZE = scenes.maze().workspace
 WALL = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)]])
@@ -202,7 +201,7 @@ def test_points_beside_walls_see_nothing_behind_contacts():
 
 
 def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
-    monkeypatch.setattr("plr_jax.plr.pairs.construct.DEFAULT_MAX_BYTES", 50)
+    monkeypatch.setattr("plr_jax.pairs.construct_pairs.DEFAULT_MAX_BYTES", 50)
     with pytest.raises(ValueError, match="max_bytes=50"):
         construct_pairs(MAZE)
 

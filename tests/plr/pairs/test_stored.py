@@ -7,19 +7,18 @@ import pytest
 from scipy.sparse.csgraph import floyd_warshall
 
 from plr_jax import Box, construct_pairs, scenes
-from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.file.container import PAIRS_CODE, Container, Header
-from plr_jax.plr.pairs.joined import distances_by_rows
-from plr_jax.plr.pairs.pair_plr import pairs_from_bytes
-from plr_jax.plr.pairs.stored import (
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.pairs.stored import (
     Stored,
     _number_of_pair,
     _pair_of_number,
     _read_lists,
     _write_lists,
+    distances_by_rows,
 )
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of, tree_of_levels
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.container import PAIRS_CODE, Container, Header
+from plr_jax.plr.partition.cells import Cells, levels_of, tree_of_levels
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +42,7 @@ def test_distances_between_corners_are_those_over_the_edges(monkeypatch):
     lengths[tuple(edges.T)] = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     expected = floyd_warshall(lengths, directed=False)
     for at_once in (1, 12, 24, 50, 1000):
-        monkeypatch.setattr("plr_jax.plr.pairs.joined._AT_ONCE", at_once)
+        monkeypatch.setattr("plr_jax.pairs.stored._AT_ONCE", at_once)
         first, rows = zip(*distances_by_rows(points, edges), strict=True)
         np.testing.assert_allclose(np.concatenate(rows), expected)
         np.testing.assert_array_equal(first, np.cumsum([0, *map(len, rows[:-1])]))
@@ -116,9 +115,9 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
 
 def test_more_leaves_and_corners_than_tables_are_made_of_are_refused(stored, monkeypatch):
     most = len(stored.cells) * len(stored.corner)
-    monkeypatch.setattr("plr_jax.plr.pairs.stored._MOST_NUMBERS", most)
+    monkeypatch.setattr("plr_jax.pairs.stored._MOST_NUMBERS", most)
     assert len(Stored.from_bytes(stored.to_bytes()).cells) == len(stored.cells) > 1
-    monkeypatch.setattr("plr_jax.plr.pairs.stored._MOST_NUMBERS", most - 1)
+    monkeypatch.setattr("plr_jax.pairs.stored._MOST_NUMBERS", most - 1)
     with pytest.raises(ValueError, match=f"{len(stored.cells)} leaves and 12 corners, more than tables are made of"):
         Stored.from_bytes(stored.to_bytes())
 

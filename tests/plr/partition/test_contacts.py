@@ -4,10 +4,10 @@ from hypothesis import strategies as st
 from plr_helpers import contents_of_planes, random_partition
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr._filled import filled_coefficients
-from plr_jax.plr.leaves.plane.codec import encode_planes
+from plr_jax.plr._file import filled_coefficients
+from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.contacts import neighbor_of_largest_contact
+from plr_jax.plr.partition.faces import neighbor_of_largest_contact
 
 
 def lenders(cells, blocked, periodic=()):

@@ -4,9 +4,8 @@ from hypothesis import strategies as st
 from plr_helpers import random_partition, three_leaves
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import Cells, corner_bits, tree_of
 from plr_jax.plr.partition.faces import face_points, parents_of_corners, shared_faces
-from plr_jax.plr.partition.tree import corner_bits, tree_of
 
 
 def test_a_tree_of_three_leaves():

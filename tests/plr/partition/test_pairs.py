@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from plr_helpers import random_partition
 
-from plr_jax.plr.partition.pairs import overlapping_leaves
-from plr_jax.plr.partition.tree import tree_of
+from plr_jax.plr.partition.cells import tree_of
+from plr_jax.plr.partition.faces import overlapping_leaves
 
 
 def ends(cells):

@@ -3,8 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import random_partition
 
-from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.partition.tree import levels_of, tree_of_levels
+from plr_jax.plr.partition.cells import Cells, levels_of, tree_of_levels
 
 
 @settings(max_examples=30, deadline=None)

@@ -10,7 +10,7 @@ import pytest
 from portable_helpers import CASES, SlowReader, case, hard_points, is_far, same_bits
 
 from plr_jax import Box, VisibilityGraph, certify, construct, load_numpy, save, scenes
-from plr_jax.plr.portable.leaf_table import LeafTable
+from plr_jax.plr.portable.evaluator import LeafTable
 
 
 @pytest.fixture(params=CASES)
@@ -135,7 +135,7 @@ def test_chunks_do_not_show(monkeypatch):
 
 @pytest.mark.parametrize("bits", [0, 1, 5])
 def test_the_table_may_be_as_small_as_one_likes(bits, monkeypatch):
-    monkeypatch.setattr("plr_jax.plr.portable.leaf_table._MOST_BITS", bits)
+    monkeypatch.setattr("plr_jax.plr.portable.evaluator._MOST_BITS", bits)
     for name in ("deep", "random planes", "maze of values"):
         plr, x = case(name), hard_points(case(name), 100)
         f = plr.numpy()

@@ -12,7 +12,7 @@ from vectors import read_vector, vector_names
 
 from experiments.porting._headers import STRICT, compiled_header, object_for_size, section_bytes
 from plr_jax import load_numpy
-from plr_jax.plr.portable.text import CWriter
+from plr_jax.plr.portable.header import CWriter
 
 MOST_CODE = 2048  # bytes
 

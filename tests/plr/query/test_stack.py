@@ -4,7 +4,7 @@ from plr_helpers import UNIT, points, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import PLR, construct
-from plr_jax.plr.query import stack as stack_module
+from plr_jax.plr.query import points as stack_module
 
 
 @pytest.fixture(scope="module")

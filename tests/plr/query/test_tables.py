@@ -8,9 +8,9 @@ from plr_jax import VisibilityGraph, scenes
 from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.query.blocks import pack_blocks
 from plr_jax.plr.query.frame import table_corners
 from plr_jax.plr.query.grid import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows
+from plr_jax.plr.query.pages import pack_blocks
 from plr_jax.plr.query.tables import build_tables
 
 

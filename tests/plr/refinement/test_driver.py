@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax.plr import construct, cyclic_axis, from_bytes, load, maximum_depth, save
+from plr_jax._io import load, save
+from plr_jax.plr import construct, cyclic_axis, from_bytes, maximum_depth
 from plr_jax.plr.refinement import objective as objective_module
-from plr_jax.plr.refinement.driver import RefinementInterrupted, refine
-from plr_jax.plr.refinement.face_samples import sample_faces
-from plr_jax.plr.refinement.losses import eikonal, jumps, quantile
+from plr_jax.plr.refinement.objective import eikonal, jumps, quantile, sample_faces
+from plr_jax.plr.refinement.refine import RefinementInterrupted, refine
 
 
 def lstsq_twin(plr, x, distance, weight):

@@ -5,11 +5,10 @@ from plr_jax import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents
-from plr_jax.plr.leaves.plane.codec import encode_planes
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.leaves.plane import encode_planes
+from plr_jax.plr.partition.cells import Cells, Level, tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import Level, tree_of
-from plr_jax.plr.refinement.face_samples import sample_faces
+from plr_jax.plr.refinement.objective import sample_faces
 
 
 def test_faces_are_free_and_each_point_lies_on_both_of_its_leaves(wall, wall_faces):

@@ -5,9 +5,8 @@ from plr_helpers import UNIT, cone, leaf_by_search, points, walled
 
 from plr_jax import Box, VisibilityGraph, scenes
 from plr_jax.plr import Plane, construct
-from plr_jax.plr.refinement.driver import refine
-from plr_jax.plr.refinement.face_samples import sample_faces
-from plr_jax.plr.refinement.losses import Quantile, eikonal, jumps, quantile, squared
+from plr_jax.plr.refinement.objective import Quantile, eikonal, jumps, quantile, sample_faces, squared
+from plr_jax.plr.refinement.refine import refine
 
 
 def test_the_pinball_loss_by_hand():

@@ -4,8 +4,7 @@ from plr_helpers import cone, points
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler, call_oracle, call_weights
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, call_oracle, call_weights, sample_pattern
 
 LINE = Box([0.0], [2.0])
 

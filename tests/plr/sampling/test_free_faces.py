@@ -3,9 +3,8 @@ import pytest
 from plr_helpers import cone, walled
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import Cells, tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.free_faces import FaceTests
 
 SQUARE = Box((0, 0), (1, 1))

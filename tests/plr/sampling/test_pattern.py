@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import sample_pattern
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 6])

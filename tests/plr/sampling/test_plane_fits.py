@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import lstsq_plane
 
-from plr_jax.plr.sampling.pattern import Pattern, sample_pattern
-from plr_jax.plr.sampling.plane_fits import least_squares, midrange
+from plr_jax.plr.sampling.cell_fit import Pattern, least_squares, midrange, sample_pattern
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,24 +9,20 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cone_differences import difference_of_cones
-from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces
+from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
 from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
-from plr_jax.plr.growth.rules import best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Functions, Rules, largest_coordinates
-from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box
-from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
-from plr_jax.plr.leaves.cone.family.task import FamilyTask, family_task
+from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box, sources_in_sight
+from plr_jax.plr.leaves.cone.codec import StoredCones, num_bytes_of, read_cones, stored_cones, write_cones
+from plr_jax.plr.leaves.cone.family.members import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.sampled import grow_from_samples
-from plr_jax.plr.leaves.cone.sight import sources_in_sight
-from plr_jax.plr.leaves.cone.stored import num_bytes_of, stored_cones
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
-from plr_jax.plr.sampling.cell_fit import Sampler
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 from plr_jax.plr.sampling.cell_memory import CellMemory
-from plr_jax.plr.sampling.pattern import sample_pattern
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""

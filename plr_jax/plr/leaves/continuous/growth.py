@@ -6,15 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.plr.file.bits import BitWriter
-from plr_jax.plr.growth.limits import Limits, check_memory, grow
-from plr_jax.plr.growth.nodes import check_rules, is_open, least_priority
+from plr_jax.plr.growth.limits import Limits, check_memory, check_rules, grow, is_open, least_priority
 from plr_jax.plr.leaves.base import Rules
-from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, write_values
-from plr_jax.plr.leaves.continuous.space import NodalSpace
+from plr_jax.plr.leaves.continuous.space import NodalSpace, design, numbers_of_leaves
 from plr_jax.plr.leaves.sparse_squares import solve_by_descent, solve_sparse, weighted_squares
+from plr_jax.plr.partition.cells import tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import tree_of
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, weights_of_fit
 from plr_jax.plr.sampling.free_faces import FaceTests
 

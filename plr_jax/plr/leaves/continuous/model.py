@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cone_differences import cone_above_plane
-from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
@@ -22,7 +21,16 @@ from plr_jax.plr.leaves.base import (
     linear_values,
     rounded_down,
 )
-from plr_jax.plr.leaves.continuous.basis import (
+from plr_jax.plr.leaves.continuous.codec import (
+    StoredValues,
+    TiedPartition,
+    numbers_of_polynomials,
+    polynomial,
+    read_values,
+    write_values,
+)
+from plr_jax.plr.leaves.continuous.growth import grow_tied
+from plr_jax.plr.leaves.continuous.space import (
     MAX_DIM_OF_ORDER,
     POWERS,
     design,
@@ -32,12 +40,8 @@ from plr_jax.plr.leaves.continuous.basis import (
     numbers_of_planes,
     on_boxes,
 )
-from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
-from plr_jax.plr.leaves.continuous.evaluation import numbers_of_polynomials, polynomial
-from plr_jax.plr.leaves.continuous.growth import grow_tied
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.partition.cells import Cells, Tree
 from plr_jax.plr.partition.faces import SharedFaces
-from plr_jax.plr.partition.tree import Tree
 from plr_jax.plr.query.frame import Corner
 from plr_jax.plr.sampling.cell_fit import Sampler
 

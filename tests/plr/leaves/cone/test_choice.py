@@ -3,11 +3,10 @@ import pytest
 from plr_helpers import UNIT, random_partition, walled
 
 from plr_jax.geometry.box import Box
-from plr_jax.plr.leaves.cone.choice import choose_sources, sample_weights
-from plr_jax.plr.leaves.cone.fit import Cones
+from plr_jax.plr.leaves.cone.sampled import choose_sources, sample_weights
+from plr_jax.plr.leaves.cone.sources import Cones
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 
 def fit_of(distance_fn, domain, cells, margin=0.0, weight_fn=None):

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from plr_jax.plr.leaves.cone.clusters import Clusters, Patches, cluster_patches
-from plr_jax.plr.leaves.cone.fit import Cones, Samples
+from plr_jax.plr.leaves.cone.sources import Clusters, Cones, Patches, Samples, cluster_patches
 
 SOURCES = Cones(np.array([[0.1, 0.2], [2.0, 1.0], [0.5, -3.0]]), np.array([0.0, 1.0, 0.3]))
 

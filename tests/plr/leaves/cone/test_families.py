@@ -1,8 +1,7 @@
 import numpy as np
 from scipy.optimize import least_squares
 
-from plr_jax.plr.leaves.cone.families import fit_families
-from plr_jax.plr.leaves.cone.fit import Cones, Samples
+from plr_jax.plr.leaves.cone.sources import Cones, Samples, fit_families
 
 PARENTS = np.array([0, 0, 1, 1, 4])
 

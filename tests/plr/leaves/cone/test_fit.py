@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from plr_jax.plr.leaves.cone.fit import Cones, Samples, fit_cones, normal_equations, refine_cones, slopes
+from plr_jax.plr.leaves.cone.sources import Cones, Samples, fit_cones, normal_equations, refine_cones, slopes
 
 
 def samples_in_boxes(seed, dim, cells=20, k=60, size=0.2):

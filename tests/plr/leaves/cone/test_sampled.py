@@ -5,9 +5,10 @@ import pytest
 from plr_helpers import UNIT, leaf_by_search, points, walled
 
 from plr_jax import scenes
+from plr_jax._io import load, save
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import Euclidean, Roadmap, VisibilityGraph
-from plr_jax.plr import construct, cyclic_axis, from_bytes, load, maximum_depth, save
+from plr_jax.plr import construct, cyclic_axis, from_bytes, maximum_depth
 
 
 def maze_oracle(scene):

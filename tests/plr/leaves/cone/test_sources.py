@@ -6,8 +6,7 @@ from plr_jax import scenes
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import VisibilityGraph
 from plr_jax.plr.leaves.cone.sources import find_sources
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 
 def found_sources(distance_fn, domain):

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plr_jax.plr.leaves.continuous.basis import design, monomials
-from plr_jax.plr.partition.tree import corner_bits
+from plr_jax.plr.leaves.continuous.space import design, monomials
+from plr_jax.plr.partition.cells import corner_bits
 
 
 @pytest.mark.parametrize("order", [0, 1])

@@ -12,8 +12,8 @@ from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.file.container import Container
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition, read_values, write_values
+from plr_jax.plr.partition.cells import levels_of, tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import levels_of, tree_of
 
 
 @settings(deadline=None, max_examples=20)

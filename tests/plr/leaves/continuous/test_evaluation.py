@@ -6,8 +6,8 @@ from plr_helpers import UNIT, cone, leaf_by_search, walled
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr import construct
-from plr_jax.plr.leaves.continuous.basis import numbers_of_leaves
-from plr_jax.plr.leaves.continuous.evaluation import numbers_of_polynomials
+from plr_jax.plr.leaves.continuous.codec import numbers_of_polynomials
+from plr_jax.plr.leaves.continuous.space import numbers_of_leaves
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import face_points
 

@@ -5,13 +5,11 @@ import pytest
 from plr_helpers import UNIT, cone, random_partition
 
 from plr_jax.plr import construct
-from plr_jax.plr.leaves.continuous.basis import design, numbers_of_leaves
 from plr_jax.plr.leaves.continuous.growth import fit_values
-from plr_jax.plr.leaves.continuous.space import nodal_space
+from plr_jax.plr.leaves.continuous.space import design, nodal_space, numbers_of_leaves
+from plr_jax.plr.partition.cells import tree_of
 from plr_jax.plr.partition.faces import shared_faces
-from plr_jax.plr.partition.tree import tree_of
-from plr_jax.plr.sampling.cell_fit import Sampler
-from plr_jax.plr.sampling.pattern import sample_pattern
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 
 def test_limits():

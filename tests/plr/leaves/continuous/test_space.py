@@ -4,11 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import random_partition
 
-from plr_jax.plr.leaves.continuous.basis import monomials, numbers_of_leaves
-from plr_jax.plr.leaves.continuous.space import nodal_space
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.leaves.continuous.space import monomials, nodal_space, numbers_of_leaves
+from plr_jax.plr.partition.cells import Cells, corner_bits, tree_of
 from plr_jax.plr.partition.faces import face_points, shared_faces
-from plr_jax.plr.partition.tree import corner_bits, tree_of
 
 
 def space_of(cells, tied=lambda faces: np.ones(len(faces), bool), periodic=()):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from plr_helpers import random_partition
 
 from plr_jax.plr.file.bits import BitReader, BitWriter
-from plr_jax.plr.leaves.plane.codec import (
+from plr_jax.plr.leaves.plane import (
     FLOAT_BITS,
     StoredPlanes,
     encode_planes,

@@ -8,7 +8,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.plane_fits import midrange
+from plr_jax.plr.sampling.cell_fit import midrange
 
 
 def test_rounding_is_as_the_step_says():

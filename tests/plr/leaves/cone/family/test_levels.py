@@ -9,10 +9,9 @@ from plr_jax import VisibilityGraph, scenes
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.leaves.cone.boxes import fitted_boxes
-from plr_jax.plr.leaves.cone.family.levels import BoxLevel, expand, prune
-from plr_jax.plr.leaves.cone.family.start import Start
+from plr_jax.plr.leaves.cone.family.levels import BoxLevel, Start, expand, prune
 from plr_jax.plr.leaves.cone.family.trees import Cut, member_trees
-from plr_jax.plr.partition.tree import tree_of_levels
+from plr_jax.plr.partition.cells import tree_of_levels
 
 MAZE = scenes.maze().workspace
 PRICES = 2.0 ** -np.arange(7, 12)

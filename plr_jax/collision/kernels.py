@@ -1,0 +1,211 @@
+"""The fast kernels: for boxes about their reference points, given by half their sides, and for boxes and points."""
+
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from plr_jax.collision.moving import Column, MovingBodies, across_motion, riding_bulges
+from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
+
+# The kernel for convex bodies of any number of vertices, whose distance is that of their Minkowski difference.
+
+
+Sides = Float[np.ndarray, "sides n"]
+Corners = Float[np.ndarray, "2 _ n"]
+Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
+
+_FEW = 24  # corners up to which the lowest is sought among all
+
+
+def judge_convex(
+    a: MovingBodies, b: MovingBodies, reach: float
+) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """Two convex bodies, given by their vertices ``(2, vertices)`` in their own frames, counterclockwise.
+
+    The axes: normal to the sides of both, which ride with them; across the relative motion; and, where a distance is
+    to be kept, through the two points at which they are nearest to one another. The last one is what keeps corners
+    apart from corners, and makes the answer exact where nothing turns.
+    """
+    ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
+    gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
+    rim_a, rim_b = (np.hypot(*body.size).max(axis=0) for body in (a, b))
+    bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
+    nx, ny = across_motion(a, b)
+    gap = np.maximum(_smaller_gap(ends, nx, ny), _smaller_gap(ends, -nx, -ny)) - bulge
+    for first, last, riding in zip(*gaps, riding_bulges(a, b, rim_a, rim_b), strict=True):
+        gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - riding)
+    separation = [np.concatenate(each) for each in gaps]
+    separation = [each.max(axis=0) if len(each) else np.zeros(len(a.x)) for each in separation]
+    if reach > 0:
+        (nx, ny), distances = _nearest(ends)
+        gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)
+        separation = [np.where(depth < 0, depth, d) for depth, d in zip(separation, distances, strict=True)]
+    clear = gap >= reach
+    exact = (a.turn == 0) & (b.turn == 0)
+    return clear, (separation[0] < reach) | (separation[1] < reach) | (exact & ~clear)
+
+
+def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
+    """Corners of both at the first (0) or last (1) end of each motion, seen from the first's reference point."""
+    placed = []
+    for body in (a, b):
+        c, s = np.cos(body.theta + end * body.turn), np.sin(body.theta + end * body.turn)
+        x, y = body.size
+        placed.append(np.stack([c * x - s * y, s * x + c * y]))
+    placed[1] += np.stack([b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)])[:, None]
+    return placed[0], placed[1]
+
+
+def _side_gaps(p: Corners, q: Corners) -> Sides:
+    """Gap between two bodies along the normal of each side of the first; a single corner has no sides."""
+    sides = p.shape[1] if p.shape[1] > 1 else 0
+    dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
+    length = np.hypot(dx, dy)
+    nx, ny = dy / length, -dx / length
+    return _lowest(q, nx, ny) - nx * p[0, :sides] - ny * p[1, :sides]
+
+
+def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
+    """How far the corners of a body reach down along some directions: the least of their products with each."""
+    num_corners, n = q.shape[1:]
+    stride = 1 << ((num_corners - 1) // _FEW).bit_length()
+    heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
+    if stride == 1:
+        return heights.min(axis=1)
+    # Around a convex body heights fall and rise once: the lowest is less than a stride from the lowest of every few.
+    corner, (x, y) = stride * heights.argmin(axis=1), q.reshape(2, -1)
+    while stride > 1:
+        stride //= 2
+        near = np.stack([corner, corner - stride, corner + stride]) % num_corners
+        at = near * n + np.arange(n)
+        best = (nx * x[at] + ny * y[at]).argmin(axis=0)[None]
+        corner = np.take_along_axis(near, best, axis=0)[0]
+    at = corner * n + np.arange(n)
+    return nx * x[at] + ny * y[at]
+
+
+def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
+    """The smaller of the gaps at both ends along a direction from the first body to the second."""
+    gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
+    return np.minimum(*gaps)
+
+
+def _nearest(ends: Ends) -> tuple[tuple[Column, Column], tuple[Column, Column]]:
+    """The direction in which bodies come nearest to one another, and their distances at both ends.
+
+    The Minkowski difference of bodies that are apart, swept by a translation, is nearest to the origin on an edge: a
+    side of the one less a corner of the other, at either end, or the way of a corner less a corner.
+    """
+    first, last = (q[:, None] - p[:, :, None] for p, q in ends)
+    at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
+    between = nearest_on_segment(*first, *(last - first))
+    _, k, m, n = first.shape
+    points = np.array([*at_ends[0], *at_ends[1], between]).swapaxes(0, 1).reshape(2, 5 * k * m, n)
+    squared = (points * points).sum(axis=0)
+    x, y = np.take_along_axis(points, squared.argmin(axis=0)[None, None], axis=1)[:, 0]
+    distances = [np.sqrt(part.min(axis=0)) for part in (squared[: 2 * k * m], squared[2 * k * m : 4 * k * m])]
+    length = np.hypot(x, y)
+    nx = np.divide(x, length, out=np.ones_like(x), where=length > 0)
+    return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
+
+
+Heading: TypeAlias = tuple[Column, Column]  # cosine and sine
+
+
+def judge_boxes(
+    a: MovingBodies, b: MovingBodies, reach: float
+) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """Two boxes and a depth of overlap: axes along the sides of both, and across their relative motion."""
+    headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
+    first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
+    of_a, of_b = riding_bulges(a, b, np.hypot(*a.size), np.hypot(*b.size))
+    gap = _gap_across(a, b, headings)
+    for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
+        # The same side at both ends: the axis does not change its sense within the piece.
+        along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
+        gap = np.maximum(gap, along - bulge)
+    clear = gap >= reach
+    # At a single time, the sides' axes decide.
+    overlap = [np.max([np.abs(u) - support for u, support in axes], axis=0) < reach for axes in (first, last)]
+    exact = (a.turn == 0) & (b.turn == 0)
+    return clear, overlap[0] | overlap[1] | (exact & ~clear)
+
+
+def judge_box_and_point(
+    a: MovingBodies, b: MovingBodies, reach: float
+) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """A box and a point, seen from the box: that is at rest, and the point's curve is near a segment."""
+    ends, distances = [], []
+    for end in (0.0, 1.0):
+        x, y = b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
+        c, s = _heading(a, end)
+        u, v = c * x + s * y, c * y - s * x
+        ends += [u, v]
+        distances.append(_distance_to_box(u, v, *a.size))
+    bulge, _ = riding_bulges(a, b, *b.size)  # a point has no rim
+    distance = np.minimum(np.minimum(distances[0], distances[1]), _distance_of_chord(*ends, *a.size))
+    clear = distance >= reach + bulge
+    overlap = (distances[0] < reach) | (distances[1] < reach)
+    return clear, overlap | ((a.turn == 0) & ~clear)
+
+
+def judge_point_and_box(
+    a: MovingBodies, b: MovingBodies, reach: float
+) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """A point and a box."""
+    return judge_box_and_point(b, a, reach)
+
+
+def _heading(body: MovingBodies, end: float) -> Heading:
+    """The heading at the first (0) or last (1) end of each motion."""
+    theta = body.theta + end * body.turn
+    return np.cos(theta), np.sin(theta)
+
+
+def _along_sides(
+    a: MovingBodies, b: MovingBodies, end: float, heading_a: Heading, heading_b: Heading
+) -> list[tuple[Column, Column]]:
+    """Offset of the centers, and what the bodies fill of it, along two sides of ``a`` and two of ``b``."""
+    (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = heading_a, heading_b, a.size, b.size
+    c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
+    x, y = b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
+    return [
+        (ca * x + sa * y, length_a + length_b * c + width_b * s),
+        (ca * y - sa * x, width_a + length_b * s + width_b * c),
+        (cb * x + sb * y, length_b + length_a * c + width_a * s),
+        (cb * y - sb * x, width_b + length_a * s + width_a * c),
+    ]
+
+
+def _gap_across(a: MovingBodies, b: MovingBodies, headings: list[tuple[Heading, Heading]]) -> Column:
+    """Gap along the normal of the relative motion; a lower bound."""
+    nx, ny = across_motion(a, b)
+    supports = [_support(a, of_a, nx, ny) + _support(b, of_b, nx, ny) for of_a, of_b in headings]
+    bulge = (np.hypot(*a.size) * a.turn**2 + np.hypot(*b.size) * b.turn**2) / 8
+    return np.abs(nx * (b.x - a.x) + ny * (b.y - a.y)) - np.maximum(supports[0], supports[1]) - bulge
+
+
+def _support(body: MovingBodies, heading: Heading, nx: Column, ny: Column) -> Column:
+    """How far a box reaches from its center along a direction."""
+    (c, s), (half_length, half_width) = heading, body.size
+    return half_length * np.abs(c * nx + s * ny) + half_width * np.abs(c * ny - s * nx)
+
+
+def _distance_to_box(x: Column, y: Column, half_x: Column, half_y: Column) -> Column:
+    """Signed distance of points to boxes about the origin, negative inside."""
+    x, y = np.abs(x) - half_x, np.abs(y) - half_y
+    return np.hypot(np.maximum(x, 0), np.maximum(y, 0)) + np.minimum(np.maximum(x, y), 0)
+
+
+def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
+    """Distance of the inner part of segments to boxes about the origin; a depth, negative, where they cross."""
+    dx, dy = x1 - x0, y1 - y0
+    corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
+    length = np.hypot(dx, dy)
+    across = np.abs(x0 * dy - y0 * dx) - half_x * np.abs(dy) - half_y * np.abs(dx)
+    across = np.divide(across, length, out=np.full_like(length, -np.inf), where=length > 0)
+    beside_x = np.maximum(np.minimum(x0, x1), -np.maximum(x0, x1)) - half_x
+    beside_y = np.maximum(np.minimum(y0, y1), -np.maximum(y0, y1)) - half_y
+    separation = np.maximum(np.maximum(beside_x, beside_y), across)
+    return np.where(separation > 0, np.min(corners, axis=0), separation)

@@ -1,0 +1,270 @@
+"""Collision of a whole team along simultaneous straight motions: with the workspace, and of each two robots.
+
+Along a path, only robots near one another are tested exactly, those of one kind in one batch.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._deadline import require_time
+from plr_jax.collision.kernels import judge_box_and_point, judge_boxes, judge_convex, judge_point_and_box
+from plr_jax.collision.moving import Judge, bisect, moving
+from plr_jax.collision.walls import MotionTest, motion_test
+from plr_jax.geometry.vectors import distance_to_segment
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots.robot import Robot
+
+# Circles around the motions of a team along a path, which tell most robots that cannot meet.
+#
+# A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's
+# length and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that
+# is
+# well within the tolerance of exact tests.
+
+
+_CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache
+
+
+class Circles(NamedTuple):
+    """Circles, by centers and radii."""
+
+    x: Float[np.ndarray, "n"]
+    y: Float[np.ndarray, "n"]
+    radius: Float[np.ndarray, "n"]
+
+
+class Traffic:
+    """A path of a team, whose robots can be given other motions, and a circle around each of its motions.
+
+    Attributes:
+        path: The joint configurations ``(steps, robots, dof)``, a copy of those given; :meth:`move` changes them.
+    """
+
+    path: Float[np.ndarray, "steps robots dof"]
+    _size: Float[np.ndarray, "robots"]
+    _x: Float[np.ndarray, "motions robots"]
+    _y: Float[np.ndarray, "motions robots"]
+    _radius: Float[np.ndarray, "motions robots"]
+
+    def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
+        self.path = path.copy()
+        self._size = np.array([robot.circumscribed_radius for robot in robots])
+        self._x, self._y, self._radius = np.empty((3, max(len(path) - 1, 0), len(robots)))
+        for i in range(len(robots)):
+            self.move(i, path[:, i])
+
+    def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
+        """Have robot ``i`` go other motions, in some rows of the path that begin and end as they did."""
+        self.path[rows, i] = q
+        motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
+        x, y, radius = circles_along(q[:, None])
+        self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
+
+    def near(
+        self,
+        i: int,
+        around: Circles,
+        motion: Int[np.ndarray, "n"],
+        excluded: Sequence[int] = (),
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
+
+        In each of ``n`` rows its position stays within a circle.
+
+        Returns:
+            Rows, and the other robots that may come within reach in them, row by row.
+        """
+        x, y, radius = around
+        radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
+        found, size = [], max(1, _CHUNK // num_robots)
+        for first in range(0, max(1, len(motion)), size):
+            rows = slice(first, first + size)
+            squared, along_y, reach = (of[motion[rows]] for of in (self._x, self._y, self._radius))
+            for difference, own in ((squared, x), (along_y, y)):
+                difference -= own[rows, None]
+                difference *= difference
+            squared += along_y
+            reach += radius[rows, None]
+            reach[:, apart] = 0.0
+            reach *= reach
+            found.append(first * num_robots + np.flatnonzero(squared < reach))
+        row, other = np.divmod(np.concatenate(found), num_robots)
+        return row, other
+
+
+def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
+    """Rows in which two robots may meet whose positions stay within circles."""
+    reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
+    return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
+
+
+def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
+    """Circles around the ways from any of ``k`` positions to any of ``l``, in each row."""
+    return _between(_around(begin), _around(end))
+
+
+def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
+    """Circles around the ways from any of the positions in a row to any in the next."""
+    around = _around(q)
+    return _between(Circles(*(column[:-1] for column in around)), Circles(*(column[1:] for column in around)))
+
+
+def _between(begin: Circles, end: Circles) -> Circles:
+    """Circles around the ways from anywhere within some circles to anywhere within others."""
+    half = np.hypot(end.x - begin.x, end.y - begin.y) / 2
+    return Circles((begin.x + end.x) / 2, (begin.y + end.y) / 2, half + np.maximum(begin.radius, end.radius))
+
+
+def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
+    """Circles around the positions in each row."""
+    if q.shape[1] == 1:
+        return Circles(q[:, 0, 0], q[:, 0, 1], np.zeros(len(q)))
+    lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
+    x, y = ((lo + hi) / 2).T
+    return Circles(x, y, np.hypot(hi[:, 0] - x, hi[:, 1] - y))
+
+
+# Collision of two robots along simultaneous straight motions, by the kernel that fits what both are.
+
+
+_MOST, _CHUNK_PAIRS = 1 << 18, 1 << 13  # pairs of motions at a time: whose circles are compared, that are gathered
+
+
+def motions_apart(
+    robot_a: Robot,
+    a0: Float[np.ndarray, "*#batch dof_a"],
+    a1: Float[np.ndarray, "*#batch dof_a"],
+    robot_b: Robot,
+    b0: Float[np.ndarray, "*#batch dof_b"],
+    b1: Float[np.ndarray, "*#batch dof_b"],
+    tolerance: float,
+    deadline: float = math.inf,
+) -> Bool[np.ndarray, "*batch"]:
+    """Whether two robots stay clear of one another while both move, from ``a0`` to ``a1`` and from ``b0`` to ``b1``.
+
+    The batch shapes broadcast, so that every motion of one robot can be tested against every motion of the
+    other without copies of either. An overlap as deep as the tolerance, ``Workspace.tolerance``, is touching.
+
+    Returns:
+        True where they at most touch. Exact for two round robots, and where nothing turns; else a motion that
+        comes within about 1e-7 of a turning robot's size to a collision may be refused, and one that collides
+        never passes.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    """
+    require_time(deadline, "all motions were tested")
+    motions = a0, a1, b0, b1
+    batch = np.broadcast(*(q[..., 0] for q in motions))
+    if batch.size > _MOST and batch.shape[0] > 1:
+        size, apart = max(1, _MOST * batch.shape[0] // batch.size), np.empty(batch.shape, dtype=bool)
+        for begin in range(0, batch.shape[0], size):
+            rows = slice(begin, begin + size)
+            a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
+            apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
+        return apart
+    x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
+    dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
+    distance = np.asarray(distance_to_segment(x, y, dx, dy))  # of the reference points, where it is least
+    outer = robot_a.circumscribed_radius + robot_b.circumscribed_radius
+    inner = robot_a.inscribed_radius + robot_b.inscribed_radius
+    apart = distance >= outer - tolerance
+    if inner == outer:  # both are round
+        return apart
+    where = np.nonzero(~apart & (distance >= inner - tolerance))
+    reach = robot_a.rounding + robot_b.rounding - tolerance
+    judge, size_a, size_b = _kernel(robot_a, robot_b, reach)
+    for begin in range(0, len(where[0]), _CHUNK_PAIRS):
+        rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
+        qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
+        a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
+        apart[rows] = bisect(judge, a, b, reach, deadline)
+    return apart
+
+
+def _kernel(robot_a: Robot, robot_b: Robot, reach: float) -> tuple[Judge, np.ndarray, np.ndarray]:
+    """The fastest kernel that answers for two robots, and their sizes as it takes them."""
+    half_a, half_b = robot_a.half_sides, robot_b.half_sides
+    if half_a is None or half_b is None:
+        return judge_convex, robot_a.core.T, robot_b.core.T
+    if not half_b.any():
+        return judge_box_and_point, half_a, half_b
+    if not half_a.any():
+        return judge_point_and_box, half_a, half_b
+    if reach <= 0:
+        return judge_boxes, half_a, half_b
+    return judge_convex, robot_a.core.T, robot_b.core.T
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotionTest:
+    """Whether straight joint motions of a team are free: of obstacles, and of collisions between robots.
+
+    Past the deadline, on the clock of ``time.perf_counter``, tests raise ``TimeoutError``.
+    """
+
+    workspace: Workspace
+    robots: Sequence[Robot]
+    deadline: float = math.inf
+
+    @cached_property
+    def of_walls(self) -> tuple[MotionTest, ...]:
+        """Each robot's own motion test."""
+        return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
+
+    @cached_property
+    def first_equal(self) -> Int[np.ndarray, "robots"]:
+        """For each robot the first that is equal to it."""
+        first: dict[Robot, int] = {}
+        return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
+
+    def __call__(
+        self, q0: Float[np.ndarray, "n robots dof"], q1: Float[np.ndarray, "n robots dof"]
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
+        left = np.arange(len(q0))
+        for i, test in enumerate(self.of_walls):
+            left = left[test(q0[left, i], q1[left, i], self.deadline)]
+        for i, j in combinations(range(len(self.robots)), 2):
+            left = left[self.apart(i, q0[left, i], q1[left, i], j, q0[left, j], q1[left, j])]
+        free = np.zeros(len(q0), dtype=bool)
+        free[left] = True
+        return free
+
+    def apart(
+        self,
+        i: int,
+        a0: Float[np.ndarray, "*#batch dof_a"],
+        a1: Float[np.ndarray, "*#batch dof_a"],
+        j: int,
+        b0: Float[np.ndarray, "*#batch dof_b"],
+        b1: Float[np.ndarray, "*#batch dof_b"],
+    ) -> Bool[np.ndarray, "*batch"]:
+        """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
+        return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
+
+    def meet(
+        self,
+        i: int,
+        begin: Float[np.ndarray, "m dof"],
+        end: Float[np.ndarray, "m dof"],
+        traffic: Traffic,
+        motion: Int[np.ndarray, "m"],
+        other: Int[np.ndarray, "m"],
+    ) -> Bool[np.ndarray, "m"]:
+        """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
+        others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]
+        if not self.first_equal.any():  # all robots are equal
+            return ~self.apart(i, begin, end, 0, others_begin, others_end)
+        result = np.empty(len(motion), dtype=bool)
+        for kind in set(self.first_equal[other].tolist()):
+            alike = np.flatnonzero(self.first_equal[other] == kind)
+            result[alike] = ~self.apart(i, begin[alike], end[alike], kind, others_begin[alike], others_end[alike])
+        return result

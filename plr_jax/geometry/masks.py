@@ -1,0 +1,458 @@
+"""The free pixels of a grid as polygons with holes, placed in the plane."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+from shapely.geometry import MultiPolygon, Polygon
+
+from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_at
+from plr_jax.geometry.vectors import cross_product, distance_to_segment
+
+# The outline of the free pixels of a grid, exactly: rings of corners along the edges of pixels.
+#
+# Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are joined along edges
+# (4-connected), blocked ones at corners too (8-connected). Rings have free space on their left; what is beyond the
+# grid
+# is blocked. Along a ring runs in ``x`` and in ``y`` take turns, so every vertex is a corner.
+
+
+_MOST_CORNERS = 2**18
+
+
+@dataclass(frozen=True, eq=False)
+class PixelRings:
+    """Closed rings of corners, one after another, each without its first corner again at its end.
+
+    Attributes:
+        points: Corners ``(x, y)``, ``(n, 2)``.
+        start: Index of the first corner of each ring, and ``n`` at the end, ``(rings + 1,)``.
+        is_contact: Which corners are points in which free pixels touch, two rings or one ring twice, ``(n,)``.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    start: Int[np.ndarray, "rings_and_1"]
+    is_contact: Bool[np.ndarray, "n"]
+
+
+def pixel_rings(free: Bool[np.ndarray, "rows columns"]) -> PixelRings:
+    """The outlines of the free pixels of a grid; ``ValueError`` if they have too many corners."""
+    padded = np.pad(free, 1)
+    (lower_left, lower_right), (upper_left, upper_right) = (
+        (rows[:, :-1], rows[:, 1:]) for rows in (padded[:-1], padded[1:])
+    )
+    touches = (lower_left == upper_right) & (upper_left == lower_right) & (lower_left != lower_right)
+    is_corner = touches | (lower_left ^ lower_right ^ upper_left ^ upper_right)
+    if (count := np.count_nonzero(is_corner)) > _MOST_CORNERS:
+        raise ValueError(
+            f"The outline of the pixels has {count:,} corners, at most {_MOST_CORNERS:,} are read: smooth the "
+            "picture, or drop its specks."
+        )
+    y, x = np.nonzero(is_corner)
+    # A contact is a corner twice: the run along x that ends there has the first, the one that begins the second.
+    twice = np.where(touches[y, x], 2, 1)
+    is_contact = np.repeat(twice == 2, twice)
+    is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), twice)) == 0))
+    x, y = np.repeat(x, twice), np.repeat(y, twice)
+    # In the order of rows corners 0 and 1, 2 and 3, ... are the ends of runs along x; likewise of columns along y.
+    along_x = np.arange(len(x)) ^ 1
+    # A run that arrives from the left goes on around its pixel, which is free below it or above: down, or up.
+    goes_down = padded[y, x]
+    columns = np.lexsort((is_second == goes_down, y, x))
+    along_y = np.empty_like(columns)
+    along_y[columns] = columns[np.arange(len(x)) ^ 1]
+    # Free space on the left: to the right along runs with free pixels above them.
+    is_left_end = np.arange(len(x)) % 2 == 0
+    right_of = x + np.where(is_left_end, 0, -1)
+    free_above = padded[y + 1, right_of + 1]
+    leaves_along_x = is_left_end == free_above
+    follower = np.where(leaves_along_x, along_x, along_y)
+    order, start = _cycles(follower)
+    return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
+
+
+def _cycles(follower: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "cycles_and_1"]]:
+    """The cycles of a permutation one after another, each from its least element; and where each begins."""
+    onward, order, start = follower.tolist(), [], []
+    for first in range(len(onward)):
+        if onward[first] < 0:
+            continue
+        start.append(len(order))
+        at = first
+        while onward[at] >= 0:
+            order.append(at)
+            onward[at], at = -1, onward[at]
+    return np.array(order, dtype=np.int64), np.array([*start, len(order)], dtype=np.int64)
+
+
+# PixelRings with fewer corners, none of which has moved by more than a tolerance, and nothing of which has met.
+#
+# A simplified outline is a chain of links between points of the exact one: its corners, and the middles of the steps
+# of
+# staircases, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within
+# the
+# tolerance of it, and it of that stretch. The longest are taken, one after the other. Links that would meet others,
+# or
+# come near them, or go around another outline, are undone: there the outline is exact, so that what is connected
+# stays
+# so, and what is apart.
+#
+# References:
+#     H. Imai, M. Iri, "Polygonal approximations of a curve: formulations and algorithms", 1988; the longest link
+#     from a
+#     point, by wedges of directions: J. Sklansky, V. Gonzalez, Pattern Recognition 12, 1980.
+
+
+CLEARANCE = 0.25
+"""Pixels that links keep from one another, where they do not share an end."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stations:
+    """Where links may begin and end, ring after ring: corners, middles of steps, and the first corner again.
+
+    Attributes:
+        points: The stations, ``(n, 2)``.
+        ring: Ring of each station, ``(n,)``.
+        is_corner: Which are corners, ``(n,)``.
+        end: Of each station the next one that a link cannot go beyond: a contact, or the last of its ring, ``(n,)``.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    ring: Int[np.ndarray, "n"]
+    is_corner: Bool[np.ndarray, "n"]
+    end: Int[np.ndarray, "n"]
+
+
+def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
+    """The outlines with links that differ by less than a tolerance, in pixels, from what they replace."""
+    if tolerance == 0 or not len(outlines.points):
+        return outlines
+    stations, is_contact = _stations_of(outlines)
+    farthest = _farthest(stations, tolerance * (1 - 1e-9))
+    is_kept = _greedy(stations, farthest)
+    while (undone := _unwanted(stations, is_kept, tolerance)).any():
+        first, last = _links(stations, is_kept)
+        for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
+            is_kept[begin:end] |= stations.is_corner[begin:end]
+    is_last = np.append(stations.ring[1:] != stations.ring[:-1], True)
+    index = np.flatnonzero(is_kept & ~is_last)
+    count = np.bincount(stations.ring[index], minlength=len(outlines.start) - 1)
+    return PixelRings(stations.points[index], np.append(0, np.cumsum(count)), is_contact[index])
+
+
+def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
+    """The stations of outlines, each ring from a contact on if it has one; and which stations are contacts."""
+    size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
+    ring = np.repeat(np.arange(num_rings), size)
+    place = np.arange(len(ring)) - outlines.start[ring]
+    shift = np.zeros(num_rings, dtype=int)
+    contacts = np.flatnonzero(outlines.is_contact)[::-1]  # the first of a ring is written last
+    shift[ring[contacts]] = place[contacts]
+    corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
+    following = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
+
+    at = 2 * np.arange(len(ring)) + ring
+    first, last = at[outlines.start[:-1]], at[outlines.start[1:] - 1] + 2
+    source = np.empty(2 * len(ring) + num_rings, dtype=int)
+    source[at], source[at + 1], source[last] = corner, corner, corner[outlines.start[:-1]]
+    points = outlines.points[source]
+    points[at + 1] = (outlines.points[corner] + outlines.points[following]) / 2
+    is_corner = np.ones(len(source), dtype=bool)
+    is_corner[at + 1] = False
+    is_contact = outlines.is_contact[source] & is_corner
+
+    is_end = is_contact.copy()
+    is_end[first], is_end[last] = False, True
+    ends = np.flatnonzero(is_end)
+    end = ends[np.minimum(np.searchsorted(ends, np.arange(len(source)), side="right"), len(ends) - 1)]
+    end[last] = last
+    # An inclined wall is a staircase; a run that turns the same way at both ends is the end of a wall, or a bay.
+    along = outlines.points[following] - outlines.points[corner]
+    ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])
+    turn = np.empty(len(ring))
+    turn[ahead] = np.sign(cross_product(along, along[ahead]))  # at the end of each run
+    kept = np.ones(len(source), dtype=bool)
+    kept[at + 1] = turn != turn[ahead]
+    number = np.cumsum(kept) - 1
+    ring_of = np.repeat(np.arange(num_rings), 2 * size + 1)
+    return _Stations(points[kept], ring_of[kept], is_corner[kept], number[end[kept]]), is_contact[kept]
+
+
+def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
+    """Of each station the farthest one along its ring that a link may go to: all corners between are near the link.
+
+    All stations look ahead at once, one more step each time. The corners passed narrow the directions that a link may
+    have to a wedge, of angles about that of the first corner beyond the tolerance; and a link is at least as long as
+    the farthest of them is away.
+    """
+    points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
+    begin = np.flatnonzero(stations.end > np.arange(len(points)))
+    axis, least, most, length = np.zeros((4, len(begin)))
+    least, most = least - np.inf, most + np.inf
+    step = 0
+    while len(begin):
+        step += 1
+        at = begin + step
+        x, y = (points[at] - points[begin]).T
+        distance, angle = np.hypot(x, y), np.arctan2(y, x)
+        is_open = np.isinf(least)
+        turn = (angle - axis + np.pi) % (2 * np.pi) - np.pi
+        fits = (is_open | ((least <= turn) & (turn <= most))) & (length <= distance)
+        farthest[begin[fits]] = at[fits]
+
+        is_corner = stations.is_corner[at]
+        narrows = is_corner & (distance > tolerance)
+        axis = np.where(narrows & is_open, angle, axis)
+        turn = np.where(is_open, 0.0, turn)
+        spread = np.arcsin(tolerance / np.maximum(distance, tolerance))
+        least = np.where(narrows, np.maximum(least, turn - spread), least)
+        most = np.where(narrows, np.minimum(most, turn + spread), most)
+        length = np.where(is_corner, np.maximum(length, distance), length)
+        goes_on = (least <= most) & (at < stations.end[begin])
+        begin, axis, least, most, length = (each[goes_on] for each in (begin, axis, least, most, length))
+    return farthest
+
+
+def _greedy(stations: _Stations, farthest: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Which stations the longest links join, one after the other from the first of each ring."""
+    onward, is_kept = farthest.tolist(), np.zeros(len(farthest), dtype=bool)
+    firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
+    kept = []
+    for at in firsts.tolist():
+        kept.append(at)
+        while onward[at] != at:
+            at = onward[at]
+            kept.append(at)
+    is_kept[kept] = True
+    return is_kept
+
+
+def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    """First and last station of each link."""
+    kept = np.flatnonzero(is_kept)
+    joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
+    return kept[:-1][joined], kept[1:][joined]
+
+
+def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
+    """Which links are no stretch of the exact outline, and meet or come near another one or surround a ring."""
+    first, last = _links(stations, is_kept)
+    num_corners = np.append(0, np.cumsum(stations.is_corner))
+    is_inexact = num_corners[last] > num_corners[first + 1]
+    near = _near(stations.points[np.stack([first, last], axis=1)])
+    if tolerance > 0.5:  # below, what is apart by a pixel cannot change sides
+        near |= _surrounding(stations, first, last, is_inexact)
+    return is_inexact & near
+
+
+def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
+    """Which links come nearer than the clearance to another, or do so beyond an end that they have in common."""
+    lines: Any = shapely.linestrings(links)
+    a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
+    a, b = a[a < b], b[a < b]
+    is_near, is_joined = np.zeros(len(links), dtype=bool), np.zeros(len(a), dtype=bool)
+    folded = np.zeros(len(a), dtype=bool)
+    for end in (0, 1):
+        for other in (0, 1):
+            shared = (links[a, end] == links[b, other]).all(axis=1)
+            is_joined |= shared
+            to_a = _distance(links[b, 1 - other], links[a])
+            to_b = _distance(links[a, 1 - end], links[b])
+            folded |= shared & (np.minimum(to_a, to_b) < CLEARANCE)
+    is_bad = folded | ~is_joined
+    is_near[a[is_bad]] = is_near[b[is_bad]] = True
+    return is_near
+
+
+def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+    start, end = segments[:, 0], segments[:, 1]
+    return distance_to_segment(*(start - points).T, *(end - start).T)
+
+
+def _surrounding(
+    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"], is_inexact: Bool[np.ndarray, "m"]
+) -> Bool[np.ndarray, "m"]:
+    """Which links have another ring between them and the outline that they replace."""
+    links = np.flatnonzero(is_inexact)
+    size = last[links] - first[links] + 1
+    owner = np.repeat(np.arange(len(links)), size)
+    at = first[links][owner] + np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
+    between: Any = shapely.polygons(shapely.linearrings(stations.points[at], indices=owner))
+    firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
+    points = shapely.points(stations.points[firsts])
+    point, polygon = shapely.STRtree(between).query(points, predicate="within")
+    other = stations.ring[firsts[point]] != stations.ring[first[links[polygon]]]
+    result = np.zeros(len(first), dtype=bool)
+    result[links[polygon[other]]] = True
+    return result
+
+
+_ALL_AROUND = np.ones((3, 3), dtype=bool)
+_LEAST_PIXEL = 8e3  # roundings of its side: the tolerance of a workspace is 1e3, a wall a quarter of a pixel at least
+
+
+def placed_region(
+    free: ArrayLike,
+    resolution: float | int,
+    origin: ArrayLike,
+    *,
+    row0: str,
+    tolerance: float | int,
+    drop_specks: int,
+) -> Any:
+    """The free pixels of a grid as a Shapely MultiPolygon; the arguments are those of ``Workspace.from_mask``.
+
+    Raises:
+        ValueError: If an argument is none of those described there, no pixel is free, or the outline has too many
+            corners.
+    """
+    free = _as_mask(free)
+    if row0 not in ("bottom", "top"):
+        raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
+    require_integer("drop_specks", drop_specks, 0)
+    tolerance, resolution = as_finite("tolerance", tolerance), as_finite("resolution", resolution, positive=True)
+    pose = as_numbers("origin", origin, "(x, y) or (x, y, yaw)")
+    if pose.shape not in ((2,), (3,)) or not np.isfinite(pose).all():
+        raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
+    _require_resolved(free.shape, resolution, np.abs(pose[:2]).max())
+    free = free if row0 == "bottom" else free[::-1]
+    free = without_specks(free, drop_specks) if drop_specks else free
+    if not free.any():
+        raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
+    yaw = pose[2] if len(pose) == 3 else 0.0
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    # In one order, so that contacts, of which there are two, are placed alike.
+    return shapely.transform(
+        region_of_mask(free, tolerance), lambda points: pose[:2] + product_in_order(resolution * points, turn)
+    )
+
+
+def rounded_one_by_one(region: Any, grid: float) -> Any:
+    """A placed region with each vertex rounded to a grid, as ``shapely.set_precision`` does in more time.
+
+    That looks for edges that rounding lets meet. Here none do: two that do not share an end are a quarter of a pixel
+    apart, the other ends of two that share one as far from either; and a vertex moves by less than a thousandth.
+    """
+    return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
+
+
+def _require_resolved(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+    """Refuse pixels that coordinates of double precision cannot tell apart where the grid lies."""
+    size = resolution * math.hypot(*shape)
+    reach = float(origin) + size
+    if not reach <= LARGEST_COORDINATE:
+        raise ValueError(
+            f"A workspace's coordinates go to {LARGEST_COORDINATE:g}, got pixels of side {resolution:g} as far out "
+            f"as {reach:g}: choose a larger unit."
+        )
+    least = _LEAST_PIXEL * rounding_at(size, reach)
+    if resolution < least:
+        raise ValueError(
+            f"resolution must be at least {least:.2g} at coordinates up to {reach:g}, which are no finer, got "
+            f"{resolution:g}: choose an origin nearer to zero, or check the unit of both."
+        )
+
+
+def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
+    mask = np.asarray(free)
+    if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
+        masked = ", some masked" if np.ma.is_masked(free) else ""
+        raise ValueError(
+            f"free must be booleans of shape (rows, columns), such as picture > 127, got {mask.dtype} of shape "
+            f"{mask.shape}{masked}."
+        )
+    return mask
+
+
+def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | int) -> Any:
+    """The free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest.
+
+    Args:
+        free: Which pixels are free.
+        tolerance: How far, in pixels, its outline may be from theirs, and theirs from it.
+    """
+    outlines = pixel_rings(free)
+    component = _components(free, outlines)
+    rings = simplified(outlines, tolerance)
+    loops, ring = _simple_loops(rings)
+    component = component[ring]
+    # Each component has one loop that runs counterclockwise, around it; the others are its holes.
+    is_outer = shapely.is_ccw(loops)
+    shells = loops[is_outer][np.argsort(component[is_outer])]
+    holes, of = loops[~is_outer], component[~is_outer]
+    order = np.argsort(of, kind="stable")
+    holes = np.split(holes[order], np.searchsorted(of[order], np.arange(2, len(shells) + 1)))
+    return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
+
+
+def without_specks(free: Bool[np.ndarray, "rows columns"], num_pixels: int) -> Bool[np.ndarray, "rows columns"]:
+    """The grid less components of at most so many pixels: blocked ones become free, and then free ones blocked."""
+    free = free | _is_small(~free, num_pixels, _ALL_AROUND)
+    return free & ~_is_small(free, num_pixels, None)
+
+
+def _is_small(
+    pixels: Bool[np.ndarray, "rows columns"], num_pixels: int, structure: Bool[np.ndarray, "3 3"] | None
+) -> Bool[np.ndarray, "rows columns"]:
+    label = _labels(pixels, structure)
+    is_small = np.bincount(label.ravel()) <= num_pixels
+    is_small[0] = False
+    return is_small[label]
+
+
+def _labels(
+    pixels: Bool[np.ndarray, "rows columns"], structure: Bool[np.ndarray, "3 3"] | None = None
+) -> Int[np.ndarray, "rows columns"]:
+    """The number of each pixel's connected component, from 1, and 0 for the other pixels."""
+    import scipy.ndimage  # which takes longer to import than most workspaces need
+
+    found: Any = scipy.ndimage.label(pixels, structure)
+    return found[0]
+
+
+def _components(free: Bool[np.ndarray, "rows columns"], rings: PixelRings) -> Int[np.ndarray, "rings"]:
+    """The number of the connected free pixels on the left of each ring."""
+    begin = rings.points[rings.start[:-1]].astype(int)
+    ahead = np.sign(rings.points[rings.start[:-1] + 1].astype(int) - begin)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    column, row = (begin + (ahead + left - 1) // 2).T
+    return _labels(free)[row, column]
+
+
+def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
+    """The rings as Shapely rings, cut where one meets itself; and which ring each is of."""
+    order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
+    loop = ring.copy()
+    num_loops = len(rings.start) - 1
+    for meets in np.unique(ring[rings.is_contact]).tolist():
+        begin, end = rings.start[meets], rings.start[meets + 1]
+        parts = _loops_of(rings.points[begin:end], rings.is_contact[begin:end])
+        order[begin:end] = begin + np.concatenate(parts)
+        loop[begin:end] = np.repeat([meets, *range(num_loops, num_loops + len(parts) - 1)], [len(p) for p in parts])
+        num_loops += len(parts) - 1
+    sorted_by_loop = np.argsort(loop, kind="stable")
+    loops: Any = shapely.linearrings(rings.points[order][sorted_by_loop], indices=loop[sorted_by_loop])
+    ring_of = np.empty(num_loops, dtype=int)
+    ring_of[loop] = ring
+    return loops, ring_of
+
+
+def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
+    """The loops that a ring consists of, as indices of its points: each begins where the ring comes back to."""
+    loops, path, place = [], [], {}
+    for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
+        if meets and point in place:
+            loops.append(path[place[point] :])
+            for j in loops[-1]:
+                place.pop(tuple(points[j].tolist()), None)
+            path = path[: -len(loops[-1])]
+        if meets:
+            place[point] = len(path)
+        path.append(i)
+    return [*loops, path]

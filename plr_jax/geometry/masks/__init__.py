@@ -1,1 +1,0 @@
-"""Grids of free and blocked pixels: their outlines, traced exactly, simplified, and put together as polygons."""

@@ -1,0 +1,321 @@
+"""Constrained Delaunay triangulation of a region between its walls, with the triangles on both sides of each edge.
+
+The Delaunay triangulation of the vertices (GEOS) lacks the walls that it crosses. Each is put in by taking out the
+triangles it crosses and filling the two polygons that are left, all decided in integers, that is, exactly.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.vectors import left_normal
+
+# Which triangle holds a point: those that meet the point's cell of a grid are tried one after another.
+
+
+@dataclass(frozen=True, eq=False)
+class Locator:
+    """Triangles by the cells of a grid.
+
+    Args:
+        lo: Lower corner of the grid, ``(2,)``.
+        width: Sides of a cell, ``(2,)``.
+        shape: Number of cells along each axis.
+        first: First entry of each cell, row by row, and the number of entries, ``(cells + 1,)``.
+        triangle: Triangles that meet each cell, ``(entries,)``.
+        lines: Inward unit normal of each side of a triangle, and its product with a point of the side,
+            ``(triangles, 3, 3)``.
+    """
+
+    lo: Float[np.ndarray, "2"]
+    width: Float[np.ndarray, "2"]
+    shape: tuple[int, int]
+    first: Int[np.ndarray, "cells_plus_one"]
+    triangle: Int[np.ndarray, "entries"]
+    lines: Float[np.ndarray, "triangles 3 3"]
+
+    def find(self, x: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n"]:
+        """The triangle that holds each point, or that it is nearest to of those that meet its cell; else -1."""
+        place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
+        cell = place[:, 0] * self.shape[1] + place[:, 1]
+        found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
+        pending, entry, end = np.arange(len(x)), self.first[cell], self.first[cell + 1]
+        while len(pending):
+            more = entry < end
+            pending, entry, end = pending[more], entry[more], end[more]
+            triangle = self.triangle[entry]
+            height = self.heights(triangle, x[pending]).min(axis=1)
+            better = height > best[pending]
+            found[pending[better]], best[pending[better]] = triangle[better], height[better]
+            outside = height < 0
+            pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
+        return found
+
+    def heights(self, triangle: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+        """How far inside of each side of a triangle a point lies."""
+        lines = self.lines[triangle]
+        return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
+
+
+def locator_of(triangles: Float[np.ndarray, "triangles 3 2"], tolerance: float) -> Locator:
+    """A grid over triangles, which stand counterclockwise, of about as many cells.
+
+    A triangle also counts for the cells that it meets but for the tolerance.
+    """
+    lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    side = np.sqrt(np.prod(hi - lo) / len(triangles))
+    count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
+    width = (hi - lo) / count
+    corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
+    cells: Any = shapely.box(*(corner - tolerance).T, *(corner + width + tolerance).T)
+    polygons: Any = shapely.polygons(triangles)
+    cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
+    normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
+    offset = (normal * triangles).sum(axis=2, keepdims=True)
+    shape = int(count[0]), int(count[1])
+    return Locator(
+        lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
+    )
+
+
+_BITS = 46
+"""Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Triangulation:
+    """Triangles that fill a region, as half-edges: three a triangle, in a row and counterclockwise.
+
+    Args:
+        boundary: The boundary of the region; its vertices are those of the triangles.
+        tolerance: How far outside of the region a point still counts as inside.
+        origin: The vertex at which each half-edge starts, ``(half_edges,)``.
+        twin: The same edge in the triangle on its other side, -1 at walls, ``(half_edges,)``.
+        wall: The edge of the boundary that a half-edge is, -1 inside of the region, ``(half_edges,)``.
+    """
+
+    boundary: Boundary
+    tolerance: float
+    origin: Int[np.ndarray, "half_edges"]
+    twin: Int[np.ndarray, "half_edges"]
+    wall: Int[np.ndarray, "half_edges"]
+
+    @cached_property
+    def of_wall(self) -> Int[np.ndarray, "edges"]:
+        """The half-edge of each edge of the boundary."""
+        half_edges = np.empty(len(self.boundary.edges), np.int32)
+        is_wall = np.flatnonzero(self.wall >= 0)
+        half_edges[self.wall[is_wall]] = is_wall
+        return half_edges
+
+    @cached_property
+    def locator(self) -> Locator:
+        """Which triangle holds a point."""
+        return locator_of(self.triangles, self.tolerance)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the triangles, and of the grid in which they are found."""
+        grid = self.locator
+        return sum(a.nbytes for a in (self.origin, self.twin, self.wall, grid.first, grid.triangle, grid.lines))
+
+    @cached_property
+    def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
+        """The corners of each triangle, counterclockwise."""
+        return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
+
+
+def after(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """The next half-edge around the same triangle."""
+    return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
+
+
+def before(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """The half-edge before it around the same triangle."""
+    return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
+
+
+def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
+    """The constrained Delaunay triangulation of the region that a boundary encloses.
+
+    Raises:
+        ValueError: If walls cross one another.
+    """
+    vertices = _framed(boundary.vertices)
+    triangles = _delaunay(vertices)
+    crossed = _crossed(triangles, boundary.edges, len(vertices))
+    if len(crossed):
+        triangles = _with_edges(_in_integers(vertices), triangles, crossed)
+        if len(_crossed(triangles, boundary.edges, len(vertices))):
+            raise ValueError("Walls of the region cross one another.")
+    return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
+
+
+def _framed(vertices: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "framed 2"]:
+    """The vertices and four beyond them all, so that those of the region have triangles all around."""
+    lo, hi = vertices.min(axis=0), vertices.max(axis=0)
+    width = (hi - lo).max()
+    (x0, y0), (x1, y1) = lo - width, hi + width
+    return np.concatenate([vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
+
+
+def _delaunay(vertices: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "triangles 3"]:
+    """The Delaunay triangulation of distinct points, counterclockwise."""
+    triangles: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    corners[u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]] = corners[u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0], ::-1]
+    flat, known = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
+    order = np.argsort(known)
+    return order[np.searchsorted(known, flat, sorter=order)]
+
+
+def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, "n"]:
+    return edges[:, 0].astype(np.int64) * num_vertices + edges[:, 1]
+
+
+def _half_edges(triangles: Int[np.ndarray, "triangles 3"]) -> Int[np.ndarray, "half_edges 2"]:
+    return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+
+
+def _crossed(
+    triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"], num_vertices: int
+) -> Int[np.ndarray, "crossed 2"]:
+    """The edges that are no edges of the triangles."""
+    keys = _keys(_half_edges(triangles), num_vertices)
+    return edges[_found(keys, np.argsort(keys), _keys(edges, num_vertices)) < 0]
+
+
+def _in_integers(vertices: Float[np.ndarray, "n 2"]) -> list[tuple[int, int]]:
+    """The vertices in units of a power of two, from their smallest coordinates."""
+    offset = vertices - vertices.min(axis=0)
+    unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
+    return [(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()]
+
+
+def _with_edges(
+    points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"]
+) -> Int[np.ndarray, "triangles 3"]:
+    """The triangulation after edges are put in one by one.
+
+    References:
+        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
+    """
+    mesh = _Mesh(points, triangles)
+    for start, end in edges.tolist():
+        if (start, end) not in mesh.apex:
+            mesh.insert(start, end)
+    return np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
+
+
+class _Mesh:
+    """A triangulation that can be changed: the third corner of the triangle on the left of each half-edge."""
+
+    def __init__(self, points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"]):
+        self.points = points
+        u, v, w = triangles.T.tolist()
+        self.apex = {**dict(zip(zip(u, v, strict=True), w, strict=True))}
+        self.apex.update(zip(zip(v, w, strict=True), u, strict=True))
+        self.apex.update(zip(zip(w, u, strict=True), v, strict=True))
+        self.neighbor = dict(zip(u + v + w, v + w + u, strict=True))
+
+    def insert(self, start: int, end: int) -> None:
+        """Take out the triangles that an edge crosses, and fill what is left of it and what is right."""
+        right, left = self._towards(start, end)
+        chains = [left], [right]
+        self._remove(start, right, left)
+        while (ahead := self.apex[left, right]) != end:
+            self._remove(left, right, ahead)
+            if self._turn(start, end, ahead) > 0:
+                left = ahead
+                chains[0].append(ahead)
+            else:
+                right = ahead
+                chains[1].append(ahead)
+        self._remove(left, right, ahead)
+        self._fill(start, end, chains[0][::-1])
+        self._fill(end, start, chains[1])
+
+    def _towards(self, start: int, end: int) -> tuple[int, int]:
+        """The edge opposite of a vertex through which one leaves for another, its right and its left end."""
+        right = self.neighbor[start]
+        while True:
+            left = self.apex[start, right]
+            if self._turn(start, right, end) >= 0 and self._turn(start, end, left) > 0:
+                return right, left
+            right = left
+
+    def _fill(self, start: int, end: int, chain: list[int]) -> None:
+        """Delaunay triangles of the polygon on the left of an edge, whose other vertices are a chain from its end."""
+        pending = [(start, end, chain)]
+        while pending:
+            start, end, chain = pending.pop()
+            if not chain:
+                continue
+            best = 0
+            for i in range(1, len(chain)):
+                if self._in_circle(start, end, chain[best], chain[i]):
+                    best = i
+            self._add(start, end, chain[best])
+            pending += [(chain[best], end, chain[:best]), (start, chain[best], chain[best + 1 :])]
+
+    def _add(self, u: int, v: int, w: int) -> None:
+        for a, b, c in ((u, v, w), (v, w, u), (w, u, v)):
+            self.apex[a, b] = c
+            self.neighbor[a] = b
+
+    def _remove(self, u: int, v: int, w: int) -> None:
+        for edge in ((u, v), (v, w), (w, u)):
+            del self.apex[edge]
+
+    def _turn(self, a: int, b: int, c: int) -> int:
+        """Positive if three points turn left."""
+        (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
+        return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+    def _in_circle(self, a: int, b: int, c: int, d: int) -> bool:
+        """Whether a point lies inside the circle through three, which stand counterclockwise."""
+        dx, dy = self.points[d]
+        rows = [(x - dx, y - dy) for x, y in (self.points[a], self.points[b], self.points[c])]
+        (ax, ay), (bx, by), (cx, cy) = rows
+        a2, b2, c2 = (x * x + y * y for x, y in rows)
+        return a2 * (bx * cy - by * cx) - b2 * (ax * cy - ay * cx) + c2 * (ax * by - ay * bx) > 0
+
+
+def _inside(
+    edges: Int[np.ndarray, "edges 2"], triangles: Int[np.ndarray, "triangles 3"], num_vertices: int
+) -> tuple[Int[np.ndarray, "half_edges"], ...]:
+    """Origin, twin and wall of the half-edges between the walls: of triangles that are reached from a free side."""
+    half_edges = _half_edges(triangles)
+    key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
+    walls, by_key = _keys(edges, num_vertices), np.argsort(key)
+    wall = _found(walls, np.argsort(walls), key)
+    twin = _found(key, by_key, opposite)
+    blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
+    open_, count = np.flatnonzero(~blocked), len(triangles)
+    adjacency = coo_array((np.ones(len(open_)), (open_ // 3, twin[open_] // 3)), shape=(count, count))
+    _, part = connected_components(adjacency, directed=False)
+    kept = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
+    new_index = np.full(count, -1)
+    new_index[kept] = np.arange(len(kept))
+    rows = (3 * kept[:, None] + np.arange(3)).ravel()
+    twin = np.where(blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
+    origin = triangles.ravel()[rows]
+    return origin.astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)
+
+
+def _found(
+    keys: Int[np.ndarray, "keys"], order: Int[np.ndarray, "keys"], wanted: Int[np.ndarray, "n"]
+) -> Int[np.ndarray, "n"]:
+    """Place of each wanted number among distinct keys, whose ascending order is given; -1 where it is none."""
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[place] == wanted, place, -1)

@@ -1,0 +1,407 @@
+"""Visibility polygons of many viewpoints, as one sorted table that answers "does v see x?" by bisection.
+
+Around a viewpoint the same edge is nearest within an interval of directions, so a visibility polygon is a sorted list
+of directions with the nearest edge after each.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from tqdm import tqdm
+
+from plr_jax._deadline import require_time
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.triangulation import Triangulation, after, before
+from plr_jax.geometry.vectors import pseudo_angle
+
+# Triangular expansion: what viewpoints see, found by going from triangle to triangle inside their cones of sight.
+#
+# A cone begins at a viewpoint, is bounded by the directions of two vertices, and looks out of a triangle through an
+# edge. If that is a wall, the cone ends there. If not, the corner of the next triangle parts it in two, one for each
+# edge on, unless the corner lies outside. The cones of many viewpoints advance together, so that the cost follows
+# what
+# is seen.
+#
+# A corner on a bound, to a tolerance, counts as seen but parts no cone: none is narrower than rounding can tell.
+
+
+_MOST = 1 << 18  # cones that advance at a time
+_BLUR = 0.01
+"""How far a vertex may have to move, in tolerances, to lie on a bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoints:
+    """Points and the sectors they look into.
+
+    Args:
+        points: The points, ``(views, 2)``: inside of free space, or exactly on its boundary with sectors given.
+        owner: The point of each sector, ``(sectors,)``. A point without sectors looks all around.
+        edge: The edge of the boundary with which each sector opens, counterclockwise, ``(sectors,)``: one that leaves
+            the vertex where the point lies, or the one inside of which it lies.
+    """
+
+    points: Float[np.ndarray, "views 2"]
+    owner: Int[np.ndarray, "sectors"]
+    edge: Int[np.ndarray, "sectors"]
+
+    def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
+        """Some of them."""
+        place = np.full(len(self.points), -1)
+        place[rows] = np.arange(len(place[rows]))
+        kept = place[self.owner] >= 0
+        return Viewpoints(self.points[rows], place[self.owner[kept]], self.edge[kept])
+
+    @property
+    def looks_around(self) -> Bool[np.ndarray, "views"]:
+        """Which points look all around."""
+        return np.bincount(self.owner, minlength=len(self.points)) == 0
+
+    def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
+        """A vector from the point along the wall with which each sector opens."""
+        return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
+
+    def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
+        """A vector from the point along the wall with which each sector closes."""
+        end = np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
+        return boundary.vertices[end] - self.points[self.owner]
+
+    def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
+        """Whether the point of each sector is the first vertex of its edge."""
+        return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """What viewpoints see.
+
+    Args:
+        view: The viewpoint of each cone that ends at a wall, ``(cones,)``. The cones fill what it looks into.
+        right: A vector from the viewpoint along the right bound of the cone, ``(cones, 2)``.
+        wall: The edge at which it ends, ``(cones,)``.
+        seen: Viewpoint and vertex of each pair that see one another, some repeatedly, ``(2, pairs)``.
+    """
+
+    view: Int[np.ndarray, "cones"]
+    right: Float[np.ndarray, "cones 2"]
+    wall: Int[np.ndarray, "cones"]
+    seen: Int[np.ndarray, "2 pairs"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Cones:
+    """Cones of sight: viewpoint, half-edge of the triangle they look out by, right and left bound as vectors."""
+
+    view: Int[np.ndarray, "n"]
+    half_edge: Int[np.ndarray, "n"]
+    right: Float[np.ndarray, "2 n"]
+    left: Float[np.ndarray, "2 n"]
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+    def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "_Cones":
+        return _Cones(self.view[rows], self.half_edge[rows], self.right[:, rows], self.left[:, rows])
+
+
+def look_around(triangulation: Triangulation, views: Viewpoints) -> Sights:
+    """What viewpoints see of the region that is triangulated."""
+    first = _first_cones(triangulation, views)
+    ended, seen = [], [_first_seen(triangulation, first)]
+    for walls, new_seen, _ in _expansion(triangulation, views, first):
+        ended.append(walls)
+        seen.append(new_seen)
+    return Sights(
+        np.concatenate([np.empty(0, np.int32)] + [cones.view for cones in ended]),
+        np.concatenate([np.empty((2, 0))] + [cones.right for cones in ended], axis=1).T,
+        triangulation.wall[np.concatenate([np.empty(0, np.int32)] + [cones.half_edge for cones in ended])],
+        np.concatenate(seen, axis=1),
+    )
+
+
+def triangles_within(
+    triangulation: Triangulation,
+    views: Viewpoints,
+    right: Float[np.ndarray, "views 2"],
+    left: Float[np.ndarray, "views 2"],
+) -> Int[np.ndarray, "2 visits"]:
+    """Viewpoint and triangle of each pair of which one sees a part of the other inside of a cone, some repeatedly.
+
+    Args:
+        triangulation: Of the region.
+        views: The viewpoints.
+        right: Direction of the right bound of the cone of each, a unit vector; zero for all that it looks into.
+        left: That of its left bound, at most half a turn from there.
+    """
+    far = np.ptp(triangulation.boundary.vertices, axis=0).max()
+    first = _clipped(_first_cones(triangulation, views), far * right, far * left)
+    visited = [np.stack([first.view, first.half_edge // 3])]
+    visited += [new for _, _, new in _expansion(triangulation, views, first)]
+    return np.concatenate(visited, axis=1)
+
+
+def _clipped(cones: _Cones, right: Float[np.ndarray, "views 2"], left: Float[np.ndarray, "views 2"]) -> _Cones:
+    """What of the cones lies in another one for each viewpoint."""
+    right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
+    whole = ~right.any(axis=0)
+    from_right = _inside(right, *bounds), _inside(cones.right, right, left)
+    from_left = _inside(left, *bounds), _inside(cones.left, right, left)
+    kept = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
+    right = np.where(from_right[0] & ~whole, right, cones.right)
+    left = np.where(from_left[0] & ~whole, left, cones.left)
+    return _Cones(cones.view, cones.half_edge, right, left)[kept]
+
+
+def _inside(
+    u: Float[np.ndarray, "2 n"], right: Float[np.ndarray, "2 n"], left: Float[np.ndarray, "2 n"]
+) -> Bool[np.ndarray, "n"]:
+    """Whether directions lie in closed cones of less than half a turn."""
+    return (right[0] * u[1] >= right[1] * u[0]) & (u[0] * left[1] >= u[1] * left[0])
+
+
+def _expansion(
+    triangulation: Triangulation, views: Viewpoints, first: _Cones
+) -> Iterator[tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]]:
+    """Step by step the cones that end at walls, and pairs of a viewpoint and a vertex, or a triangle, it sees."""
+    pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
+    while pending:
+        cones = pending.pop()
+        is_wall = triangulation.wall[cones.half_edge] >= 0
+        onward, seen, visited = _advanced(triangulation, views, cones[np.flatnonzero(~is_wall)])
+        pending += [onward[begin : begin + _MOST] for begin in range(0, len(onward), _MOST)]
+        yield cones[np.flatnonzero(is_wall)], seen, visited
+
+
+def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
+    """Cones that look out of the triangles at the viewpoints."""
+    around = np.flatnonzero(views.looks_around)
+    triangle = triangulation.locator.find(views.points[around])
+    found = [(around, 3 * triangle + side) for side in range(3)]
+    half_edge, view = triangulation.of_wall[views.edge], views.owner
+    at_vertex = views.at_vertex(triangulation.boundary)
+    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (after, before)]
+    half_edge, view = half_edge[at_vertex], view[at_vertex]
+    while len(view):  # from triangle to triangle around the vertex, to the wall at which the sector closes
+        found.append((view, after(half_edge)))
+        half_edge = triangulation.twin[before(half_edge)]
+        half_edge, view = half_edge[half_edge >= 0], view[half_edge >= 0]
+    view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*found, strict=True))
+    right, left = triangulation.origin[half_edge], triangulation.origin[after(half_edge)]
+    vertices, points = triangulation.boundary.vertices, views.points[view]
+    return _Cones(view, half_edge, (vertices[right] - points).T, (vertices[left] - points).T)
+
+
+def _first_seen(triangulation: Triangulation, first: _Cones) -> Int[np.ndarray, "2 pairs"]:
+    """The corners of the triangles at the viewpoints, the vertex at which one lies among them."""
+    corners = triangulation.origin.reshape(-1, 3)[first.half_edge // 3]
+    return np.stack([np.repeat(first.view, 3), corners.ravel()])
+
+
+def _advanced(
+    triangulation: Triangulation, views: Viewpoints, cones: _Cones
+) -> tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]:
+    """Cones after the next triangle, and which of its corners ahead, and of the triangles, are seen."""
+    view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
+    entry = triangulation.twin[cones.half_edge]
+    right_exit, left_exit = after(entry), before(entry)
+    ahead = triangulation.origin[left_exit]
+    x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
+    from_right, from_left = rx * y - ry * x, x * ly - y * lx
+    tolerance, squared = triangulation.tolerance, x * x + y * y
+    right_slack = tolerance * np.sqrt(np.maximum(squared, rx * rx + ry * ry))
+    left_slack = tolerance * np.sqrt(np.maximum(squared, lx * lx + ly * ly))
+    seen = (from_right >= -right_slack) & (from_left >= -left_slack)
+    goes_right, goes_left = from_right > _BLUR * right_slack, from_left > _BLUR * left_slack
+    goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
+    goes_left |= ~goes_right
+    parted = goes_right & goes_left
+    right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
+    middle = np.stack([x, y])
+    onward = _Cones(
+        np.concatenate([view[right], view[left]]),
+        np.concatenate([right_exit[right], left_exit[left]]),
+        np.concatenate([cones.right[:, right], np.where(parted, middle, cones.right)[:, left]], axis=1),
+        np.concatenate([np.where(parted, middle, cones.left)[:, right], cones.left[:, left]], axis=1),
+    )
+    return onward, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
+
+
+_VIEWS = 1 << 12  # that look around between two looks at the clock
+
+
+@dataclass(frozen=True, eq=False)
+class VisibilityTable:
+    """Visibility polygons of viewpoints.
+
+    Row ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``. Directions are measured as a pseudo-angle
+    in [0, 4] from ``cut[v]``, a direction in which no vertex lies, so no polygon wraps around.
+
+    Args:
+        boundary: The boundary of free space, whose edges the rows name.
+        tolerance: How far behind an edge a point still counts as free.
+        points: The viewpoints, ``(views, 2)``.
+        cut: Unit vector from which the directions of each viewpoint are measured, ``(views, 2)``.
+        first: First row of each viewpoint, and the number of rows, ``(views + 1,)``.
+        key: ``4 v`` plus the pseudo-angle at which the row's interval starts, ascending, ``(rows,)``.
+        edge: The nearest edge in the interval; -1 where the viewpoint does not look, ``(rows,)``.
+    """
+
+    boundary: Boundary
+    tolerance: float
+    points: Float[np.ndarray, "views 2"]
+    cut: Float[np.ndarray, "views 2"]
+    first: Int[np.ndarray, "views+1"]
+    key: Float[np.ndarray, "rows"]
+    edge: Int[np.ndarray, "rows"]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the table, without the boundary."""
+        return sum(a.nbytes for a in (self.points, self.cut, self.first, self.key, self.edge))
+
+    def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether viewpoint ``v[i]`` sees point ``x[i]`` of free space: the segment is free, to the tolerance.
+
+        A segment that grazes several corners may be reported as not seen; it is seen from the last of them.
+        """
+        dx, dy = (x - self.points[v]).T
+        cx, cy = self.cut[v].T
+        key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
+        row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
+        seen = self._in_front(row, x)
+        rest = np.flatnonzero(~seen)
+        if rest.size:
+            distance = np.hypot(dx[rest], dy[rest])
+            seen[rest] = self._seen_beside(v[rest], x[rest], row[rest], key[rest], distance)
+        return seen
+
+    def _seen_beside(
+        self,
+        v: Int[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        row: Int[np.ndarray, "n"],
+        key: Float[np.ndarray, "n"],
+        distance: Float[np.ndarray, "n"],
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether points are the viewpoint itself, or within rounding of a neighboring interval and seen there."""
+        tolerance = self.tolerance
+        seen = distance <= tolerance
+        slack = tolerance / np.maximum(distance, tolerance)
+        before, after = np.maximum(row - 1, self.first[v]), np.minimum(row + 1, self.first[v + 1] - 1)
+        for neighbor, gap in ((before, key - self.key[row]), (after, self.key[after] - key)):
+            near = np.flatnonzero((gap <= slack) & (neighbor != row))
+            if near.size:
+                seen[near] |= self._seen_in(neighbor[near], v[near], x[near], distance[near])
+        return seen
+
+    def _seen_in(
+        self,
+        row: Int[np.ndarray, "n"],
+        v: Int[np.ndarray, "n"],
+        x: Float[np.ndarray, "n 2"],
+        distance: Float[np.ndarray, "n"],
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether points beside an interval are in front of its edge, and not on the edge's line beyond its ends."""
+        ends = self.boundary.segments[self.edge[row]]
+        farthest = np.linalg.norm(ends - self.points[v][:, None], axis=-1).max(axis=1)
+        return self._in_front(row, x) & (distance <= farthest + self.tolerance)
+
+    def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        edge = self.edge[row]
+        normal = self.boundary.normal[edge]
+        height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
+        return (height >= -self.tolerance) & (edge >= 0)
+
+
+def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
+    """The viewpoints of all tables, which are of one workspace and one at least, those of each after the others."""
+    views = np.cumsum([0] + [len(table.points) for table in tables])
+    rows = np.cumsum([0] + [len(table.key) for table in tables])
+    first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
+    key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
+    points, cut, edge = (
+        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge")
+    )
+    first = np.append(np.concatenate(first), rows[-1])
+    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge)
+
+
+def visibility_of(
+    triangulation: Triangulation, views: Viewpoints, deadline: float = math.inf
+) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
+    """What viewpoints see of the region that is triangulated.
+
+    Returns:
+        Their visibility polygons, and viewpoint and vertex of each pair that see one another, some repeatedly.
+
+    Raises:
+        TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
+    """
+    boundary, num_views = triangulation.boundary, len(views.points)
+    cut, counts = np.empty((num_views, 2)), np.zeros(num_views, int)
+    keys, edges, seen = [np.empty(0)], [np.empty(0, np.int32)], [np.empty((2, 0), np.int32)]
+    with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
+        for begin in range(0, num_views, _VIEWS):
+            require_time(deadline, f"all viewpoints had looked around: {begin:,} of {num_views:,} had")
+            part = views[begin : begin + _VIEWS]
+            sights = look_around(triangulation, part)
+            of_part = slice(begin, begin + len(part.points))
+            cut[of_part] = _cuts(boundary, part, sights)
+            view, key, edge = _intervals(boundary, part, sights, cut[of_part])
+            counts[of_part] = np.bincount(view, minlength=len(part.points))
+            keys.append(4.0 * begin + key)
+            edges.append(edge)
+            seen.append(sights.seen + np.array([[begin], [0]], np.int32))
+            progress.update(len(part.points))
+    first = np.concatenate([[0], np.cumsum(counts)])
+    polygons = views.points, cut, first, np.concatenate(keys), np.concatenate(edges)
+    return VisibilityTable(boundary, triangulation.tolerance, *polygons), np.concatenate(seen, axis=1)
+
+
+def _cuts(boundary: Boundary, views: Viewpoints, sights: Sights) -> Float[np.ndarray, "views 2"]:
+    """For each viewpoint a direction in which it sees no vertex.
+
+    Of one with sectors the middle between the end of its first one and the start of the next, of any other the middle
+    of the widest cone.
+    """
+    opens, closes = (_angle(towards(boundary)) for towards in (views.opens, views.closes))
+    order = np.lexsort((opens, views.owner))
+    owner = views.owner[order]
+    first = np.searchsorted(owner, np.unique(owner))
+    following = np.where(
+        np.append(owner[1:], -1) == owner, np.arange(1, len(owner) + 1), np.searchsorted(owner, owner)
+    )
+    end = closes[order[first]]
+    gap = (opens[order[following[first]]] - end) % (2 * np.pi)
+    angle = np.empty(len(views.points))
+    angle[owner[first]] = end + gap / 2
+    for view in np.flatnonzero(views.looks_around):
+        directions = np.sort(_angle(sights.right[sights.view == view]))
+        gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
+        angle[view] = directions[gaps.argmax()] + gaps.max() / 2
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _angle(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    return np.arctan2(u[:, 1], u[:, 0])
+
+
+def _intervals(
+    boundary: Boundary, views: Viewpoints, sights: Sights, cut: Float[np.ndarray, "views 2"]
+) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
+    """Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on."""
+    view = np.concatenate([sights.view, views.owner])
+    (dx, dy), (cx, cy) = np.concatenate([sights.right, views.closes(boundary)]).T, cut[view].T
+    key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
+    edge = np.concatenate([sights.wall, np.full(len(views.owner), -1, np.int32)])
+    order = np.argsort(key)
+    view, key, edge = view[order], key[order], edge[order]
+    # From the cut on, it sees what it does at the end of the turn.
+    each = np.arange(len(views.points))
+    first, last = np.searchsorted(view, each), np.searchsorted(view, each, side="right") - 1
+    view, key, edge = (np.insert(a, first, b) for a, b in ((view, each), (key, 4.0 * each), (edge, edge[last])))
+    new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))
+    return view[new], key[new], edge[new]

@@ -1,1 +1,0 @@
-"""Lengths of a car's shortest paths, in closed form."""

@@ -1,0 +1,10 @@
+"""Distances between any two points: of a planar workspace, of a grid's cells, of any metric.
+
+In the plane (:func:`construct_pairs`) a cell lists the corners at which paths from it may turn first:
+`visible_corners` finds them, `outline` is what a file keeps of the workspace, `stored` the layout of the file, and a
+`query` reads `tables`. On grids (:func:`construct_grid_pairs`) the same is exact, see ``GRIDS.md``.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

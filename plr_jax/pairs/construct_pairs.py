@@ -1,0 +1,320 @@
+"""Building a PairPLR of a planar workspace."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import run_members, shortened
+from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import areas
+from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.vectors import pseudo_angle
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.pair_plr import PairPLR, pairs_of_stored
+from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Stored, in_order, largest_difference, most_leaves, taut_edges
+from plr_jax.pairs.tables import RECEDING
+from plr_jax.pairs.visible_corners import VisibleCorners, visible_corners
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.container import frame_size
+from plr_jax.plr.growth.limits import Limits, check_limits, grow
+from plr_jax.plr.partition.cells import Cells, levels_of
+
+# The outline of a workspace on the widest lattice that holds it.
+
+
+_FINEST = 2.0**-24  # of the width: 32-bit floats tell no finer
+
+
+def outline_of(
+    boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
+) -> tuple[Outline, Int[np.ndarray, "points"]]:
+    """The outline of a boundary, and the boundary's vertex at each of its points."""
+    edges, onward = boundary.edges, _onward(boundary, may_squeeze)
+    vertex, first, is_done = [], [0], np.zeros(len(edges), bool)
+    for start in range(len(edges)):
+        edge = start
+        while not is_done[edge]:
+            is_done[edge] = True
+            vertex.append(edges[edge, 0])
+            edge = onward[edge]
+        if len(vertex) > first[-1]:
+            first.append(len(vertex))
+    index = np.array(vertex)
+    step = lattice_step(boundary.vertices - origin, width, tolerance)
+    points = np.rint((boundary.vertices[index] - origin) / step).astype(np.int64)
+    return Outline(origin, step, points, np.array(first), may_squeeze), index
+
+
+def _onward(boundary: Boundary, may_squeeze: bool) -> Int[np.ndarray, "edges"]:
+    """The edge with which each edge's ring goes on: that whose sector it closes.
+
+    Where paths may squeeze between walls that touch, it is the next one around the same wall instead.
+    """
+    edges = boundary.edges
+    leaving = {
+        (int(at), int(end)): i for i, (at, end) in enumerate(zip(edges[:, 0], boundary.sector_end, strict=True))
+    }
+    onward = np.array([leaving[b, a] for a, b in edges.tolist()])
+    if may_squeeze:
+        direction = boundary.segments[:, 1] - boundary.segments[:, 0]
+        angle = pseudo_angle(direction[:, 0], direction[:, 1])
+        following = np.arange(len(edges))
+        for vertex in boundary.contacts:
+            around = np.flatnonzero(edges[:, 0] == vertex)
+            around = around[np.argsort(angle[around])]
+            following[around] = np.roll(around, -1)
+        onward = following[onward]
+    return onward
+
+
+def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
+    """The widest step of which all coordinates are multiples: a power of ten or two, or the finest there is."""
+    exponents = np.arange(-60, 60)
+    steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
+    for step in np.sort(steps[(steps <= width) & (steps >= _FINEST * width)])[::-1]:
+        if np.abs(points - step * np.rint(points / step)).max(initial=0.0) <= tolerance:
+            return float(step)
+    return float(2.0 ** np.floor(np.log2(_FINEST * width)))
+
+
+# Which cells to halve: those in much of whose free space a query tries corners in vain.
+#
+# A leaf lists every corner that some point of it may turn at first. A query tries the corners of a list one after the
+# other, and drops those that its point does not see. All of these are corners that only a part of the cell sees. So
+# cells are halved in the order of their free area times the number of such corners.
+
+
+_SHARE = 0.25  # of the largest key, above which cells are halved in a round
+
+
+@dataclass(frozen=True, eq=False)
+class Lists:
+    """Cells and the corners listed for each.
+
+    Attributes:
+        cells: The cells.
+        cell: The cell of each entry, ascending.
+        corner: Its corner.
+        by_all: Whether all of the cell sees it.
+    """
+
+    cells: Cells
+    cell: Int[np.ndarray, "entries"]
+    corner: Int[np.ndarray, "entries"]
+    by_all: Bool[np.ndarray, "entries"]
+
+    def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
+        """Those of some cells."""
+        first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
+        entries, cell = run_members(first, rows)
+        return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
+
+    def append(self, other: "Lists") -> "Lists":
+        """Those of these cells followed by others."""
+        return Lists(
+            self.cells.append(other.cells),
+            np.concatenate([self.cell, len(self.cells) + other.cell]),
+            np.concatenate([self.corner, other.corner]),
+            np.concatenate([self.by_all, other.by_all]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _ListTree:
+    """All nodes so far, with their lists, and the leaves among them with all that is known of them.
+
+    Attributes:
+        lists: Of all nodes.
+        key: How soon each is to be halved; not before its parent.
+        is_leaf: Which nodes are leaves.
+        visible: Of the leaves, in order.
+    """
+
+    lists: Lists
+    key: Float[np.ndarray, "nodes"]
+    is_leaf: Bool[np.ndarray, "nodes"]
+    parent: Int[np.ndarray, "nodes"]
+    visible: VisibleCorners
+
+    def __len__(self) -> int:
+        return int(self.is_leaf.sum())
+
+    def leaves_above(self, key: float) -> Lists:
+        """The leaves of the tree in which only nodes with larger keys are halved."""
+        is_halved = ~self.is_leaf & (self.key > key)
+        of_halved = np.append(True, is_halved[self.parent[1:]])
+        return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
+
+
+def grow_lists(
+    root: VisibleCorners, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
+) -> Lists:
+    """The leaves whose file has as many bytes as the limits allow, or fewer if no cell is worth halving."""
+    lists = _lists_of(root, Cells.root(2))
+    tree = _ListTree(lists, _keys(root, lists, limits), np.ones(1, bool), np.full(1, -1), root)
+
+    def halved(tree: _ListTree) -> _ListTree | None:
+        leaves = np.flatnonzero(tree.is_leaf)
+        largest = tree.key[leaves].max()
+        if largest <= 0 or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
+            return None
+        return _halved(tree, leaves[tree.key[leaves] > _SHARE * largest], domain, limits)
+
+    tree = grow(tree, halved, limits)
+    keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
+    low, high = 0, len(keys) - 1  # with the last key as threshold nothing is halved
+    while low < high:
+        middle = (low + high) // 2
+        leaves = tree.leaves_above(keys[middle])
+        fits = len(leaves.cells) <= most_leaves and num_bytes(leaves) <= limits.max_bytes
+        low, high = (low, middle) if fits else (middle + 1, high)
+    return tree.leaves_above(keys[low])
+
+
+def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limits: Limits) -> _ListTree:
+    """The tree after some of its leaves are halved, along their longer sides."""
+    leaves = np.flatnonzero(tree.is_leaf)
+    cells = tree.lists.cells[nodes]
+    axis = cells.longest_axis(domain)
+    both = cells.split(axis)
+    place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
+    visible = tree.visible.halves(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
+    lists = _lists_of(visible, both)
+    key = np.minimum(_keys(visible, lists, limits), np.repeat(tree.key[nodes], 2))
+    is_leaf = tree.is_leaf.copy()
+    is_leaf[nodes] = False
+    stay = np.flatnonzero(is_leaf[leaves])
+    return _ListTree(
+        tree.lists.append(lists),
+        np.append(tree.key, key),
+        np.append(is_leaf, np.ones(len(both), bool)),
+        np.append(tree.parent, np.repeat(nodes, 2)),
+        tree.visible.of_cells(stay).append(visible),
+    )
+
+
+def _lists_of(visible: VisibleCorners, cells: Cells) -> Lists:
+    return Lists(cells, *visible.lists())
+
+
+def _keys(visible: VisibleCorners, lists: Lists, limits: Limits) -> Float[np.ndarray, "cells"]:
+    """Free area of each cell times how many of its corners are not seen by all of it; 0 where it is to stay."""
+    area = np.bincount(visible.cell, areas(visible.pieces), len(lists.cells))
+    doubtful = np.bincount(lists.cell, ~lists.by_all, len(lists.cells))
+    return np.where((lists.cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
+
+
+DEFAULT_MAX_BYTES = 2**16
+_SLACK = 8  # tolerances of the workspace
+
+
+def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> PairPLR:
+    """Build a PairPLR: the distance between any two points of a planar workspace.
+
+    The domain is halved again and again, and each leaf lists the corners at which a shortest path from it may turn
+    first. The file holds free space, which pairs of corners are joined, the partition and the lists, in layers of
+    which the first is enough to answer (see ``file_marks``). Distances are exact but for the rounding of 32-bit
+    floats, whatever the budget, and but for points nearer to a wall than 4e-6 of the domain's width: these may see
+    past its ends, and be told up to 2e-5 of the width too little. More bytes make queries faster, up to a point, as
+    fewer corners need to be looked at.
+
+    Args:
+        workspace: The free space, with at most 8,192 corners that stand out into it.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
+
+    Returns:
+        The PairPLR. If interrupted (Ctrl-C), of the partition so far, with a ``ConstructionInterrupted`` warning.
+
+    Raises:
+        ValueError: If the workspace is none, has too many corners, is wider than 1e18, or has an obstacle thinner
+            than 8e-6 of its width; or if free space and corners alone take more bytes.
+
+    References:
+        "all-pairs" in Section II of the paper.
+    """
+    if not isinstance(workspace, Workspace):
+        raise ValueError(f"A PairPLR is of a Workspace, got {shortened(workspace)}.")
+    max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
+    frame = frame_size(workspace.bounds)
+    limits = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, max_bytes, None, Proof.NONE, frame)
+    domain, boundary = workspace.bounds, workspace.boundary
+    if domain.width.max() > WIDEST:
+        raise ValueError(f"The workspace is {domain.width.max():g} wide; pairs are for {WIDEST:g} at most: scale it.")
+    visibility = corner_visibility(workspace)
+    if len(visibility.corners.points) > MOST_CORNERS:
+        raise ValueError(
+            f"The workspace has {len(visibility.corners.points):,} corners; pairs are for {MOST_CORNERS:,} at most: "
+            "simplify its polygons, or ask a VisibilityGraph."
+        )
+    outline, vertex = outline_of(
+        boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
+    )
+    if outline.is_turned_around(RECEDING * float(domain.width.max())):
+        raise ValueError(
+            f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
+            "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."
+        )
+    corner, rank = _corners_in_outline(outline, vertex, visibility, boundary)
+    edges = in_order(rank[taut_edges(visibility)])
+    undivided = levels_of(Cells.root(2))[0], np.zeros(0, np.int64), np.zeros(0, np.int64)
+    unlisted = Stored(domain, outline, corner, edges, *undivided, 0.0, None)
+    true = np.empty_like(unlisted.points)
+    true[rank] = visibility.corners.points
+    unlisted = _with_roundings(unlisted, true, _SLACK * workspace.tolerance)
+
+    def stored(lists: Lists) -> Stored:
+        levels, order = levels_of(lists.cells)
+        place = np.argsort(order)[lists.cell]
+        by_leaf = np.lexsort((rank[lists.corner], place))
+        return replace(unlisted, levels=levels, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
+
+    most = min(limits.max_leaves, most_leaves(len(corner)))
+    root = visible_corners(visibility, workspace, domain)
+    lists = grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes()))
+    if (size := len(stored(lists).to_bytes())) > limits.max_bytes:
+        raise ValueError(f"Free space and its corners alone take {size:,} bytes, more than max_bytes={max_bytes:,}.")
+    return pairs_of_stored(stored(lists))
+
+
+def _corners_in_outline(
+    outline: Outline, vertex: Int[np.ndarray, "points"], visibility: CornerVisibility, boundary: Boundary
+) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
+    """Which points of the outline are corners, ascending; and of each corner of the workspace, which one it is.
+
+    Of points in one place, it is the one that stands out.
+    """
+    number = {tuple(point): i for i, point in enumerate(visibility.corners.points.tolist())}
+    corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
+    order = np.argsort(~outline.is_reflex, kind="stable")
+    found, place = np.unique(corner_of_vertex[vertex[order]], return_index=True)
+    point = order[place[found >= 0]]
+    rank = np.empty(len(point), np.int64)
+    rank[np.argsort(point)] = np.arange(len(point))
+    return np.sort(point), rank
+
+
+def _with_roundings(stored: Stored, true: Float[np.ndarray, "corners 2"], slack: float) -> Stored:
+    """With the largest difference in length between a way by the corners as a file rounds them and by the true ones.
+
+    A way has two legs, each of which changes by no more than its corner moves, and the distance between these
+    corners, of which all are compared: by the joined pairs, and by those that follow from the outline if they are
+    as good as queries are beside walls. The slack is how well visibility itself is known.
+    """
+    moved = float(np.linalg.norm(true - stored.points, axis=1).max(initial=0.0))
+
+    def rounding(edges: Int[np.ndarray, "edges 2"]) -> float:
+        difference = largest_difference(true, stored.edges, stored.points, edges)
+        return float(np.nextafter(np.float32(2 * moved + difference + slack), np.float32(np.inf)))
+
+    stored = replace(stored, rounding=rounding(stored.edges))
+    try:
+        edges = replace(stored, joined=None).edges
+    except ValueError:  # details narrower than the lattice leave an outline of nothing
+        return stored
+    of_outline = stored.rounding if np.array_equal(edges, stored.edges) else rounding(edges)
+    is_as_good = of_outline <= RECEDING * float(stored.domain.width.max())
+    return replace(stored, rounding_of_outline=of_outline if is_as_good else None)

@@ -1,0 +1,320 @@
+"""Distances between all pairs of cells of a grid."""
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
+
+from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
+from plr_jax._atomic import write_atomically
+from plr_jax._types import ArrayLike, CellGraph
+from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
+from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
+from plr_jax.plr.file.bits import BitReader, BitWriter
+
+# The file of the distances between all pairs of cells of a grid: the grid, from which all else follows.
+#
+# All numbers are little-endian:
+#
+#     4s      magic, b"PGP\n"
+#     u8      version, 1
+#     u8      connectivity, 4 or 8
+#     u32     number of rows
+#     u32     number of columns
+#     u32     size of the whole file in bytes
+#     ...     bit stream, see ``plr/file/bits.py``: the set of the cells that differ from the one above, in row-major
+#             order; above the first row all are blocked
+#     u32     CRC-32 of all bytes before
+
+
+MOST_CELLS = 2**22
+"""Cells of the largest grid."""
+
+_MAGIC, _VERSION = b"PGP\n", 1
+_HEADER, _CRC = struct.Struct("<4sBBIII"), struct.Struct("<I")
+MOST_BYTES = _HEADER.size + _CRC.size + 4 * MOST_CELLS
+"""More than any file has: a cell that differs from the one above takes less than 4 bytes."""
+
+
+def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
+    """The bytes of a grid's file."""
+    body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
+    size = _HEADER.size + len(body) + _CRC.size
+    data = _HEADER.pack(_MAGIC, _VERSION, connectivity, *free.shape, size) + body
+    return data + _CRC.pack(zlib.crc32(data))
+
+
+def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
+    """The cells and the connectivity that a file's bytes hold; raises ``ValueError`` saying what is wrong."""
+    if not data.startswith(_MAGIC):
+        raise ValueError("it does not start like a file of pairs of a grid")
+    if len(data) < _HEADER.size + _CRC.size:
+        raise ValueError("the data end too early")
+    _, version, connectivity, rows, columns, size = _HEADER.unpack_from(data)
+    if version != _VERSION:
+        raise ValueError(f"it has format version {version}, this release reads version {_VERSION}")
+    if len(data) != size:
+        raise ValueError(f"it has {len(data)} bytes, its header states {size}: the file is truncated or corrupt")
+    if zlib.crc32(data[: -_CRC.size]) != _CRC.unpack(data[-_CRC.size :])[0]:
+        raise ValueError("its checksum does not match: the file is corrupt")
+    if connectivity not in CONNECTIVITIES:
+        raise ValueError(f"it states a connectivity of {connectivity}, not 4 or 8")
+    if not 0 < rows * columns <= MOST_CELLS:
+        raise ValueError(f"it states {rows} x {columns} cells, not 1 to {MOST_CELLS}")
+    body = BitReader(data[_HEADER.size : -_CRC.size])
+    differs = body.read_set(rows * columns).reshape(rows, columns)
+    if not body.at_end():
+        raise ValueError("it holds more data than its cells need")
+    return np.logical_xor.accumulate(differs, axis=0), connectivity
+
+
+_MOST_CORNERS = 2**14  # whose distances take half a gigabyte
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class GridDistance:
+    """Distance to one cell of a grid, a `DistanceFn`; made by :meth:`GridPairs.to`.
+
+    Attributes:
+        tables: Those of all pairs.
+        goal: Row and column of the cell.
+        from_goal: Distance of each corner to it, in units, by way of corners.
+    """
+
+    tables: GridTables
+    goal: Int[Array, "2"]
+    from_goal: Int32[Array, "corners"]
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates of a point."""
+        return 2
+
+    @property
+    def is_lower_bound(self) -> bool:
+        """True: it is never above the distance over the grid."""
+        return True
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """What :meth:`GridPairs.__call__` answers with the goal, bit for bit.
+
+        Args:
+            x: Points, ``(..., 2)``.
+
+        Returns:
+            Distances in steps, ``(...)``; ``inf`` as there.
+
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class GridPairs:
+    """Length of a shortest path between any two cells of a grid, never above the truth.
+
+    Made by :func:`construct_grid_pairs`. Its file holds the map alone, in one or two kilobytes where the map has a
+    quarter of a million cells; corners of obstacles, their distances, and lists of the corners of each cell follow
+    from it when it is loaded, in about a second. On 4-connected grids answers are exact. On 8-connected ones they are
+    as exact as 32-bit floats, always rounded down, by less than 1e-6 of themselves; whole numbers of straight
+    steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
+
+    It is a pytree of arrays: a jitted function can close over it or take it as an argument.
+
+    Attributes:
+        tables: What a query reads.
+        file: The bytes that :meth:`save` writes.
+    """
+
+    tables: GridTables
+    file: UInt8[Array, "bytes"] | UInt8[np.ndarray, "bytes"]
+
+    def __repr__(self) -> str:
+        rows, columns = self.tables.shape
+        return f"GridPairs({rows} x {columns} cells, {self.tables.connectivity}-connected, {self.num_bytes} bytes)"
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+        """Number of steps, or length, of a shortest path between the cells of points.
+
+        Symmetric bit for bit, and 0 within a cell. A function is compiled for each shape of points.
+
+        Args:
+            x: Points, ``(..., 2)``; the cell in row ``r`` and column ``c`` has those with ``c <= x < c + 1`` and
+                ``r <= y < r + 1``.
+            y: Points that broadcast against them.
+
+        Returns:
+            Distances, ``(...)``, as default floats of JAX. ``inf`` if no path joins the cells, one is blocked, or
+            a point is outside the grid or has a NaN.
+
+        Raises:
+            ValueError: If the shapes do not fit.
+        """
+        points = _as_points("x", x), _as_points("y", y)
+        try:
+            shape = np.broadcast_shapes(*(one.shape for one in points))
+        except ValueError:
+            raise ValueError(f"x and y must be of one shape, got {points[0].shape} and {points[1].shape}.") from None
+        return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
+
+    def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Proven bounds of the length of a shortest path: what is answered, and above it what rounding may take off.
+
+        Args:
+            x: Points, as for a call.
+            y: Points that broadcast against them.
+
+        Returns:
+            Lower and upper bounds, ``(...)`` each; equal on 4-connected grids.
+
+        Raises:
+            ValueError: As for a call.
+        """
+        lower = self(x, y)
+        return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
+
+    def to(self, goal: ArrayLike) -> GridDistance:
+        """Distances to one cell, several times as fast a query.
+
+        Args:
+            goal: A point of the cell, ``(2,)``.
+
+        Returns:
+            The distance function.
+
+        Raises:
+            ValueError: If the goal is in no free cell.
+        """
+        goal = as_finite_point("The goal", goal, 2)
+        if not np.isfinite(self(goal, goal)):
+            raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")
+        cell = jax.numpy.asarray(np.floor(goal)[::-1].astype(np.int32))
+        return GridDistance(self.tables, cell, corners_from(self.tables, cell))
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the file that :meth:`save` writes."""
+        return len(self.file)
+
+    @property
+    def resident_bytes(self) -> int:
+        """Bytes of the arrays that a query reads."""
+        return sum(table.nbytes for table in jax.tree_util.tree_leaves(self.tables))
+
+    @property
+    def num_corners(self) -> int:
+        """Number of corners; the distances between them take the square of it."""
+        return len(self.tables.places)
+
+    def to_bytes(self) -> bytes:
+        """The bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
+        return np.asarray(self.file).tobytes()
+
+    @staticmethod
+    def from_bytes(data: bytes) -> "GridPairs":
+        """What :meth:`to_bytes` gave; it answers alike, bit for bit.
+
+        Args:
+            data: The bytes.
+
+        Returns:
+            The distances of pairs.
+
+        Raises:
+            ValueError: If the bytes are truncated, corrupt, or none of such a file, or the grid has more than 2**22
+                cells or 2**14 corners.
+        """
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise ValueError(f"The bytes of a file are expected, got {shortened(data)}.")
+        data = bytes(data)
+        free, connectivity = decode_grid(data)
+        return _of_grid(free, connectivity, data)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a file of ``num_bytes`` bytes, complete or not at all.
+
+        Args:
+            path: The file.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        write_atomically(Path(path), self.to_bytes())
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> "GridPairs":
+        """Read what :meth:`save` wrote.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The distances of pairs.
+
+        Raises:
+            ValueError: As :meth:`from_bytes`.
+            OSError: If the file cannot be read.
+        """
+        try:
+            with open(path, "rb") as file:
+                return GridPairs.from_bytes(file.read(MOST_BYTES + 1))
+        except ValueError as error:
+            raise ValueError(f"{path} cannot be read as pairs of a grid: {error}.") from error
+
+
+def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> GridPairs:
+    """Distances between all pairs of cells of a grid.
+
+    Args:
+        graph: The grid, such as a :class:`GridGraph`, with or without a goal; at most 2**22 cells.
+        max_bytes: The largest file that will do. None: any.
+
+    Returns:
+        The distances, a pytree.
+
+    Raises:
+        ValueError: If ``graph`` is no grid, its file takes more bytes, it has more than 2**22 cells or 2**14 corners,
+            or its paths are longer than a million steps.
+
+    References:
+        See ``plr_jax/pairs/GRIDS.md``.
+    """
+    if not isinstance(graph, CellGraph):
+        raise ValueError(f"graph must be a grid, such as GridGraph(free), got {shortened(graph)}.")
+    if graph.free.size > MOST_CELLS:
+        raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
+    data = encode_grid(graph.free, graph.connectivity)
+    if max_bytes is not None:
+        require_integer("max_bytes", max_bytes, 1)
+        if len(data) > max_bytes:
+            raise ValueError(f"max_bytes must be at least {len(data)}, which this grid takes, got {max_bytes}.")
+    return _of_grid(graph.free, graph.connectivity, data)
+
+
+def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: bytes) -> GridPairs:
+    num_corners = np.count_nonzero(corner_cells(free))
+    if num_corners > _MOST_CORNERS:
+        raise ValueError(
+            f"The grid's obstacles have {num_corners} corners, more than {_MOST_CORNERS}, whose distances would not "
+            "fit into memory; cut the map into parts."
+        )
+    return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
+
+
+def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
+    """Points ``(..., 2)``; those of NumPy rounded down to whole numbers in their own precision."""
+    if not isinstance(x, jax.Array):
+        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both are outside
+    elif jax.numpy.iscomplexobj(x):
+        raise ValueError(f"{name} must be points (..., 2) of real numbers, got an array of {x.dtype}.")
+    if x.shape[-1:] != (2,):
+        raise ValueError(f"{name} must have shape (..., 2), got {x.shape}.")
+    return x

@@ -1,0 +1,339 @@
+"""A query of pairs, in JAX.
+
+The distance of two points that see one another is straight; any other way goes by a corner of each one's list. The
+first corner of the way is found best-first: those of the list, each with at most the length that a way by it can
+have, are looked into in that order, and then the way by one is the shortest by the second point's list. A corner that
+a wall hides from its point is struck off the list it is on. So the bounds that are left never exceed the distance.
+
+Legs are tested against the walls near the leaf's box and the corner, which are few; straight lines against all walls.
+Most pairs need one round or two. While many are open, each round gathers the open ones into groups of one size; when
+few are left, these are gathered for good.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.export import is_symbolic_dim
+from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
+
+from plr_jax.pairs.tables import PairTables, last_bits_of
+from plr_jax.plr.query.lookup import lookup
+
+_AT_ONCE = 2**14
+_GROUP = 2**11  # pairs that are looked at together while many are open
+_FEWER, _FEWEST = 8, 2**8
+_LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
+_BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Pairs of points, and the search of shortest ways between them.
+
+    Attributes:
+        x: First points.
+        y: Second points.
+        leaf_x: The leaves of the first points.
+        leaf_y: Those of the second ones.
+        length: Shortest way found; ``inf`` if none is.
+        from_x: Where it goes first from the first point.
+        from_y: And from the second one.
+        least: No way that is left is shorter.
+        done_x: Corners of the first point's list that are done with, a bit each.
+        done_y: Those of the second point's that are struck off.
+    """
+
+    x: Float[Array, "n 2"]
+    y: Float[Array, "n 2"]
+    leaf_x: UInt32[Array, "n"]
+    leaf_y: UInt32[Array, "n"]
+    length: Float[Array, "n"]
+    from_x: Float[Array, "n 2"]
+    from_y: Float[Array, "n 2"]
+    least: Float[Array, "n"]
+    done_x: UInt32[Array, "n words"]
+    done_y: UInt32[Array, "n words"]
+
+    @property
+    def is_open(self) -> Bool[Array, "n"]:
+        """Whether a shorter way may be left."""
+        return self.least < self.length
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What a look into one corner of each first point's list gives.
+
+    Attributes:
+        length: Length of the shortest way by it; ``inf`` if that meets a wall.
+        via_x: The corner.
+        via_y: The last corner of the way.
+        least: No way that is left is shorter.
+        done_x: Corners of the first point's list that are done with, a bit each.
+        done_y: Those of the second point's that are struck off.
+    """
+
+    length: Float[Array, "n"]
+    via_x: Float[Array, "n 2"]
+    via_y: Float[Array, "n 2"]
+    least: Float[Array, "n"]
+    done_x: UInt32[Array, "n words"]
+    done_y: UInt32[Array, "n words"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Shortest ways between points.
+
+    Attributes:
+        length: Length of the shortest way found; ``inf`` if there is none.
+        least: No way is shorter.
+        from_x: Where it goes first from the first point; the second one if it is straight, or there is none.
+        from_y: And from the second one.
+    """
+
+    length: Float[Array, "n"]
+    least: Float[Array, "n"]
+    from_x: Float[Array, "n 2"]
+    from_y: Float[Array, "n 2"]
+
+
+def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    """The shortest ways between points of the domain, counted from its middle; alike either way round."""
+    swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
+    ways = _ways_in_parts(tables, jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
+    return replace(ways, from_x=from_x, from_y=from_y)
+
+
+def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    size = x.shape[0]
+    if is_symbolic_dim(size) or size <= _GROUP:
+        return _ways(tables, x, y)
+    at_once = min(_AT_ONCE, -(-size // _GROUP) * _GROUP)
+    parts = -(-size // at_once)
+    x, y = (jnp.pad(p, ((0, parts * at_once - size), (0, 0))) for p in (x, y))
+    if parts == 1:
+        return jax.tree.map(lambda a: a[:size], _ways(tables, x, y))
+    pairs = x.reshape(parts, at_once, 2), y.reshape(parts, at_once, 2)
+    columns = jax.lax.map(lambda pair: jax.tree.leaves(_ways(tables, *pair)), pairs)
+    return Ways(*(each.reshape(-1, *each.shape[2:])[:size] for each in columns))
+
+
+def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
+    search = _begun(tables, x, y)
+    at_least = jax.lax.optimization_barrier(_at_least(tables, search))
+    search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)))
+    least = jnp.minimum(search.length, search.least)
+    return Ways(search.length, least, search.from_x, search.from_y)
+
+
+def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Search:
+    """The search before its first round: pairs that see one another are done."""
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
+    words = jnp.zeros((x.shape[0], -(-tables.x.shape[1] // 32)), jnp.uint32)
+    leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
+    return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
+
+
+def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """The search after all rounds: the last ones are of the few pairs that are left open, side by side.
+
+    It ends, as each round strikes a corner off one of an open pair's two lists.
+    """
+    size = 0 if is_symbolic_dim(at_least.shape[0]) else len(at_least)  # of a batch of any size, all are looked at
+    few = size // _FEWER if size > _FEWEST else 0
+    one = _round_of_all if size <= _GROUP else _round_of_open
+
+    def more(search: Search) -> Bool[Array, ""]:
+        return search.is_open.sum() > few
+
+    search = jax.lax.while_loop(more, lambda search: one(tables, at_least, search), search)
+    if not few:
+        return search
+    is_open = search.is_open
+    number = jnp.cumsum(is_open)
+    lanes = jnp.searchsorted(number, 1 + jnp.arange(few))
+    left = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
+    left = _searched(tables, _at(at_least, lanes, "clip"), left)
+    return _where(is_open, jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
+
+
+def _where(is_so: Bool[Array, "n"], one: Search, other: Search) -> Search:
+    return jax.tree.map(lambda a, b: jnp.where(is_so.reshape(-1, *(1,) * (a.ndim - 1)), a, b), one, other)
+
+
+def _round_of_all(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """A round of all pairs, done for the open ones."""
+    return _after_look(search, _looked_into(tables, at_least, search), search.is_open)
+
+
+def _round_of_open(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+    """A round of the open pairs, group by group."""
+    is_open = search.is_open
+    number = jnp.cumsum(is_open)  # of each open pair, from 1
+
+    def of_group(which, looks):
+        first = which * _GROUP
+        lane = jnp.searchsorted(number, first + 1 + jnp.arange(_GROUP))
+        group = jax.tree.map(lambda a: _at(a, lane, "clip"), search)
+        look = _looked_into(tables, _at(at_least, lane, "clip"), group)
+        return jax.tree.map(lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, first, 0), looks, look)
+
+    looks = _Look(search.length, search.from_x, search.from_y, search.least, search.done_x, search.done_y)
+    looks = jax.lax.fori_loop(0, (number[-1] + _GROUP - 1) // _GROUP, of_group, looks)
+    return _after_look(search, jax.tree.map(lambda a: _at(a, number - 1, "clip"), looks), is_open)
+
+
+def _after_look(search: Search, look: _Look, is_open: Bool[Array, "n"]) -> Search:
+    """The search after a look for each open pair."""
+    better = is_open & (look.length < search.length)
+    return replace(
+        search,
+        length=jnp.where(better, look.length, search.length),
+        from_x=jnp.where(better[:, None], look.via_x, search.from_x),
+        from_y=jnp.where(better[:, None], look.via_y, search.from_y),
+        least=jnp.where(is_open, look.least, search.least),
+        done_x=jnp.where(is_open[:, None], look.done_x, search.done_x),
+        done_y=jnp.where(is_open[:, None], look.done_y, search.done_y),
+    )
+
+
+def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
+    """At most the length of the way by each corner of the first point's list."""
+    listed = tables.listed[search.leaf_x].astype(jnp.uint32)
+    size = len(tables.distances)
+    last_bits = last_bits_of(size)
+    onward = _at(tables.onward.ravel(), search.leaf_y[:, None] * size + listed)
+    last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
+    x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))
+    way = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(x * x + y * y)
+    return _legs(tables, search.leaf_x, search.x) + jnp.minimum(way, other)
+
+
+def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> _Look:
+    """A look into the most promising corner of each first point."""
+    x, y, leaf_x, leaf_y = search.x, search.y, search.leaf_x, search.leaf_y
+    done_x, done_y = search.done_x, search.done_y
+    first, at_first, second = _smallest(at_least, done_x)
+    corner = tables.listed[leaf_x, first].astype(jnp.uint32)
+    listed = tables.listed[leaf_y].astype(jnp.uint32)
+    onward = _legs(tables, leaf_y, y) + _at(
+        tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
+    )
+    last, length, _ = _smallest(onward, done_y)
+    via_x, via_y = _corner(tables, leaf_x, first), _corner(tables, leaf_y, last)
+    hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
+    hidden_y = _is_leg_hidden(tables, leaf_y, last, y, via_y)
+    is_done = hidden_x | ~hidden_y | (length == jnp.inf)
+    return _Look(
+        length=jnp.where(hidden_x | hidden_y, jnp.inf, _length(x - via_x) + length),
+        via_x=via_x,
+        via_y=via_y,
+        least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
+        done_x=done_x | _bit(first, is_done, done_x),
+        done_y=done_y | _bit(last, hidden_y, done_y),
+    )
+
+
+def _bit(
+    place: UInt32[Array, "n"], if_so: Bool[Array, "n"], words: UInt32[Array, "n words"]
+) -> UInt32[Array, "n words"]:
+    """The bit of a place, if so, in words like those."""
+    number = jnp.arange(words.shape[1], dtype=jnp.uint32)
+    bit = jnp.where(number == (place >> 5)[:, None], jnp.uint32(1) << (place & 31)[:, None], 0)
+    return jnp.where(if_so[:, None], bit, 0)
+
+
+def _smallest(
+    values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
+) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """Where the smallest of each row is, of those not done with, to rounding; it; and the smallest of the others.
+
+    Compilers find the place of a minimum slowly, and a minimum fast. So the places stand in the last bits of what the
+    values are above a little less than the minimum, where they do not disturb the order of any that differ.
+    """
+    columns = np.arange(values.shape[1], dtype=np.uint32)
+    is_done = done[:, columns // 32] & (np.uint32(1) << columns % 32) != 0
+    values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
+    base = _BELOW * jnp.minimum(values.min(axis=1, keepdims=True), _LARGEST) - _TINY
+    mask = np.uint32(2 ** (len(columns) - 1).bit_length() - 1)
+    bits = jax.lax.bitcast_convert_type(jnp.minimum(values - base, _LARGEST), jnp.uint32) & ~mask | columns
+    smallest = jax.lax.optimization_barrier(jax.lax.bitcast_convert_type(bits, jnp.float32)).min(axis=1)
+    place = jax.lax.bitcast_convert_type(smallest, jnp.uint32) & mask
+    others = jax.lax.optimization_barrier(jnp.where(columns == place[:, None], jnp.inf, values))
+    return place, jnp.take_along_axis(values, place[:, None], axis=1)[:, 0], others.min(axis=1)
+
+
+def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+    """Lengths of the legs from points to all corners of their leaves' lists."""
+    dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
+    return jnp.sqrt(dx * dx + dy * dy)
+
+
+def _corner(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+    return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
+
+
+def _length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
+
+
+def _at(
+    table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
+) -> Shaped[Array, "..."]:
+    return table.at[index].get(mode=mode)
+
+
+def _is_leg_hidden(
+    tables: PairTables,
+    leaf: UInt32[Array, "n"],
+    place: UInt32[Array, "n"],
+    x: Float[Array, "n 2"],
+    corner: Float[Array, "n 2"],
+) -> Bool[Array, "n"]:
+    """Whether a wall, moved back a little, is between points and corners at some places of their leaves' lists."""
+    if tables.near is None:
+        return is_hidden(tables, x, corner)
+    (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
+    ax, ay, bx, by = tables.near(leaf, place)
+    ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
+    beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
+    a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
+    hides = (beside_p * beside_q < 0) & (a_is_left != b_is_left)
+    return jax.lax.optimization_barrier(jnp.where(hides, jnp.float32(0), 1)).min(axis=1) == 0
+
+
+def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether a wall, moved back a little, is between points."""
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, walls):
+        for ax, ay, bx, by, ex, ey, turn in walls:
+            beside_p, beside_q = ex * py - ey * px - turn, ex * qy - ey * qx - turn
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (beside_p * beside_q < 0) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), tables.walls)[0]
+
+
+def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether points are in what the walls enclose: walls that have changed sides wind around them the other way."""
+    px, py = x.T
+
+    def winds(turns, walls):
+        for _, ay, _, by, ex, ey, turn in walls:
+            beside = ex * py - ey * px - turn
+            turns += ((ay <= py) & (py < by) & (beside > 0)).astype(int)
+            turns -= ((by <= py) & (py < ay) & (beside < 0)).astype(int)
+        return turns, None
+
+    return jax.lax.scan(winds, jnp.zeros(x.shape[0], int), tables.walls)[0] == 1

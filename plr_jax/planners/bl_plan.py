@@ -1,0 +1,388 @@
+"""The planner for several robots at once (Section V of the paper, and searches beside it)."""
+
+import math
+import time
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from tqdm import tqdm
+
+from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax._types import BoundingFn, HeuristicFn
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.planners._budget import Incumbent, SearchBudget
+from plr_jax.planners._heuristics import estimates, require_heuristic
+from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
+from plr_jax.planners.bl.options import BLOptions
+from plr_jax.planners.lattice.joint import State
+from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
+from plr_jax.planners.searches import LatticeLevel, Searches, build_level, num_bytes, work
+from plr_jax.planners.smoothing import halved, shorten, shorten_in_corridors
+
+# A path that a search has found made cheaper: along the lattices first, then off them.
+
+
+_WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
+_NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
+_GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
+_ROUNDING = 1e-9
+
+
+class Improvement:
+    """What is done to a path along the lattices of a level; each that becomes the best is offered to the incumbent.
+
+    Args:
+        level: The lattices.
+        found_by: The search that found the path.
+        test: The team's motion test.
+        incumbent: The best path so far.
+        budget: Until when.
+        enough: Cost up to which a path is good enough; ``inf`` if any is, shortened once.
+    """
+
+    def __init__(
+        self,
+        level: LatticeLevel,
+        found_by: str,
+        test: JointMotionTest,
+        incumbent: Incumbent,
+        budget: SearchBudget,
+        enough: float,
+    ):
+        self.level, self.found_by, self.test = level, found_by, test
+        self.incumbent, self.budget, self.enough = incumbent, budget, enough
+        self.problem = level.joint.problem
+
+    def __call__(self, state: State) -> None:
+        """Offer a path, then cheaper ones along the lattices, then shortened ones."""
+        self._offer(state)
+        # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
+        gains = np.isfinite(self.enough) or self._factor(state) > _NEAR_LEAST
+        if len(self.problem.robots) > 1 and len(state) > 1 and gains:
+            state = self._replanned(state)
+        self._shorten(state)
+
+    def _replanned(self, state: State) -> Int[np.ndarray, "rows robots"]:
+        """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
+        waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
+        rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
+        if self.budget.memory + num_bytes_of_table(self.level.kinds, len(rows)) >= self.budget.max_memory:
+            return state
+        try:
+            with self.incumbent.phase("replan"):
+                table = ReservationTable(self.level.kinds, self.level.costs_to_go, rows, tolerance, self.budget)
+        except TimeoutError:
+            return state
+        with suppress(TimeoutError):  # whenever that strikes, the table's paths are free of collisions
+            self._replan(table)
+        self._offer(table.state)
+        table.held.release()
+        return until_arrival(table.state)
+
+    def _replan(self, table: ReservationTable) -> None:
+        with self.incumbent.phase("replan"):
+            replan_each(table)
+        self._offer(table.state)
+        rng = np.random.default_rng(0)
+        while not self._is_enough and not self.budget.exceeded():
+            before = table.cost.sum()
+            with self.incumbent.phase("replan"):
+                replan_neighborhoods(table, len(self.problem.robots), rng)
+            self._offer(table.state)
+            if before - table.cost.sum() <= _GAIN * before:
+                break
+
+    def _shorten(self, state: State) -> None:
+        """Shorten a path, and offer each version, until one is good enough."""
+        problem, test, factor = self.problem, self.test, self._factor(state)
+        path = self._path(state)
+        passes = [lambda path: shorten(problem, path, test)]
+        # Shortcuts leave a lone robot little to gain.
+        if len(problem.robots) > 1 or np.isfinite(self.enough):
+            width = self.level.step / 2
+            passes.append(lambda path: shorten_in_corridors(problem, path, test, width))
+        passes.append(lambda path: shorten(problem, halved(path), test))
+        for cheaper in passes:
+            if np.isfinite(self.enough) and self._is_enough:
+                return
+            with self.incumbent.phase("shorten"):
+                path = cheaper(path)
+            self.incumbent.offer(path, self.found_by, factor)
+
+    def _offer(self, state: State) -> None:
+        self.incumbent.offer(self._path(state), self.found_by, self._factor(state))
+
+    @property
+    def _is_enough(self) -> bool:
+        return self.incumbent.cost <= self.enough
+
+    def _path(self, state: State) -> Float[np.ndarray, "steps robots dof"]:
+        """The path of a state; one that begins with a whole turn if a robot's goal is its start but for that."""
+        path = self.level.joint.configurations(state)
+        if np.array_equal(path[0], self.problem.starts):
+            return path
+        return np.concatenate([self.problem.starts[None], path])
+
+    def _factor(self, state: State) -> float:
+        """Cost of a path over that of each robot's cheapest motions alone: no path along the lattices costs less."""
+        cost, least = path_cost(self.problem, self._path(state)), self.level.least_cost
+        if least > 0:
+            return (1 + _ROUNDING) * cost / least
+        return 1.0 if cost == 0 else float("inf")
+
+
+def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
+    """A path without the rows at its end in which all robots wait."""
+    waits = np.all(state == state[-1], axis=1)
+    return state[: len(state) + 1 - np.append(waits[::-1], False).argmin()]
+
+
+# Steps, as shares of the longer side of the bounds: of the first lattice, and of the last one tried.
+_COARSEST_FIRST, _POINT_STEP, _FINEST_FIRST, _FINEST = 1 / 16, 1 / 32, 1 / 512, 1 / 2048
+_COARSEST = 1 / 4  # tried where memory is short
+_MOST_FIRST = 720_000  # motions to test for the first lattices, as of round robots
+_AROUND = 1.5  # times a straight way, above which the first lattice is suspected to lack a passage
+_SHORTER = 0.05  # share of the cost of all ways that a finer lattice must save to take its place
+_REFINEMENT = 1.25
+_WEIGHT, _WEIGHT_OF_ROBOT = 2.0, 3 / 8
+_GREEDIER = 1.5  # growth of the weight from one search to the next
+_LEAST_WEIGHT = 1.1  # below it, a finer lattice promises more than a smaller weight
+_MOST_BYTES = 1 << 60  # that are told apart
+_DEFAULT_OPTIONS = BLOptions()
+
+
+def bl_plan(
+    problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
+) -> Solution:
+    """Plan for all robots at once: search lattices until the team can reach its goals, then make its path cheap.
+
+    Every robot moves on a lattice, on which its start and goal are exact; robots of one kind share one. Two searches
+    take turns on it, and on finer ones while none succeeds:
+
+    - LaCAM, a lazy search over constraints, moves the whole team one step at a time: by PIBT, each robot takes its
+      best free motion and pushes others out of its way. In the open, and at doors, it is over at once, for a hundred
+      robots too.
+    - Best-first search, Barraquand and Latombe's, over cells of the joint space: a node's children are the products
+      of the robots' primitives that keep clear of obstacles and of one another along the whole motion, and each cell
+      is claimed once, by the first node in it. The best node by cost-to-come and weighted heuristic is expanded next,
+      as in A*. It finds what takes a plan, such as a swap in a tight place.
+
+    Then robots are planned anew along the lattices, each among the others, which keep their motions, and the path
+    is shortened by straight shortcuts of one robot, and within narrow corridors about the motions of one robot, or
+    of two that touch. Under a ``cost_factor``, groups of robots are planned anew together, and searches on finer
+    lattices and with smaller weights go on, until a limit.
+
+    Deterministic, but for where a time limit strikes. Ctrl-C ends it and returns the best path so far.
+
+    Args:
+        problem: What to plan.
+        heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, such as :func:`zero`,
+            :func:`straight_line`, :func:`sum_of_distances` or a function of your own, never NaN. An infinite
+            estimate prunes nothing, a negative one counts as 0. Terms (``per_robot``) are used where it offers
+            them, by both searches, which is much faster than a plain function, by which best-first search goes alone.
+            One that says it is a lower bound (``is_lower_bound``) bounds the cost of all paths by what it says of the
+            starts. A poor one, such as straight lines among walls, may well find
+            nothing. None: each robot's cost-to-go along its lattice, alone, which takes no oracle and no PLR: the
+            best choice where a plan is all that is asked for.
+        options: How to search, and when to stop.
+
+    Returns:
+        The best path found, how far at the most from the best there is, and why the search ended: SOLVED if its cost
+        is within ``cost_factor`` of the lower bound; EXHAUSTED if nothing was left to search on the finest lattice
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer ones; a limit, or
+        INTERRUPTED, with or without a path.
+
+    Raises:
+        ValueError: If the heuristic is no function of joint configurations, or returns NaN or another shape than
+            ``(n,)``; or if the options are no :class:`BLOptions`.
+
+    References:
+        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V
+        of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
+        "Anytime multi-agent path finding via large neighborhood search", 2021.
+    """
+    if isinstance(heuristic, BLOptions):
+        raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
+    if heuristic is not None:
+        require_heuristic(heuristic)
+    if not isinstance(options, BLOptions):
+        raise ValueError(f"options must be BLOptions(...), got {options!r}.")
+    began = time.perf_counter()
+    with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as progress:
+        run = _Run(problem, heuristic, options, began, progress)
+        try:
+            status = run.until_done()
+        except KeyboardInterrupt:
+            status = Status.INTERRUPTED
+    budget, best = run.budget, run.incumbent
+    counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
+    memory = int(min(run.num_bytes, _MOST_BYTES))
+    stats = Stats(*counts, best.seconds, tuple(best.history), best.found_by, memory)
+    return solution_of(problem, best.path, run.lower_bound, status, stats, run.samples, best.motions_factor)
+
+
+class _Run:
+    """One call of the planner: searches on finer and finer lattices, and the best path so far."""
+
+    def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
+        self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
+        self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
+        self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
+        self.lower_bound = max(straight_line_bound(problem), options.lower_bound or 0.0)
+        self.enough = math.inf
+        self.incumbent = Incumbent(problem, began)
+        self.samples = problem.starts[None].copy()
+        self.num_bytes = 0.0
+
+    def until_done(self) -> Status:
+        """Search, then search better, until the path is good enough or a limit is reached."""
+        self.lower_bound = max(self.lower_bound, _proven_cost(self.heuristic, self.problem))
+        if self.options.cost_factor < math.inf:
+            self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
+        options, step, weight = self.options, self.options.step or self._first_step(), self.options.heuristic_weight
+        if weight is None:
+            weight = max(_WEIGHT, _WEIGHT_OF_ROBOT * len(self.problem.robots))
+        while True:
+            status, step = self._take_turns(step, weight, options)
+            if status is not Status.SOLVED or self.incumbent.cost <= self.enough:
+                return status
+            limit = self.budget.exceeded()
+            if limit:
+                return limit
+            following = _harder(step, weight, options)
+            if following is None:
+                return Status.EXHAUSTED
+            step, weight, options = following
+
+    def _take_turns(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
+        """Searches on finer and finer lattices, greedier and greedier, that take turns until one succeeds.
+
+        Which lattice has room for robots to pass one another is not known before; one that has none would keep a
+        single search busy for ever. Every round adds a lattice and lets the searches on each of the others go on.
+
+        Returns:
+            Why they ended, and the step of the one that did.
+        """
+        finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
+        running: list[Searches] = []
+        try:
+            while True:
+                limit = self.budget.exceeded()
+                if limit:
+                    return limit, step
+                fits = step >= finest and self._fits(step)
+                if not running and not fits:
+                    return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
+                if fits and (level := self._level(step, may_halve=options.step is None and not running)):
+                    step = level.step
+                    with self.incumbent.phase("heuristic"), suppress(TimeoutError):
+                        running.append(Searches(level, self.heuristic, weight, options, self.budget))
+                        weight *= _GREEDIER
+                for searches in reversed(running):
+                    status = self._search_on(searches)
+                    if status is Status.SOLVED:
+                        for other in running:
+                            if other is not searches:
+                                other.release()
+                        self._improve(searches)
+                    elif status is Status.EXHAUSTED:
+                        searches.release()
+                        running.remove(searches)
+                    if status not in (None, Status.EXHAUSTED):
+                        return status, searches.level.step
+                step /= _REFINEMENT
+        finally:
+            for searches in running:
+                searches.release()
+
+    def _level(self, step: float, may_halve: bool) -> LatticeLevel | None:
+        """The lattices of a step; None if a robot's own goal is out of its reach on them, or time is up.
+
+        Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried.
+        """
+        with self.incumbent.phase("lattice"), suppress(TimeoutError):
+            level = self._build(step)
+            while level is not None and may_halve and self._goes_around(level):
+                finer = self._build(level.step / 2)
+                if finer is None or finer.least_cost > (1 - _SHORTER) * level.least_cost:
+                    break
+                level = finer
+                self._fits(level.step)
+            return level
+        return None
+
+    def _build(self, step: float) -> LatticeLevel | None:
+        """The lattices of one step."""
+        return build_level(self.problem, self.test, step, self.options.primitives)
+
+    def _goes_around(self, level: LatticeLevel) -> bool:
+        """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""
+        problem, step = self.problem, level.step / 2
+        straight = straight_costs(problem.starts, problem.goals, problem.rotation_weights)
+        is_small = work(problem, step, len(self.options.primitives)) <= _MOST_FIRST
+        fits = self._needed(step) < self.options.max_memory
+        return is_small and fits and bool((level.least_costs > _AROUND * straight).any())
+
+    def _search_on(self, searches: Searches) -> Status | None:
+        """Let the searches on some lattices go on for a turn."""
+        step, cost = searches.level.step, self.incumbent.cost
+        self.progress.set_postfix(step=f"{step:.3g}", nodes=self.budget.num_nodes, cost=f"{cost:.4g}")
+        try:
+            with self.incumbent.phase("search"):
+                status = searches.run(self.progress)
+        except TimeoutError:
+            status = Status.TIME_LIMIT
+        finally:
+            self.samples = searches.level.joint.configurations(searches.state)
+        if status is Status.MEMORY_LIMIT:
+            self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
+        return status
+
+    def _improve(self, searches: Searches) -> None:
+        """Offer a path that was found, and cheaper ones made of it."""
+        found_by, state = searches.found
+        Improvement(searches.level, found_by, self.test, self.incumbent, self.budget, self.enough)(state)
+
+    def _fits(self, step: float) -> bool:
+        """Whether the lattices of a step fit into memory beside what is there. What they need is reported."""
+        self.num_bytes = max(self.num_bytes, self._needed(step))
+        return self._needed(step) < self.options.max_memory
+
+    def _needed(self, step: float) -> float:
+        return self.budget.memory + num_bytes(self.problem, step, len(self.options.primitives))
+
+    def _first_step(self) -> float:
+        """A step to begin with, of lattices that are built soon: the coarsest one tried if memory is short."""
+        step, coarsest = _step_of_robots(self.problem), _COARSEST * float(self.problem.workspace.bounds.width.max())
+        while step < coarsest and work(self.problem, step, len(self.options.primitives)) > _MOST_FIRST:
+            step *= _REFINEMENT
+        while step < coarsest and not self._fits(step):
+            step *= _REFINEMENT
+        return step
+
+
+def _harder(step: float, weight: float, options: BLOptions) -> tuple[float, float, BLOptions] | None:
+    """The search after one that found a path: a finer lattice, a smaller weight; None if there is nothing left."""
+    lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
+    if options.step is None:
+        return step / _REFINEMENT, lighter, options
+    if "lacam" in options.searchers:  # on the same lattice it would do the same again
+        return (step, weight, replace(options, searchers=("bl",))) if "bl" in options.searchers else None
+    return (step, lighter, options) if lighter < weight else None
+
+
+def _proven_cost(heuristic: HeuristicFn | None, problem: Problem) -> float:
+    """What a heuristic proves of the cost of any path: its value at the starts, if it is a lower bound, else 0."""
+    if not (isinstance(heuristic, BoundingFn) and heuristic.is_lower_bound):
+        return 0.0
+    cost = float(estimates(heuristic, problem.starts[None].copy())[0])
+    return (1 - _ROUNDING) * cost if np.isfinite(cost) else 0.0
+
+
+def _step_of_robots(problem: Problem) -> float:
+    """That of lattices about as fine as the smallest robot is large."""
+    extent = float(problem.workspace.bounds.width.max())
+    sizes = [min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots]
+    return float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))

@@ -1,0 +1,332 @@
+"""Search over joint configurations one step apart, under constraints that grow as they are needed (LaCAM)."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from tqdm import tqdm
+
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._solution import Status
+from plr_jax.planners.lattice.joint import JointLattice, Kind, State
+
+# What the robots of a team may do next from a joint configuration, and which of their motions collide.
+
+
+Bits: TypeAlias = int
+"""A set of primitives: bit ``p`` for primitive ``p``."""
+
+_WORD = 62  # bits of a NumPy integer that are safe to use
+_MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
+
+
+class Moves(NamedTuple):
+    """The motions of each robot from a joint configuration.
+
+    Args:
+        child: Where each primitive of each robot leads.
+        ranked: Each robot's primitives that hit no obstacle, best first.
+        neighbors: Of each robot the others that it can meet, and for each of its primitives those of the other that
+            collide with it.
+    """
+
+    child: list[list[int]]
+    ranked: list[list[int]]
+    neighbors: list[list[tuple[int, list[Bits]]]]
+
+
+class TeamMoves:
+    """The moves of a team on its lattices, all robots scored at once by their heuristic, near ones tested at once.
+
+    Args:
+        kinds: The robots.
+        heuristic: Estimated costs-to-go of each kind's robots, by node, ``inf`` where unknown.
+        tolerance: That of the workspace.
+        deadline: On the clock of ``time.perf_counter``; a call that passes it raises ``TimeoutError``.
+    """
+
+    def __init__(
+        self,
+        kinds: Sequence[Kind],
+        heuristic: Sequence[Float[np.ndarray, "_ _"]],
+        tolerance: float,
+        deadline: float = math.inf,
+    ):
+        self.kinds, self.heuristic, self.tolerance, self.deadline = kinds, heuristic, tolerance, deadline
+        self.num_robots = sum(len(kind.members) for kind in kinds)
+        self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
+        for k, kind in enumerate(kinds):
+            self.kind[kind.members], self.row[kind.members] = k, np.arange(len(kind.members))
+            self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.stride
+        self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
+
+    def __call__(self, state: Int[np.ndarray, "robots"]) -> Moves:
+        """The moves from a joint configuration."""
+        child: list[list[int]] = [[]] * self.num_robots
+        ranked: list[list[int]] = [[]] * self.num_robots
+        neighbors: list[list[tuple[int, list[Bits]]]] = [[] for _ in range(self.num_robots)]
+        places, ends, position = [], [], np.empty((self.num_robots, 2))
+        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
+            node = state[kind.members]
+            target, cost = kind.motions(node)
+            score = np.where(np.isfinite(cost), estimate[np.arange(len(node))[:, None], target], np.inf)
+            order = np.argsort(score, axis=1, kind="stable").tolist()
+            num_free = np.isfinite(cost).sum(axis=1).tolist()
+            for i, targets, best, count in zip(kind.members.tolist(), target.tolist(), order, num_free, strict=True):
+                child[i], ranked[i] = targets, best[:count]
+            places.append(kind.table.q[node])
+            ends.append(kind.table.q[target])
+            position[kind.members] = places[-1][:, :2]
+        for a, b, i, j in self._near(position):
+            motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
+            motions_b = places[b][self.row[j]][:, None, None], ends[b][self.row[j]][:, None]
+            robots = self.kinds[a].robot, self.kinds[b].robot
+            collide = ~motions_apart(robots[0], *motions_a, robots[1], *motions_b, self.tolerance, self.deadline)
+            meet = collide.any(axis=(1, 2))
+            bits = _bits(collide[meet]), _bits(collide[meet].swapaxes(1, 2))
+            for robot, other, ours, theirs in zip(i[meet].tolist(), j[meet].tolist(), *bits, strict=True):
+                neighbors[robot].append((other, ours))
+                neighbors[other].append((robot, theirs))
+        return Moves(child, ranked, neighbors)
+
+    def estimates(self, state: Int[np.ndarray, "robots"]) -> Float[np.ndarray, "robots"]:
+        """The heuristic of each robot."""
+        values = np.empty(self.num_robots)
+        for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
+            values[kind.members] = estimate[np.arange(len(kind.members)), state[kind.members]]
+        return values
+
+    def _near(
+        self, position: Float[np.ndarray, "robots 2"]
+    ) -> list[tuple[int, int, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
+        """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
+        x, y = position.T
+        dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
+        order = self.kind * self.num_robots + np.arange(self.num_robots)
+        first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
+        pairs = self.kind[first] * len(self.kinds) + self.kind[second]
+        found = []
+        for pair in np.unique(pairs).tolist():
+            a, b = divmod(pair, len(self.kinds))
+            size = max(1, _MOST // (self.kinds[a].table.child.shape[1] * self.kinds[b].table.child.shape[1]))
+            alike = np.flatnonzero(pairs == pair)
+            for begin in range(0, len(alike), size):
+                some = alike[begin : begin + size]
+                found.append((a, b, first[some], second[some]))
+        return found
+
+
+def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
+    """Rows of flags as sets."""
+    if flags.shape[2] <= _WORD:
+        return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
+    packed = np.packbits(flags, axis=2, bitorder="little")
+    return [[int.from_bytes(row, "little") for row in rows] for rows in packed]
+
+
+# One step of a whole team: priority inheritance with backtracking (PIBT).
+#
+# Robots choose in the order of their priorities. Each takes its best primitive that keeps clear of what others have
+# chosen. Robots that have not chosen may be asked to make way: they choose next, and where one finds nothing, the
+# primitive is given up. So whoever has not chosen can stay where it is, and without constraints there always is a
+# step.
+#
+# References:
+#     Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022. There,
+#     robots are points on a graph; here they have a shape, so that one may ask several others to make way.
+
+
+_MOST_CHOICES = 20  # tried a robot, before nobody is asked to make way any more
+
+
+class PIBT:
+    """A step of the team that is being found: what robots have chosen, and what they may still choose."""
+
+    def __init__(self, moves: Moves):
+        self.moves = moves
+        self.chosen = [-1] * len(moves.ranked)
+        self.allowed: list[Bits] = [-1] * len(moves.ranked)
+        self.num_left = _MOST_CHOICES * len(moves.ranked)
+        self._robots: list[int] = []  # in the order in which they chose
+        self._changes: list[tuple[int, Bits]] = []  # to what is allowed: whom it was, and what it was
+
+    def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
+        """The primitives of all robots; None if none were found under the constraints.
+
+        Args:
+            order: The robots, those of the highest priority first.
+            constraints: Robots, and the primitives that they must choose.
+        """
+        for robot, primitive in constraints:
+            if not self.allowed[robot] >> primitive & 1:
+                return None
+            self._choose(robot, primitive)
+        for robot, _ in constraints:
+            if not self._make_way(robot):
+                return None
+        for robot in order:
+            if self.chosen[robot] < 0 and not self._decide(robot):
+                return None
+        return self.chosen
+
+    def _decide(self, robot: int) -> bool:
+        """Choose the best primitive for which others make way; whether there is one."""
+        for primitive in self.moves.ranked[robot]:
+            if self.allowed[robot] >> primitive & 1:
+                self.num_left -= 1
+                num_chosen, num_changes = len(self._robots), len(self._changes)
+                self._choose(robot, primitive)
+                if self._make_way(robot):
+                    return True
+                self._undo(num_chosen, num_changes)
+        return False
+
+    def _choose(self, robot: int, primitive: int) -> None:
+        """Choose a primitive: others may no longer choose what collides with it."""
+        self.chosen[robot] = primitive
+        self._robots.append(robot)
+        for other, collide in self.moves.neighbors[robot]:
+            if self.chosen[other] < 0 and self.allowed[other] & collide[primitive]:
+                self._changes.append((other, self.allowed[other]))
+                self.allowed[other] &= ~collide[primitive]
+
+    def _make_way(self, robot: int) -> bool:
+        """Let those choose that cannot stay beside a robot; whether all of them can."""
+        for other, _ in self.moves.neighbors[robot]:
+            in_the_way = self.chosen[other] < 0 and not self.allowed[other] & 1
+            if in_the_way and (self.num_left < 0 or not self._decide(other)):
+                return False
+        return True
+
+    def _undo(self, num_chosen: int, num_changes: int) -> None:
+        """Take back choices, the last ones first, until so many are left."""
+        while len(self._changes) > num_changes:
+            robot, allowed = self._changes.pop()
+            self.allowed[robot] = allowed
+        while len(self._robots) > num_chosen:
+            self.chosen[self._robots.pop()] = -1
+
+
+_NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # what a node takes, and for each of its robots
+_CONSTRAINT_BYTES = 100
+_ROUNDING = 1e-9
+
+
+@dataclass(eq=False)
+class Node:
+    """A joint configuration of the search.
+
+    Args:
+        state: Where the robots are.
+        parent: Where they came from.
+        waiting: Of each robot, steps since it was last at its goal, and for those at it less than 1: its priority.
+        order: The robots by priority, the highest first.
+        constraints: What to ask of the next steps from here.
+    """
+
+    state: Int[np.ndarray, "robots"]
+    parent: "Node | None"
+    waiting: Float[np.ndarray, "robots"]
+    order: list[int] = field(init=False)
+    constraints: deque[tuple[tuple[int, int], ...]] = field(default_factory=lambda: deque([()]))
+
+    def __post_init__(self) -> None:
+        self.order = np.argsort(-self.waiting, kind="stable").tolist()
+
+
+class LaCAM:
+    """Okumura's search: the newest node is asked for one more step of the team, until all are at their goals.
+
+    A node's first step is free. Each step after that begins with more constraints: the robot next in the order of
+    priorities must choose another primitive. So every step is tried in the end, but hardly ever has to be. A step to
+    a node that is known puts that on top again.
+
+    References:
+        Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+    """
+
+    def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
+        self.joint, self.moves, self.budget, self.held = joint, moves, budget, HeldMemory(budget)
+        self.goal = np.array([lattice.goal for lattice in joint.lattices])
+        start = np.array([lattice.start for lattice in joint.lattices])
+        far = np.nan_to_num(moves.estimates(start), posinf=0.0)
+        self.at_rest = far / (1 + far.max())  # among robots at their goals, those go first that came from far
+        self.nodes: dict[bytes, Node] = {}
+        self.open: list[Node] = []
+        self.found: Node | None = None
+        self.nearest = float("inf")  # least sum of the estimates of a node
+        self.num_idle = 0  # steps that brought it no nearer
+        self._add(start, None)
+
+    def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
+        """Search on until the goals are reached, nothing is left, or a limit is reached, and say which.
+
+        None for a pause: after so many steps in a row that brought the team no nearer to its goals.
+        """
+        self.num_idle = 0
+        while self.found is None and self.open and self.num_idle < max_idle:
+            limit = self.budget.exceeded()
+            if limit:
+                return limit
+            node = self.open[-1]
+            if node.constraints:
+                self._take_step(node)
+                if progress is not None:
+                    progress.update()
+            else:
+                self.open.pop()
+        if self.found is not None:
+            return Status.SOLVED
+        return None if self.open else Status.EXHAUSTED
+
+    @property
+    def branch(self) -> State:
+        """States from the starts to the goals, once these are found."""
+        states, node = [], self.found
+        while node is not None:
+            states.append(node.state)
+            node = node.parent
+        return np.array(states[::-1])
+
+    @property
+    def state(self) -> State:
+        """All nodes, in the order of their making."""
+        return np.array([node.state for node in self.nodes.values()])
+
+    def _take_step(self, node: Node) -> None:
+        """One more step of the team, under the node's next constraints."""
+        constraints = node.constraints.popleft()
+        moves = self.moves(node.state)
+        self.num_idle += 1
+        self.budget.num_expansions += 1
+        self.budget.num_children_scored += sum(map(len, moves.child))
+        if len(constraints) < len(node.order):
+            robot = node.order[len(constraints)]
+            node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
+            self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+        primitives = PIBT(moves).find(node.order, constraints)
+        if primitives is not None:
+            self.budget.num_children_valid += 1
+            self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
+
+    def _add(self, state: Int[np.ndarray, "robots"], parent: Node | None) -> None:
+        """Put a state on top, as a new node if it is not known."""
+        key = state.astype(np.int32).tobytes()
+        node = self.nodes.get(key)
+        if node is None:
+            arrived: Bool[np.ndarray, robots] = state == self.goal
+            before = self.at_rest if parent is None else parent.waiting + 1
+            node = self.nodes[key] = Node(state, parent, np.where(arrived, self.at_rest, before))
+            self.budget.num_nodes += 1
+            self.held.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
+            if arrived.all():
+                self.found = node
+            estimate = float(self.moves.estimates(state).sum())
+            if estimate < (1 - _ROUNDING) * self.nearest:
+                self.nearest, self.num_idle = estimate, 0
+        self.open.append(node)

@@ -1,0 +1,328 @@
+"""Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions.
+
+A shortcut collides in many of the path's motions or in none, as a rule: a few motions far from one another are tested
+first, and the rest of those that are free in them. A robot that gained nothing is left alone until one that stood in
+its way has moved.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import dijkstra
+
+from plr_jax._arrays import run_members, runs
+from plr_jax._deadline import require_time
+from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax.collision.team import Circles, JointMotionTest, Traffic, circles, circles_along, within_reach
+from plr_jax.robots.robot import between
+
+# Shorten a path within corridors: the cheapest motions of one robot, or of two at a time, close about theirs.
+#
+# At each row, a robot may stand where it stands or a little off, on a small pattern of configurations. The cheapest
+# sequence that collides with nothing is found by dynamic programming over the rows; the other robots keep their
+# motions. Two robots that touch have to move together: neither gains by making way alone. Where the corridors stop
+# gaining, they are made narrower.
+
+
+Path = Float[np.ndarray, "steps robots dof"]
+Corridor = Float[np.ndarray, "steps size dof"]
+
+_STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
+_GAIN = 3e-3  # share of the cost below which the corridors are narrowed
+_NARROWINGS = 3
+_REACH = 4  # widths of a corridor within which two robots count as touching
+_MARGIN = 3  # rows before and after those in which they do
+_ROUNDING = 1e-9
+_FIVE = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
+
+
+def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
+    """The path with the cheapest motions of each robot, and of each two, in narrower and narrower corridors.
+
+    The pattern's configurations are ``width`` apart at first. The path has as many rows, solves the problem as well,
+    and is never costlier. It ends early at the deadline of the test.
+    """
+    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
+    narrowest, diagonal = width / 2**_NARROWINGS, False
+    while width > narrowest:
+        for robots, rows in _groups(problem, traffic.path, width):
+            if _is_straight(problem, traffic.path[rows], robots):
+                continue
+            try:
+                found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
+            except TimeoutError:
+                return traffic.path
+            for i, q in zip(robots, found, strict=True):
+                if (q != traffic.path[rows, i]).any():
+                    traffic.move(i, q, rows)
+        diagonal = not diagonal
+        before, cost = cost, path_cost(problem, traffic.path)
+        if before - cost <= _GAIN * before:
+            width /= 2
+    return traffic.path
+
+
+def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
+    """What is shortened together: every robot alone, and each two in the rows in which they touch.
+
+    The path may change between one and the next.
+    """
+    for i in range(len(problem.robots)):
+        yield (i,), slice(0, len(path))
+        touch, j = _touching(problem, path, i, width), -1
+        while touch[:, j + 1 :].any():
+            j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
+            rows, before = np.flatnonzero(touch[:, j]), path[:, i].copy()
+            yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
+            if (path[:, i] != before).any():
+                touch = _touching(problem, path, i, width)
+
+
+def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
+    """In which rows robot ``i`` touches each of those before it."""
+    size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
+    offset = path[:, :i, :2] - path[:, i, None, :2]
+    return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
+
+
+def _is_straight(problem: Problem, path: Path, robots: tuple[int, ...]) -> bool:
+    """Whether robots go about straight from the first row to the last: there is nothing to gain."""
+    weights = problem.rotation_weights[list(robots)]
+    own = path[:, list(robots)]
+    least = straight_costs(own[0], own[-1], weights).sum()
+    return bool(straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least)
+
+
+def _shortened(
+    problem: Problem,
+    traffic: Traffic,
+    rows: slice,
+    robots: tuple[int, ...],
+    test: JointMotionTest,
+    width: float,
+    diagonal: bool,
+) -> list[Float[np.ndarray, "rows dof"]]:
+    """The robots' cheapest motions within their corridors in some rows, both ends as they are.
+
+    Only motions are tested that may be part of something cheaper than what the robots do. ``TimeoutError`` past the
+    deadline of the test.
+    """
+    require_time(test.deadline, "all corridors were searched")
+    path = traffic.path[rows]
+    corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
+    around = [circles_along(own) for own in corridors]
+    motion = np.arange(rows.start, rows.start + len(path) - 1)
+    costs = [
+        straight_costs(own[:-1, :, None], own[1:, None], problem.rotation_weights[i])
+        for i, own in zip(robots, corridors, strict=True)
+    ]
+    through = [_least_through(cost) for cost in costs]
+    least = [float(cost[0].min()) for cost in through]
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
+    for i, own, reached, cost, total, alone in zip(robots, corridors, around, costs, through, least, strict=True):
+        hopeful = total < (1 - _ROUNDING) * (alone + spare)
+        _block(cost, hopeful, traffic, motion, robots, i, own, reached, test)
+    cost = costs[0]
+    if len(robots) == 2:
+        # From each two of their places to each two.
+        (i, j), (a, b) = robots, corridors
+        cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
+        shape, size = cost.shape, cost.shape[1] * cost.shape[2]
+        cost = cost.reshape(-1, size, size)
+        hopeful = _least_through(cost) < (1 - _ROUNDING) * cost[:, 0, 0].sum()
+        near = np.zeros(len(cost), dtype=bool)
+        near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
+        tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+        row, a_first, b_first, a_last, b_last = tested
+        apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
+        cost[~hopeful] = np.inf
+        cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
+        cost[:, 0, 0] = costs[0][:, 0, 0] + costs[1][:, 0, 0]
+    places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
+    return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
+
+
+def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
+    """Configurations about each row, the row itself first; at both ends nothing else."""
+    axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
+    offsets = np.zeros((len(_FIVE), q.shape[1]))
+    offsets[:, :2] = width * _FIVE @ axes
+    if problem.robots[i].dof == 3:
+        turns = np.zeros((2, 3))
+        turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
+        offsets = np.concatenate([offsets, turns])
+    corridor = q[:, None] + offsets
+    corridor[[0, -1]] = q[[0, -1], None]
+    return corridor
+
+
+def _block(
+    cost: Float[np.ndarray, "motions size size"],
+    hopeful: Bool[np.ndarray, "motions size size"],
+    traffic: Traffic,
+    motion: Int[np.ndarray, "motions"],
+    robots: tuple[int, ...],
+    i: int,
+    corridor: Corridor,
+    around: Circles,
+    test: JointMotionTest,
+) -> None:
+    """Set the cost of motions within a robot's corridor to ``inf`` that are not hopeful, hit a wall, or hit a robot.
+
+    Those that the robot makes keep theirs. ``robots`` are not tested against one another.
+    """
+    own = cost[:, 0, 0].copy()
+    cost[~hopeful] = np.inf
+    row, first, last = np.nonzero(hopeful)
+    tight = ~test.of_walls[i].has_room(*around)[row]
+    begin, end = corridor[row, first], corridor[row + 1, last]
+    free = np.ones(len(row), dtype=bool)
+    free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
+    near, other = traffic.near(i, around, motion, robots)
+    tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+    meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])
+    free[tested[meet]] = False
+    cost[row[~free], first[~free], last[~free]] = np.inf
+    cost[:, 0, 0] = own
+
+
+def _least_through(cost: Float[np.ndarray, "motions size size"]) -> Float[np.ndarray, "motions size size"]:
+    """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
+    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
+    so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
+    so_far[0, :, 0] = 0.0
+    for motion in range(len(cost) - 1):
+        np.minimum.reduce(so_far[motion][:, :, None] + both[motion], axis=1, out=so_far[motion + 1])
+    return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
+
+
+def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:
+    """Places of the cheapest sequence of motions, from place 0 to place 0."""
+    size, rows = cost.shape[1], np.arange(cost.shape[1])
+    so_far = np.full(size, np.inf)
+    so_far[0] = 0.0
+    previous = np.empty((len(cost), size), dtype=np.intp)
+    for motion, through in enumerate(cost):
+        total = so_far[:, None] + through
+        previous[motion] = total.argmin(axis=0)
+        so_far = total[previous[motion], rows]
+    places = np.zeros(len(cost) + 1, dtype=np.intp)
+    for motion in range(len(cost) - 1, -1, -1):
+        places[motion] = previous[motion, places[motion + 1]]
+    return places
+
+
+Rows = Int[np.ndarray, "m"]
+InWay = Bool[np.ndarray, "robots"]
+
+_LONGEST = 32  # steps that one shortcut spans at most
+_STRIDES = (16, 4, 1)  # between motions that are tested one batch after the other
+_LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
+_GAIN_SHORTCUTS = 1e-3  # share of the cost below which another round is not worth its time
+
+
+def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
+    """The path with each robot's motions replaced by shortcuts, in turn, until that gains little.
+
+    The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
+    of the test.
+    """
+    traffic, cost, spans = Traffic(test.robots, path), path_cost(problem, path), _spans(len(path))
+    hopeful = np.ones(len(test.robots), dtype=bool)
+    in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
+    while True:
+        for i in range(len(hopeful)):
+            if not hopeful[i]:
+                continue
+            try:
+                rows, in_way[i] = _shortened_shortcuts(problem, traffic, i, test, spans)
+            except TimeoutError:
+                return traffic.path
+            hopeful[i] = len(rows) < len(path)
+            if hopeful[i]:
+                traffic.move(i, _along(traffic.path[:, i], rows))
+                hopeful |= in_way[:, i]
+        before, cost = cost, path_cost(problem, traffic.path)
+        if before - cost <= _GAIN_SHORTCUTS * before:
+            return traffic.path
+
+
+def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
+    """The same path with a row in the middle of every motion."""
+    finer = np.repeat(path, 2, axis=0)[:-1]
+    finer[1::2] = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
+    return finer
+
+
+def _spans(steps: int) -> tuple[Rows, Rows]:
+    """First and last rows of the motions and of all that may be a shortcut."""
+    begin, place = runs(np.minimum(np.arange(steps)[::-1], _LONGEST))
+    return begin, begin + 1 + place
+
+
+def _shortened_shortcuts(
+    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows]
+) -> tuple[list[int], InWay]:
+    """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
+
+    ``TimeoutError`` past the deadline of the test.
+    """
+    q, weight, (begin, end) = traffic.path[:, i], problem.rotation_weights[i], spans
+    cost = straight_costs(q[begin], q[end], weight)
+    own = end == begin + 1
+    so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
+    useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
+    begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
+    shortcuts = np.flatnonzero(~own)
+    shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
+    apart, in_way = _apart(test, traffic, i, begin[shortcuts], end[shortcuts])
+    own[shortcuts[apart]] = True
+    return _shortest(begin[own], end[own], cost[own], len(q)), in_way
+
+
+def _apart(
+    test: JointMotionTest, traffic: Traffic, i: int, begin: Rows, end: Rows
+) -> tuple[Bool[np.ndarray, "m"], InWay]:
+    """Whether shortcuts of one robot keep clear of the others, and with whom those that do not are seen to collide.
+
+    Each is cut into the pieces that it makes in the motions of the path. ``TimeoutError`` past the deadline of the
+    test.
+    """
+    apart, in_way = np.ones(len(begin), dtype=bool), np.zeros(len(test.robots), dtype=bool)
+    count = end - begin
+    owner, step = runs(count)
+    motion = begin[owner] + step
+    later = np.ones(len(owner), dtype=bool)
+    for stride in _STRIDES:
+        require_time(test.deadline, "all shortcuts were tested")
+        now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
+        later[now] = False
+        edge, share = owner[now], count[owner[now], None, None]
+        q0, q1 = traffic.path[begin[edge], i][:, None], traffic.path[end[edge], i][:, None]
+        first, last = (between(q0, q1, (step[now] + ahead)[:, None, None] / share) for ahead in (0, 1))
+        piece, other = traffic.near(i, circles(first, last), motion[now])
+        meet = test.meet(i, first[piece, 0], last[piece, 0], traffic, motion[now[piece]], other)
+        apart[edge[piece[meet]]], in_way[other[meet]] = False, True
+    return apart, in_way
+
+
+def _shortest(begin: Rows, end: Rows, cost: Float[np.ndarray, "m"], steps: int) -> list[int]:
+    """Rows on the shortest way from the first to the last, all edges leading forward."""
+    graph = scipy.sparse.csr_array((cost, (begin, end)), shape=(steps, steps))  # an entry of 0 is an edge of no cost
+    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
+    rows = [steps - 1]
+    while rows[-1] > 0:
+        rows.append(int(previous[rows[-1]]))
+    return rows[::-1]
+
+
+def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarray, "steps dof"]:
+    """The motions between some rows at constant speed; the rows themselves stay as they are."""
+    result = q.copy()
+    for begin, end in pairwise(rows):
+        if end > begin + 1:
+            result[begin + 1 : end] = between(q[begin], q[end], np.arange(1, end - begin)[:, None] / (end - begin))
+    return result

@@ -1,1 +1,0 @@
-"""Several PLRs of one domain, coarser and finer: in one file, and one made of another."""

@@ -1,0 +1,388 @@
+"""A plane in every leaf, each fitted to its own samples: the paper's model."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from plr_jax._arrays import sum_of_columns
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
+from plr_jax.plr.certificate.bounds import proven_errors
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.file.bits import BitReader, BitWriter, floats_of_bits
+from plr_jax.plr.growth.best_first import Encoding, fit_sampled, grow_best_first, largest_error
+from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    Functions,
+    Parameters,
+    Rules,
+    largest_coordinates,
+    linear_mean_planes,
+    linear_values,
+    rounded_down,
+)
+from plr_jax.plr.partition.cells import Cells, levels_of
+from plr_jax.plr.query.frame import LARGEST, Corner, table_corners
+from plr_jax.plr.query.grid import MOST_ROWS
+from plr_jax.plr.sampling.cell_fit import CellFit, Sampler, with_unseen_planes
+
+# Planes as they are stored: 32-bit floats, or integers of one step and no more bits than they need.
+#
+# In the local coordinates of its cell (``[-1, 1]`` along every axis) a plane is its value at the center and its
+# half-differences, ``L(u) = center + half . u``. As integers, all are multiples of one ``step``. A half-difference
+# shrinks with its cell, so one at depth ``d`` along an axis needs ``d`` bits fewer: the file keeps a width for each
+# axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` anywhere in its cell.
+#
+# What a file keeps of the leaves, as bits:
+#
+#     bits of a center value, in 6 bits; 32 means 32-bit floats
+#     offset and step as 32-bit floats; nothing where the centers are floats
+#     for every axis, for every depth from 0 to the deepest of the leaves along it: the width of a half-difference in
+#     6
+#       bits
+#     center of every leaf; all bits set (floats: inf) mark a leaf without a reachable sample
+#     for every axis, the half-difference of every other leaf: a two's-complement number (or a float's bit pattern) of
+#       the width that belongs to the leaf's depth along the axis
+#
+# A plane is ``offset + step * center + step * half . u``.
+
+
+FLOAT_BITS = 32
+MIN_BITS, MAX_BITS = 4, 20
+_FLOAT_INF = 0x7F800000
+_BITS_BITS, _WIDTH_BITS = 6, 6
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPlanes:
+    """Planes exactly as in the file; a query's tables are derived from nothing else.
+
+    Center and half-differences are codes of so many bits, the latter with a sign; of floats the bit patterns, with
+    offset 0 and step 1. ``unreachable_code`` marks a leaf none of whose samples reaches the goal.
+    """
+
+    bits: int
+    offset: float
+    step: float
+    center: Int[np.ndarray, "leaves"]
+    half: Int[np.ndarray, "leaves dim"]
+
+    @property
+    def unreachable(self) -> Bool[np.ndarray, "leaves"]:
+        """Which leaves have no sample that reaches the goal."""
+        return self.center == unreachable_code(self.bits)
+
+    def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
+        """Bits of a half-difference, its sign included, by axis and depth; 0 where all are zero."""
+        widths = []
+        for axis, deepest in enumerate(depth.max(axis=0)):
+            largest = np.zeros(deepest + 1, np.int64)
+            np.maximum.at(largest, depth[:, axis], np.abs(self.half[:, axis]))
+            bits = np.frexp(largest)[1] + (largest > 0)
+            widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
+        return widths
+
+    def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """Center values (``inf`` for unreachable leaves) and half-differences, in the unit of distance."""
+        if self.bits == FLOAT_BITS:
+            return floats_of_bits(self.center), floats_of_bits(self.half)
+        center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
+        return center, self.step * self.half
+
+    def __getitem__(self, index) -> "StoredPlanes":
+        return StoredPlanes(self.bits, self.offset, self.step, self.center[index], self.half[index])
+
+
+def unreachable_code(bits: int) -> int:
+    """The center that marks an unreachable leaf: for floats the bit pattern of ``inf``."""
+    return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
+
+
+def encode_planes(
+    center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
+) -> StoredPlanes:
+    """Round planes to what a file holds; a center of ``inf`` marks an unreachable leaf."""
+    reachable = np.isfinite(center)
+    if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
+        raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
+    half = np.where(reachable[:, None], half, 0.0)
+    if bits == FLOAT_BITS:
+        return StoredPlanes(bits, 0.0, 1.0, _bits_of_float(center) & 0xFFFFFFFF, _bits_of_float(half))
+    offset, step = _offset_and_step(center[reachable], half, bits)
+    code = np.rint((np.where(reachable, center, offset) - offset) / step)
+    code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
+    return StoredPlanes(bits, offset, step, code.astype(np.int64), np.rint(half / step).astype(np.int64))
+
+
+def _offset_and_step(
+    center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
+) -> tuple[float, float]:
+    """Smallest center and the step that spans the largest, both exact in float32 so that a file holds them.
+
+    A step is not so small that a half-difference would need more than ``bits + 9`` bits.
+    """
+    offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
+    spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
+    step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
+    return float(offset), float(step)
+
+
+def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+    return values.astype(np.float32).view(np.int32).astype(np.int64)
+
+
+def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
+    """Append planes of leaves of the given depths."""
+    widths, stored = planes.widths(depth), ~planes.unreachable
+    body.write(np.array([planes.bits]), _BITS_BITS)
+    if planes.bits != FLOAT_BITS:
+        body.write_floats(np.array([planes.offset, planes.step]))
+    for axis_widths in widths:
+        body.write(axis_widths, _WIDTH_BITS)
+    body.write(planes.center, planes.bits)
+    for axis, axis_widths in enumerate(widths):
+        width = axis_widths[depth[stored, axis]]
+        body.write(planes.half[stored, axis] & ((1 << width) - 1), width)
+
+
+def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
+    """The next planes, of leaves of the given depths; raises ``ValueError`` saying what is wrong with them."""
+    bits, offset, step = int(body.read_alike(1, _BITS_BITS)[0]), 0.0, 1.0
+    if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
+        raise ValueError(f"it states {bits}-bit values")
+    if bits != FLOAT_BITS:
+        offset, step = body.read_floats(2).tolist()
+        if not (np.isfinite(offset) and 0 < step < np.inf):
+            raise ValueError(f"it states a step of {step} from {offset}")
+    widths = [body.read_alike(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
+    if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
+        raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
+    center = body.read_alike(len(depth), bits)
+    half = np.zeros(depth.shape, np.int64)
+    stored = center != unreachable_code(bits)
+    for axis, axis_widths in enumerate(widths):
+        width = axis_widths[depth[stored, axis]]
+        code = body.read(width)
+        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+    return StoredPlanes(bits, offset, step, center, half)
+
+
+def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
+    """How many bits ``write_planes`` appends."""
+    stored = ~planes.unreachable
+    bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
+    for axis, widths in enumerate(planes.widths(depth)):
+        bits += _WIDTH_BITS * len(widths) + widths[depth[stored, axis]].sum()
+    return int(bits)
+
+
+_BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from under a budget of bytes
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Planes, which may jump from leaf to leaf. Coefficients: value at a leaf's center, half-differences.
+
+    Args:
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers, of which
+            half-differences need fewer. None: 32 without ``max_bytes``; with it, those from 8 to 16 with which
+            the expected error, of the fit and of the rounding together, is least.
+
+    Raises:
+        ValueError: If the bits are none of these.
+    """
+
+    coefficient_bits: int | None = None
+
+    name = "plane"
+    num_samples = 192
+    least_bytes = 2
+    has_deep_trees = False
+    is_of_cells = False
+
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
+
+        In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
+        """
+        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, MOST_ROWS * self.least_bytes)
+
+    def __post_init__(self):
+        bits = self.coefficient_bits
+        if bits is not None and not isinstance(bits, int | np.integer):
+            raise ValueError(f"coefficient_bits must be an integer, got {bits!r}.")
+        if bits not in (None, FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1)):
+            raise ValueError(
+                f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {bits}."
+            )
+
+    def check_dim(self, dim: int) -> None:
+        """Planes are for any number of axes."""
+
+    def least_samples(self, dim: int) -> int:
+        """With so many samples a plane passes through them."""
+        return dim + 1
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
+        """Grow the partition best-first, each leaf's plane fitted once."""
+        by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
+
+        def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
+            fit = with_unseen_planes(fit, sampler)
+            priority = self._proven_errors(fit, sampler) if by_proof else np.asarray(rules.should_split(fit), float)
+            axis = np.asarray(rules.split(fit))
+            return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
+
+        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
+
+        def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
+            cells = nodes.cells[leaf]
+            return limits.file_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
+
+        encoding = Encoding(self._choices(limits), size, _rounding_error)
+        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
+        leaf = leaf[levels_of(nodes.cells[leaf])[1]]
+        return nodes.cells[leaf], _stored(nodes, leaf, bits)
+
+    def _proven_errors(self, fit: CellFit, sampler: Sampler) -> Float[np.ndarray, "cells"]:
+        """Of the planes of cells."""
+        assert sampler.memory is not None, "what has a proof answers for cells"
+        planes = np.column_stack([np.where(np.isfinite(fit.center), fit.center, 0.0), fit.half])
+        functions = *fit.cells.boxes(sampler.domain), planes
+        return proven_errors(sampler.memory.sources(fit.cells), self.below_cones, functions)
+
+    def _choices(self, limits: Limits) -> Sequence[int]:
+        if self.coefficient_bits is not None:
+            return [int(self.coefficient_bits)]
+        return _BUDGET_BITS if np.isfinite(limits.max_bytes) else [FLOAT_BITS]
+
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
+        """Append what the file keeps of the leaves."""
+        write_planes(body, cells.depth, stored)
+
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
+        """What :meth:`write` appended."""
+        return read_planes(body, cells.depth)
+
+    def unreachable(self, stored: StoredPlanes) -> Bool[np.ndarray, "leaves"]:
+        """Which leaves have no sample that reaches the goal."""
+        return stored.unreachable
+
+    def coefficients(self, cells: Cells, stored: StoredPlanes) -> Float[np.ndarray, "leaves terms"]:
+        """Center values, 0 for unreachable leaves, and half-differences."""
+        center, half = stored.decode()
+        return np.column_stack([np.where(stored.unreachable, 0.0, center), half])
+
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+        """What the coefficients multiply at local coordinates ``u``."""
+        return np.concatenate([np.ones((len(u), 1)), u], axis=1)
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return linear_values(self, lo, hi, coefficients, x)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
+
+    def of_planes(
+        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients of planes."""
+        return np.column_stack([center, half])
+
+    def parameters(self, cells: Cells, stored: StoredPlanes) -> Parameters:
+        """All coefficients are free."""
+        values = self.coefficients(cells, stored).ravel()
+        each = np.arange(len(values))
+        return Parameters(values, each, each, np.ones(len(values)))
+
+    def restored(self, stored: StoredPlanes, values: Float[np.ndarray, "parameters"]) -> Iterator[StoredPlanes]:
+        """Other planes, with as many bits as before, then with fewer."""
+        planes = values.reshape(len(stored.center), -1)
+        center = np.where(stored.unreachable, np.inf, planes[:, 0])
+        for bits in (stored.bits, *range(min(stored.bits - 1, MAX_BITS), MIN_BITS - 1, -1)):
+            yield encode_planes(center, planes[:, 1:], bits)
+
+    def raised(self, stored: StoredPlanes, shift: float) -> StoredPlanes:
+        """All planes higher by a number, or by a little less."""
+        if stored.bits == FLOAT_BITS:
+            center, half = stored.decode()
+            return encode_planes(rounded_down(center + shift), half, FLOAT_BITS)
+        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
+
+    def numbers(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Its plane's value at the corner, and its slopes."""
+        lo, hi = cells.boxes(domain)
+        slope = coefficients[:, 1:] * 2 / (hi - lo)
+        to_center = (lo + hi) / 2 - corner
+        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
+
+    def below_cones(
+        self,
+        lo: Float[np.ndarray, "n 2"],
+        hi: Float[np.ndarray, "n 2"],
+        coefficients: Float[np.ndarray, "n terms"],
+        pieces: Pieces,
+        apex: Float[np.ndarray, "n 2"],
+        offset: Float[np.ndarray, "n"],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Extremes of cones minus planes, over convex pieces."""
+        slope = coefficients[:, 1:] * 2 / (hi - lo)
+        intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
+        return cone_above_plane(pieces, apex, offset, slope, intercept)
+
+    def differences(
+        self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Differences at the centers of boxes, and what the slopes' differences make of half their widths."""
+        center, reach = (lo + hi) / 2, (hi - lo) / 2
+        slope, other = (2 * planes[:, 1:] / (end - start) for start, end, planes in (leaves, others))
+        apart = self.values(*leaves, center) - self.values(*others, center)
+        spread = (np.abs(slope - other) * reach).sum(axis=1)
+        return apart - spread, apart + spread
+
+    def rounding(
+        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> Float[np.ndarray, "leaves"]:
+        """Of the numbers, of the point, of its distance to the corner, of products and of sums."""
+        numbers = np.abs(self.numbers(domain, cells, coefficients, table_corners(domain)[0]))
+        terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
+        return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
+
+    def num_numbers(self, dim: int) -> int:
+        """The value at the corner, and slopes."""
+        return 1 + dim
+
+    def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        """The value at the corner, to which a product is added axis by axis."""
+        value, *slopes = numbers
+        for slope, along in zip(slopes, place, strict=True):
+            value = value + slope * along
+        return value
+
+
+def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+    """Of rounding center and half-differences to a multiple of the step."""
+    return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
+
+
+def _stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:
+    return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

@@ -1,1 +1,0 @@
-"""A plane in every leaf, the paper's model."""

@@ -1,1 +1,0 @@
-"""Distances of any two points by any metric: a partition of pairs, from samples."""

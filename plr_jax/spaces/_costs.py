@@ -1,0 +1,393 @@
+"""Costs of motions that differ from place to place, and how they are bounded over boxes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.spaces._space import MotionCost
+
+# Costs of motions that depend on the way they go: climbing, and currents.
+
+
+Vectors: TypeAlias = Float[np.ndarray, "n dof"]
+Rates: TypeAlias = Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Climbing:
+    """Cost of motions over a ground of some height: length, and so much more a unit of climbing; descending is free.
+
+    Args:
+        gradient_fn: Gradient of the height at configurations ``(n, dof)``, ``(n, dof)``.
+        rate: What a unit of height costs, at least 0.
+        lipschitz: The most by which the gradient changes a unit of distance, at least 0.
+        steepest: The largest norm of the gradient anywhere, at least 0.
+
+    Raises:
+        ValueError: If an argument is of another kind or out of its range.
+    """
+
+    gradient_fn: Callable[[np.ndarray], ArrayLike]
+    rate: float
+    lipschitz: float
+    steepest: float
+
+    def __post_init__(self):
+        if not callable(self.gradient_fn):
+            raise ValueError(f"gradient_fn must be a function of configurations, got {shortened(self.gradient_fn)}.")
+        for name in ("rate", "lipschitz", "steepest"):
+            vars(self)[name] = as_finite(name, getattr(self, name))
+
+    def _gradients(self, q: Vectors) -> Vectors:
+        return _vectors("gradient_fn", self.gradient_fn, q, self.steepest)
+
+    def __call__(self, q: ArrayLike) -> Rates:
+        """What a motion of length 1 straight uphill costs.
+
+        Args:
+            q: Configurations, ``(n, dof)``.
+
+        Returns:
+            The costs, ``(n,)``.
+
+        Raises:
+            ValueError: If the function returns another shape, or a gradient above ``steepest``.
+        """
+        return 1 + self.rate * np.linalg.norm(self._gradients(np.asarray(q, np.float64)), axis=1)
+
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
+        """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            The bounds, ``(n,)`` each.
+        """
+        _, uphill, _, most = self.pulls(lo, hi)
+        return np.ones(len(lo)), np.minimum(most + np.linalg.norm(uphill, axis=1), 1 + self.rate * self.steepest)
+
+    def pulls(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
+        """As :meth:`DirectionalCost.pulls`: nothing, and the gradient at the center.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
+        """
+        uphill = self.rate * self._gradients((lo + hi) / 2)
+        spread = self.rate * self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
+        return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
+
+
+@dataclass(frozen=True)
+class Current:
+    """Time of motions in a current: a vehicle of some speed in the water, or the air, is carried along (Zermelo).
+
+    Bounds of it do not meet even at a point: with a current half as fast as the vehicle, those of a motion along it
+    are 27 % of the upper one apart, and estimates up to 13 % off; with one a tenth as fast, half a percent. Above 0.7
+    of the vehicle's speed they say little.
+
+    Args:
+        velocity_fn: Velocity of the current at configurations ``(n, dof)``, ``(n, dof)``.
+        speed: Speed of the vehicle in still water, positive.
+        lipschitz: The most by which the velocity changes a unit of distance, at least 0.
+        fastest: The largest speed of the current, below that of the vehicle, which else could not go everywhere.
+
+    Raises:
+        ValueError: If an argument is of another kind or out of its range.
+
+    References:
+        Zermelo, 1931. Bao, Robles and Shen, "Zermelo navigation on Riemannian manifolds", 2004, for the metric.
+    """
+
+    velocity_fn: Callable[[np.ndarray], ArrayLike]
+    speed: float
+    lipschitz: float
+    fastest: float
+
+    def __post_init__(self):
+        if not callable(self.velocity_fn):
+            raise ValueError(f"velocity_fn must be a function of configurations, got {shortened(self.velocity_fn)}.")
+        vars(self)["speed"] = as_finite("speed", self.speed, positive=True)
+        for name in ("lipschitz", "fastest"):
+            vars(self)[name] = as_finite(name, getattr(self, name))
+        if self.fastest >= self.speed:
+            raise ValueError(f"fastest must be below speed, {self.speed:g}, got {self.fastest:g}.")
+
+    def _velocities(self, q: Vectors) -> Vectors:
+        return _vectors("velocity_fn", self.velocity_fn, q, self.fastest)
+
+    def __call__(self, q: ArrayLike) -> Rates:
+        """The time of a motion of length 1 straight against the current.
+
+        Args:
+            q: Configurations, ``(n, dof)``.
+
+        Returns:
+            The times, ``(n,)``.
+
+        Raises:
+            ValueError: If the function returns another shape, or a velocity above ``fastest``.
+        """
+        return 1 / (self.speed - np.linalg.norm(self._velocities(np.asarray(q, np.float64)), axis=1))
+
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
+        """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            The bounds, ``(n,)`` each.
+        """
+        center, spread, _ = self._within(lo, hi)
+        most = np.minimum(center + spread, self.fastest)
+        return 1 / (self.speed + most), 1 / (self.speed - most)
+
+    def pulls(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
+        """As :meth:`DirectionalCost.pulls`: twice what the current at the center adds.
+
+        A motion ``v`` in a current ``w`` takes ``(sqrt((w v)^2 + a v^2) - w v) / a``, where ``a`` is the square of
+        the speed less that of the current. The root is between ``sqrt(a)`` and the speed times ``|v|``.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            The current at the center over ``-a``, twice, and bounds of the rest within the box.
+        """
+        center, spread, velocity = self._within(lo, hi)
+        fastest, slowest = np.minimum(center + spread, self.fastest), np.maximum(center - spread, 0.0)
+        a, least, most = (self.speed**2 - of**2 for of in (center, fastest, slowest))
+        change = spread / least + center * np.maximum(1 / least - 1 / a, 1 / a - 1 / most)
+        pull = -velocity / a[:, None]
+        return pull, pull, 1 / np.sqrt(most) - change, self.speed / least + change
+
+    def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
+        """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
+        velocity = self._velocities((lo + hi) / 2)
+        return np.linalg.norm(velocity, axis=1), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1), velocity
+
+
+def _vectors(name: str, vector_fn: Callable[[np.ndarray], ArrayLike], q: Vectors, longest: float) -> Vectors:
+    """What a function of configurations returns: a vector each, none longer than was said."""
+    vectors = as_numbers(f"{name}'s answer", vector_fn(q), f"real numbers of shape {q.shape}")
+    if vectors.shape != q.shape:
+        raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
+    bad = np.flatnonzero(~(np.linalg.norm(vectors, axis=1) <= (1 + 1e-12) * longest))
+    if bad.size:
+        raise ValueError(
+            f"{name} must return vectors of at most {longest:g}, got {vectors[bad[0]].tolist()} at "
+            f"{q[bad[0]].tolist()}."
+        )
+    return vectors
+
+
+_LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
+_LEAST_MARGIN = 0.02  # of the upper bound, which must be left of the least where pulls are against it
+
+
+@runtime_checkable
+class CostMap(Protocol):
+    """A positive factor of the cost of a motion at each configuration, with bounds of it over boxes.
+
+    A motion through ``q`` costs ``cost_map(q)`` times what the space's ``motion_cost`` says: with the reciprocal of a
+    speed for a factor, costs are times.
+    """
+
+    def __call__(self, q: ArrayLike, /) -> Float[np.ndarray, "n"]:
+        """The factor at configurations ``(n, dof)``."""
+        ...
+
+    def bounds(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """A positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
+
+        Around periodic axes boxes may leave the domain.
+        """
+        ...
+
+
+@runtime_checkable
+class DirectionalCost(CostMap, Protocol):
+    """A cost of motions that depends on which way they go, as uphill or against a wind.
+
+    A motion ``dq`` through ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive whichever way it goes.
+    As a :class:`CostMap`, it answers and bounds what a motion of length 1 costs the dearest way; its lower bound is
+    that of the cheapest way. It is for spaces whose ``motion_cost`` is a length, one block of weight 1.
+    """
+
+    def pulls(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
+    ) -> tuple[
+        Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]
+    ]:
+        """Vectors ``a`` and ``b`` for each box, and numbers ``least`` and ``most``.
+
+        Any motion ``dq`` in the box costs between ``least`` and ``most`` times ``|dq|``, and ``max(a . dq, b . dq)``
+        more. Where ``least`` is at most a quarter of ``most``, as over boxes within which costs vary much, or hardly
+        more than all points between ``a`` and ``b`` are long, the bounds of the cost map are used instead.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LipschitzCost:
+    """A cost map of a function that changes by at most so much a unit of distance.
+
+    What is proven with it holds if that is true. The reciprocal of a speed of at least ``v`` that changes by at most
+    ``c`` a unit changes by at most ``c / v**2``.
+
+    Args:
+        cost_fn: The factor at configurations ``(n, dof)``, positive.
+        lipschitz: The most by which it changes along a unit of Euclidean distance in configurations, at least 0.
+        least: A positive number that the factor is nowhere below, for boxes so large that nothing else is known.
+
+    Raises:
+        ValueError: If an argument is of another kind or out of its range.
+    """
+
+    cost_fn: Callable[[np.ndarray], ArrayLike]
+    lipschitz: float
+    least: float
+
+    def __post_init__(self):
+        if not callable(self.cost_fn):
+            raise ValueError(f"cost_fn must be a function of configurations, got {shortened(self.cost_fn)}.")
+        vars(self).update(
+            lipschitz=as_finite("lipschitz", self.lipschitz), least=as_finite("least", self.least, positive=True)
+        )
+
+    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
+        """The factor at configurations.
+
+        Args:
+            q: Configurations, ``(n, dof)``.
+
+        Returns:
+            The factors, ``(n,)``.
+
+        Raises:
+            ValueError: If the function returns another shape, or a number that is not finite or below ``least``.
+        """
+        q = np.asarray(q, np.float64)
+        factor = as_values("cost_fn", self.cost_fn(q), len(q))
+        bad = np.flatnonzero(~((factor >= self.least) & (factor < np.inf)))
+        if bad.size:
+            raise ValueError(
+                f"cost_fn must return finite numbers of at least {self.least:g}, got {factor[bad[0]]} at "
+                f"{q[bad[0]].tolist()}."
+            )
+        return factor
+
+    def bounds(
+        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Bounds of the factor over boxes.
+
+        Args:
+            lo: Lower corners, ``(n, dof)``.
+            hi: Upper corners.
+
+        Returns:
+            What the factor at the center, and the constant, allow.
+        """
+        middle, reach = self((lo + hi) / 2), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
+        return np.maximum(middle - reach, self.least), middle + reach
+
+
+def cost_bounds(
+    motion: MotionCost, cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "2 n dof"] | None]:
+    """Bounds of what motions within boxes cost; ``ValueError`` if they are none.
+
+    Returns:
+        The least and the largest factor of what a motion ``dq`` costs elsewhere, and two vectors of which it costs
+        the larger product with ``dq`` besides, None unless the cost is a :class:`DirectionalCost`.
+    """
+    bounds = cost_map.bounds(lo, hi)
+    if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
+        raise ValueError(f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}.")
+    lower, upper = (as_values("Each of a cost map's bounds", bound, len(lo)) for bound in bounds)
+    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's bounds must be positive and finite, lower nowhere above upper, got {lower[bad[0]]} and "
+            f"{upper[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
+        )
+    if not isinstance(cost_map, DirectionalCost):
+        return lower, upper, None
+    if [weight for _, weight in motion.blocks] != [1]:
+        raise ValueError(f"A DirectionalCost needs a space whose cost is a length, got {motion}.")
+    first, second, least, most = _checked_pulls(cost_map.pulls(lo, hi), lo, hi)
+    use = (least > _LEAST_SHARE * most) & (least - _distance_to_segments(first, second) > _LEAST_MARGIN * most)
+    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
+    return np.where(use, least, lower), np.where(use, most, upper), pulls
+
+
+def _distance_to_segments(
+    first: Float[np.ndarray, "n dof"], second: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"]:
+    """How far the segments between vectors are from 0."""
+    change = second - first
+    square = np.sum(change * change, axis=1)
+    share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
+    return np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
+
+
+def _checked_pulls(
+    pulls: object, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
+) -> tuple[Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Pulls over boxes as arrays; ``ValueError`` if they are none."""
+    if not isinstance(pulls, Sequence) or len(pulls) != 4:
+        raise ValueError(
+            f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {shortened(pulls)}."
+        )
+    expected = f"finite vectors of shape {lo.shape}"
+    first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
+    least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
+    for vectors in (first, second):
+        if vectors.shape != lo.shape or not np.isfinite(vectors).all():
+            raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
+    bad = np.flatnonzero(~((least <= most) & np.isfinite(least) & np.isfinite(most)))
+    if bad.size:
+        raise ValueError(
+            f"Bounds of a DirectionalCost's pulls must be finite, the least nowhere above the most, got "
+            f"{least[bad[0]]} and {most[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
+        )
+    return first, second, least, most
+
+
+def motion_rates(
+    motion: MotionCost, cost_map: CostMap, q: Float[np.ndarray, "n dof"], change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"]:
+    """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
+    if isinstance(cost_map, DirectionalCost):
+        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
+        return (lower + upper) / 2 * motion.norm(change) + pulled(pulls, change)
+    factors = as_values("The cost map", cost_map(q), len(q))
+    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
+    if bad.size:
+        raise ValueError(
+            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
+        )
+    return factors * motion.norm(change)
+
+
+def pulled(
+    pulls: Float[np.ndarray, "2 n dof"] | None, change: Float[np.ndarray, "n dof"]
+) -> Float[np.ndarray, "n"] | float:
+    """What pulls add to the costs of motions; 0 if there are none."""
+    return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)
