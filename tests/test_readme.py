@@ -51,7 +51,7 @@ def folder(tmp_path_factory):
 
 
 def test_the_readme_is_short_and_has_code():
-    assert len(README.encode()) <= 9_500
+    assert len(README.encode()) <= 8_000
     assert len(PYTHON) == 5 and len(COMMANDS) == 6
 
 
