@@ -10,8 +10,8 @@ from plr_jax._arrays import as_bool, shortened
 from plr_jax._types import CellSources, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
-from plr_jax.plr._file import Contents, filled_coefficients
-from plr_jax.plr.certificate.bounds import prove_bounds
+from plr_jax.plr._file import Contents, body_of_leaves, filled_coefficients
+from plr_jax.plr.certificate.bounds import LeafBounds, prove_bounds
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 from plr_jax.plr.partition.cells import grown_domain, tree_of_levels
 
@@ -30,7 +30,8 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     Args:
         plr: The PLR, of any leaf model, in the plane.
         oracle: The distance function, one that answers for whole cells, as ``VisibilityGraph`` does.
-        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
+        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else of a few classes of leaves, in at most a
+            128th of what the leaves take, if that is 10 bytes at least; of smaller PLRs the largest error alone.
 
     Returns:
         The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
@@ -50,7 +51,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             "Nothing can be proven of a PLR whose points are folded, as by the symmetries of its distance function. "
             "Build it with certified=True."
         )
-    proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.LARGEST
+    proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     return with_certificate(plr, certificate_of(plr._contents, root, proof))
 
@@ -85,8 +86,16 @@ def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certi
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = _Functions(contents, coefficients, *cells.boxes(domain))
-    bounds = prove_bounds(functions, visible, each_leaf=proof is Proof.LEAVES)
-    return Certificate.of(bounds, leaf.rounding(domain, cells, coefficients), proof)
+    rounding = leaf.rounding(domain, cells, coefficients)
+    return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
+
+
+def certificate_of_bounds(
+    contents: Contents, bounds: LeafBounds, rounding: Float[np.ndarray, "leaves"], proof: Proof
+) -> Certificate:
+    """What a file keeps of bounds of leaves, and of what queries round."""
+    volume = np.ldexp(1.0, -contents.cells.depth.sum(axis=1))
+    return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()))
 
 
 def _of_leaves(root: CellSources, contents: Contents) -> CellSources:

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, require_integer, shortened
 from plr_jax.plr._assembly import plr_of_leaves, with_certificate
+from plr_jax.plr._certify import certificate_of_bounds
 from plr_jax.plr._construct import construct, proof_of
 from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR
@@ -116,7 +117,7 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
         plr: The PLR. Where it answers ``inf``, nothing is said; where it answers less than 0, as no distance is, the
             lower bound is 0 all the same.
         max_bytes: Largest size of the coarser PLR's file.
-        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else the largest error alone, 4 bytes.
+        leaf_bounds: Whether to keep bounds of every leaf, 2 bytes each; else of classes, as :func:`certify` does.
         seed: Seed of the samples' scrambling.
 
     Returns:
@@ -140,7 +141,7 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
     framed = plr_of_leaves(replace(fine, certificate=None)).with_label(plr.label)
     around = framed.num_bytes - unfolded.num_bytes  # by a folding and a label
     build = partial(construct, lambda x: np.asarray(unfolded(x)), unfolded.domain, leaf=plr.leaf.name, seed=seed)
-    of_proof = -(-proof.num_bits(1) // 8)
+    of_proof = -(-proof.num_bits(1, 0) // 8)
     room = int(max_bytes) - around - of_proof
     for _ in range(_MOST_TRIES):
         try:
@@ -150,7 +151,7 @@ def coarsen(plr: PLR, max_bytes: int, *, leaf_bounds: bool = False, seed: int = 
             what = "one leaf with its proof, and with folding and label where there are some,"
             raise BudgetTooSmall(float(max_bytes), least, what) from error
         taken = len(plr_of_leaves(found).to_bytes())
-        size = taken + around + -(-proof.num_bits(len(found.cells)) // 8)
+        size = taken + around + -(-proof.num_bits(len(found.cells), taken) // 8)
         if size <= max_bytes:
             break
         room = min(taken - 1, room * int(max_bytes) // size)  # at least a leaf less
@@ -182,7 +183,7 @@ def _certificate(coarse: Contents, fine: Contents, proof: Proof) -> Certificate:
         least, most = fine.leaf.differences(*box, fine_there, coarse_there)
         np.minimum.at(lower, i, least + below[j])
         np.maximum.at(upper, i, most + above[j])
-    return Certificate.of(LeafBounds(lower, upper), coarse_rounding, proof)
+    return certificate_of_bounds(coarse, LeafBounds(lower, upper), coarse_rounding, proof)
 
 
 def _functions(contents: Contents) -> tuple[Any, Float[np.ndarray, "leaves"]]:

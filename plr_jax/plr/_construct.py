@@ -126,12 +126,14 @@ def construct(
             most this are not split, in units of distance. With ``max_bytes``, of any size, the file is smaller. Of
             cones that need no samples, and of planes with ``certified``, it is the proven error of the leaf.
         certified: Whether to prove a bound of the largest error, over all points from which the goal can be reached:
-            ``plr.max_error``, 4 bytes of the file. The plane of the largest proven error is then split first, unless
+            ``plr.max_error``, 4 bytes of the file. PLRs of more than 1,300 bytes keep bounds of classes of leaves as
+            well, in less than a 100th of these: most leaves are far better than the worst one, and so ``plr.bounds``
+            is far narrower. The plane of the largest proven error is then split first, unless
             ``should_split`` says otherwise, and the best partition of cones weighs large errors more, so that nothing
             is missed, however small. Tied leaves grow by their samples and are proven afterwards: where samples
             missed something, their bound is large. For distance functions that answer for whole cells; see
             :func:`certify`.
-        leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, which makes ``plr.bounds`` narrow.
+        leaf_bounds: Whether the proof has bounds of every leaf, 2 bytes each, instead of those of its class.
         compute_coefficients: Plane of a cell: ``least_squares``, ``midrange`` for a small largest error, or your own
             function of their kind. Models that tie their leaves fit all of them at once, whatever it says.
         should_split: Priority of a cell: ``largest_error``, ``center_error``, ``maximum_depth`` or your own function
@@ -240,4 +242,4 @@ def proof_of(certified: bool, leaf_bounds: bool) -> Proof:
     certified, leaf_bounds = as_bool("certified", certified), as_bool("leaf_bounds", leaf_bounds)
     if leaf_bounds and not certified:
         raise ValueError("leaf_bounds=True needs certified=True: bounds of leaves are a part of the proof.")
-    return Proof.LEAVES if leaf_bounds else Proof.LARGEST if certified else Proof.NONE
+    return Proof.LEAVES if leaf_bounds else Proof.CLASSES if certified else Proof.NONE

@@ -73,7 +73,7 @@ def construct_many(
         max_bytes: Largest size of the file.
         tolerance: Cells of errors up to this are not split.
         certified: Whether to prove a bound of the largest error of each.
-        leaf_bounds: Whether the proofs have bounds of every leaf.
+        leaf_bounds: Whether the proofs have bounds of every leaf, instead of classes of leaves.
         seed: Seed of the samples' scrambling. The same seed gives the same files, whatever the executor.
         executor: What runs the parts, of 64 members of a family or one PLR each: threads, processes, a cluster's,
             such as Dask's ``Client.get_executor()``. Of processes, the distance functions must be picklable. What a

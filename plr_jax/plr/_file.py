@@ -41,16 +41,21 @@ class Contents:
 
 def encode(contents: Contents) -> bytes:
     """The bytes of the file that holds these leaves."""
-    body = BitWriter()
-    write_tree(body, contents.levels, contents.domain.dim)
-    contents.leaf.write(body, contents.domain, contents.cells, contents.stored)
-    proof = Proof.NONE
+    body, proof = body_of_leaves(contents), Proof.NONE
     if contents.certificate is not None:
         contents.certificate.write(body)
         proof = contents.certificate.proof
     domain = contents.domain if contents.folding is None else contents.folding.domain
     layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
     return Container(domain, (layer,), contents.folding).to_bytes()
+
+
+def body_of_leaves(contents: Contents) -> BitWriter:
+    """The bits of the tree and of its leaves, to which those of a proof may be added."""
+    body = BitWriter()
+    write_tree(body, contents.levels, contents.domain.dim)
+    contents.leaf.write(body, contents.domain, contents.cells, contents.stored)
+    return body
 
 
 def decode(data: bytes) -> Contents:

@@ -14,6 +14,8 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
+from plr_jax.plr._assembly import with_certificate
+from plr_jax.plr.certificate.certificate import Certificate, Proof
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
 NUM_POINTS = 100_000
@@ -139,6 +141,30 @@ def test_a_proof_takes_four_bytes_and_two_a_leaf(certified, maze):
     assert whole.num_leaves == plain.num_leaves
     x = np.random.default_rng(0).random((500, 2))
     np.testing.assert_array_equal(plain(x), whole(x))
+
+
+def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
+    plr = construct(maze, UNIT, leaf="cone", max_bytes=2048, certified=True)
+    check_bounds(plr, maze, 20_000)
+    assert 1900 < plr.num_bytes <= 2048
+    assert certify(plr, maze).to_bytes() == plr.to_bytes()
+    loaded = from_bytes(plr.to_bytes())
+    assert loaded.max_error == plr.max_error
+    np.testing.assert_array_equal(loaded.band, plr.band)
+    one = with_certificate(plr, Certificate(plr.max_error, None, Proof.CLASSES))
+    each = certify(plr, maze, leaf_bounds=True)
+    assert 0 < plr.num_bytes - one.num_bytes <= one.num_bytes / 128
+    x = maze.workspace.sample_free(5000, 0)
+    narrow, wide, narrowest = (np.ptp(np.asarray(of.bounds(x), float), axis=0).mean() for of in (plr, one, each))
+    assert narrowest < narrow < 0.6 * wide
+
+
+def test_files_of_one_bound_for_all_leaves_are_read_as_they_were_written(maze):
+    """As those of releases that knew no classes."""
+    plr = construct(maze, UNIT, leaf="cone", max_bytes=2048, certified=True)
+    one = from_bytes(with_certificate(plr, Certificate(0.25, None, Proof.CLASSES)).to_bytes())
+    assert one.max_error == 0.25
+    np.testing.assert_array_equal(one.band, [[-0.25], [0.25]])
 
 
 @pytest.mark.parametrize("leaf", LEAVES)

@@ -92,9 +92,8 @@ def proven_errors(
 
 # Of halving, and of pieces to halve; then bounds are taken as they are, valid and not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-_RATIO = 1.005  # of a bound of the largest error and an error that is met
-_RATIO_OF_LEAVES = 1.04  # the same where each leaf has bounds of its own
-_OF_LARGEST = 1e-3  # of the largest error, by which bounds of a leaf may be beyond what is met, however small that is
+_OF_RANGE = 0.04  # of the range of errors that are met in a leaf, by which its bounds may be beyond them
+_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3  # of the largest error, at least and at most so
 
 
 @runtime_checkable
@@ -129,8 +128,8 @@ class LeafBounds:
         return float(max(self.upper.max(initial=0.0), -self.lower.min(initial=0.0)))
 
 
-def prove_bounds(functions: LeafFunctions, visible: CellSources, each_leaf: bool) -> LeafBounds:
-    """Bounds for leaves, whose sources are given as cells: that of the largest error tight, or those of each leaf.
+def prove_bounds(functions: LeafFunctions, visible: CellSources) -> LeafBounds:
+    """Bounds for leaves, whose sources are given as cells.
 
     In double precision; what it rounds is far below the ``slack`` of the sources, which is in the bounds.
     """
@@ -145,7 +144,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, each_leaf: bool
         below, above = bounds_of_pieces(
             visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
         )
-        low_enough, high_enough = _good_bounds(least, most, visible.slack, each_leaf)
+        low_enough, high_enough = _good_bounds(least, most, visible.slack)
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
         open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
         np.minimum.at(lower, leaf[~open_], below[~open_])
@@ -158,14 +157,11 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, each_leaf: bool
 
 
 def _good_bounds(
-    least: Float[np.ndarray, "leaves"], most: Float[np.ndarray, "leaves"], slack: float, each_leaf: bool
+    least: Float[np.ndarray, "leaves"], most: Float[np.ndarray, "leaves"], slack: float
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
     """Bounds that need not be better, given errors that are met."""
     largest = max(most.max(initial=0.0), -least.min(initial=0.0))
-    if not each_leaf:
-        enough = np.full(len(most), _RATIO * largest + slack)
-        return -enough, enough
-    spare = (_RATIO_OF_LEAVES - 1) * (most - least) + _OF_LARGEST * largest + slack
+    spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest) + slack
     return least - spare, most + spare
 
 

@@ -1,8 +1,8 @@
-"""A proof as a file keeps it: the largest error, and bounds of every leaf in 8 bits each.
+"""A proof as a file keeps it: the largest error, and bounds of leaves.
 
 As bits, after the leaves:
 
-    largest error, a 32-bit float
+    largest error, a 32-bit float, negative where classes of leaves have bounds, which then follow (``classes.py``)
     where each leaf has bounds: codes of all lower ones, then of all upper ones, 8 bits each
 
 A bound is ``scale * 2**((code - 255) / 12)``, below or above what the leaf holds: a code more is 6 % more, and
@@ -13,29 +13,36 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Integer, UInt8
 
 from plr_jax.plr.certificate.bounds import LeafBounds
+from plr_jax.plr.certificate.classes import in_classes, read_classes, write_classes
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.query.frame import LARGEST
 
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
 _MAX_ERROR_BITS = 32
+_BYTES_A_BIT, _LEAST_BITS = 16, 80  # of leaves, for each bit of classes: a 128th; with fewer bits there are none
 
 
 class Proof(IntEnum):
     """What a file keeps of a proof; the numbers are those in files."""
 
     NONE = 0
-    LARGEST = 1
+    CLASSES = 1
+    """Of classes of leaves; of all of them, the largest error alone, where there is no room for more."""
     LEAVES = 2
     OPEN_LEAVES = 3
     """Of leaves, some of which have no upper bound."""
 
-    def num_bits(self, num_leaves: int) -> int:
-        """Bits that it takes."""
+    def num_bits(self, num_leaves: int, num_bytes: int) -> int:
+        """Most bits that it takes, of leaves that take so many bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
-        return (0, _MAX_ERROR_BITS, of_leaves, of_leaves)[self]
+        return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
+
+
+def _room_for_classes(num_bytes: int) -> int:
+    return bits if (bits := num_bytes // _BYTES_A_BIT) >= _LEAST_BITS else 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,73 +51,79 @@ class Certificate:
 
     Attributes:
         scale: Of the codes: the largest bound there is; exact in 32 bits.
-        lower: Codes of how far below each leaf's function the distance may be; None if they are not kept.
-        upper: The same above.
-        is_open: Whether the largest code of an upper bound says that there is none.
+        codes: How far below each leaf's function the distance may be, and above; None if only the scale is kept.
+        proof: What of it is kept. Of open leaves the largest code of an upper bound says that there is none.
     """
 
     scale: float
-    lower: UInt8[np.ndarray, "leaves"] | None
-    upper: UInt8[np.ndarray, "leaves"] | None
-    is_open: bool = False
+    codes: UInt8[np.ndarray, "2 leaves"] | None
+    proof: Proof
 
     @staticmethod
-    def of(bounds: LeafBounds, rounding: Float[np.ndarray, "leaves"], proof: Proof) -> "Certificate":
-        """The certificate of bounds, and of what queries round; upper ones may be ``inf`` for open leaves."""
+    def of(
+        bounds: LeafBounds,
+        rounding: Float[np.ndarray, "leaves"],
+        proof: Proof,
+        volume: Float[np.ndarray, "leaves"] | float = 1.0,
+        num_bytes: int = 0,
+    ) -> "Certificate":
+        """The certificate of bounds, and of what queries round; upper ones may be ``inf`` for open leaves.
+
+        Classes are chosen for a small mean width over leaves of such volumes, which take so many bytes.
+        """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
             largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # so that no bound has the largest code
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
-        if proof is Proof.LARGEST:
-            return Certificate(scale, None, None)
-        codes = _codes(np.where(is_open, scale, upper), scale)
-        return Certificate(scale, _codes(lower, scale), codes, proof is Proof.OPEN_LEAVES)
+        codes = np.stack([_codes(lower, scale), _codes(np.where(is_open, scale, upper), scale)])
+        if proof is Proof.CLASSES:
+            room, factor = _room_for_classes(num_bytes), _of_codes(np.arange(_MOST + 1), 1.0)
+            codes = in_classes(codes, factor, np.broadcast_to(volume, lower.shape), room)
+            if (codes == codes[:, :1]).all():
+                codes = None
+        return Certificate(scale, codes, proof)
 
     @property
     def max_error(self) -> float:
         """Of the largest error anywhere; ``inf`` if a leaf has no upper bound."""
-        return float("inf") if self.is_open and self.upper is not None and _MOST in self.upper else self.scale
-
-    @property
-    def proof(self) -> Proof:
-        """What of it is kept."""
-        if self.lower is None:
-            return Proof.LARGEST
-        return Proof.OPEN_LEAVES if self.is_open else Proof.LEAVES
+        return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
         """What is to be added to answers for lower and upper bounds, exact in 32 bits: of each leaf, or of all."""
-        if self.lower is None or self.upper is None:
+        if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
-        lower, upper = _of_codes(self.lower, self.scale), _of_codes(self.upper, self.scale)
-        if self.is_open:
-            upper[self.upper == _MOST] = np.inf
+        lower, upper = _of_codes(self.codes, self.scale)
+        if self.proof is Proof.OPEN_LEAVES:
+            upper[self.codes[1] == _MOST] = np.inf
         return np.stack([-lower, upper])
 
     def write(self, body: BitWriter) -> None:
         """Append it to a file."""
-        body.write_floats(np.array([self.scale]))
-        for codes in (self.lower, self.upper):
-            if codes is not None:
-                body.write(codes.astype(np.int64), _CODE_BITS)
+        has_classes = self.proof is Proof.CLASSES and self.codes is not None
+        body.write_floats(np.array([-self.scale if has_classes else self.scale]))
+        if has_classes:
+            write_classes(body, self.codes)
+        elif self.codes is not None:
+            body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int) -> Certificate | None:
     """What :meth:`Certificate.write` appended; raises ``ValueError`` saying what is wrong with it."""
     if proof is Proof.NONE:
         return None
-    scale = float(body.read_floats(1)[0])
-    if not 0 < scale < LARGEST:
+    scale, codes = float(body.read_floats(1)[0]), None
+    if not 0 < (abs(scale) if proof is Proof.CLASSES else scale) < LARGEST:
         raise ValueError(f"it states a largest error of {scale}")
-    if proof is Proof.LARGEST:
-        return Certificate(scale, None, None)
-    lower, upper = (body.read_alike(num_leaves, _CODE_BITS).astype(np.uint8) for _ in range(2))
-    return Certificate(scale, lower, upper, proof is Proof.OPEN_LEAVES)
+    if scale < 0:
+        codes = read_classes(body, num_leaves)
+    elif proof is not Proof.CLASSES:
+        codes = body.read_alike(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
+    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof)
 
 
-def _of_codes(code: UInt8[np.ndarray, "leaves"], scale: float) -> Float[np.ndarray, "leaves"]:
+def _of_codes(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
     """Bounds of codes, as 32-bit floats that are not below them."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)

@@ -62,7 +62,8 @@ class Limits:
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
         """Bytes of a file of so many leaves, of which the model keeps so many bits."""
-        return self.frame_bytes + body_size(dim, num_leaves, num_bits + self.proof.num_bits(num_leaves))
+        of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
+        return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
     def require_room(self, num_bytes: int) -> None:
         """Raise ``BudgetTooSmall`` if a file of one leaf, of so many bytes, is larger than ``max_bytes``."""

@@ -94,12 +94,11 @@ def test_proven_errors_are_above_all_that_are_met(kind):
     assert (found[np.unique(visible.cell)] > 0).all()
 
 
-@pytest.mark.parametrize("each_leaf", [False, True])
 @pytest.mark.parametrize("kind", WORKSPACES)
-def test_halving_brings_bounds_close_to_what_is_met(kind, each_leaf):
+def test_halving_brings_bounds_close_to_what_is_met(kind):
     oracle, visible, rng = cells_of(kind)
     planes = random_planes(rng, visible.num_cells)
-    bounds = prove_bounds(planes, visible, each_leaf)
+    bounds = prove_bounds(planes, visible)
     low, high = sampled(oracle, visible, planes, rng, 2000)
     lower, upper = np.zeros(visible.num_cells), np.zeros(visible.num_cells)
     np.minimum.at(lower, visible.cell, low)
@@ -107,14 +106,13 @@ def test_halving_brings_bounds_close_to_what_is_met(kind, each_leaf):
     assert (bounds.lower <= lower).all() and (bounds.upper >= upper).all()
     largest = max(upper.max(), -lower.min())
     assert largest <= bounds.largest <= 1.03 * largest  # the samples do not meet the very largest
-    if each_leaf:
-        spare = 0.1 * (upper - lower) + 0.01 * largest
-        assert (bounds.lower >= lower - spare).all() and (bounds.upper <= upper + spare).all()
+    spare = 0.1 * (upper - lower) + 0.01 * largest
+    assert (bounds.lower >= lower - spare).all() and (bounds.upper <= upper + spare).all()
 
 
 def test_nothing_to_prove_is_proven():
     oracle, _, rng = cells_of(WORKSPACES[0])
     nothing = oracle.cell_sources(Box((20, 20), (30, 30)))
-    bounds = prove_bounds(random_planes(rng, 1), nothing, each_leaf=True)
+    bounds = prove_bounds(random_planes(rng, 1), nothing)
     assert bounds.lower.tolist() == [-nothing.slack] and bounds.upper.tolist() == [nothing.slack]
     assert oracle.workspace.tolerance <= nothing.slack

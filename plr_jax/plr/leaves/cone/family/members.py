@@ -266,7 +266,7 @@ def stored_cones_of(tree: MemberTree, view: Int[np.ndarray, "leaves"], sources: 
 def expected_leaves(limits: Limits) -> float:
     """About as many leaves as the limits allow."""
     room = limits.max_bytes - limits.file_size(2, 1, _BITS_OF_SOURCES)
-    of_proof = limits.proof.num_bits(2) - limits.proof.num_bits(1)
+    of_proof = limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
     return float(max(1.0, min(limits.max_leaves, room * 8 / (_BITS_A_LEAF + of_proof))))
 
 

@@ -1,0 +1,94 @@
+"""Classes of leaves, against all partitions of few leaves, and as a file keeps them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from plr_jax.plr.certificate.bounds import LeafBounds
+from plr_jax.plr.certificate.certificate import Certificate, Proof, read_certificate
+from plr_jax.plr.certificate.classes import in_classes, read_classes, write_classes
+from plr_jax.plr.file.bits import BitReader, BitWriter
+
+FACTOR = 2.0 ** ((np.arange(256) - 255) / 12)
+
+
+def random_codes(rng, n):
+    """Most are small, some large."""
+    return np.clip(rng.geometric(0.03, (2, n)) + 150 * (rng.random((2, n)) < 0.02), 0, 255)
+
+
+def bits_of(codes):
+    body = BitWriter()
+    write_classes(body, codes)
+    return body.num_bits
+
+
+@given(st.integers(0, 10_000), st.integers(1, 300), st.integers(1, 16))
+def test_classes_are_read_as_they_were_written(seed, num_leaves, count):
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(256, size=(2, count))[:, rng.integers(count, size=num_leaves) ** 2 // count]
+    body = BitWriter()
+    write_classes(body, codes)
+    np.testing.assert_array_equal(read_classes(BitReader(body.to_bytes()), num_leaves), codes)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 400), st.integers(0, 3000))
+def test_no_leaf_is_in_a_class_of_lower_codes_and_all_keep_their_room(seed, num_leaves, room):
+    rng = np.random.default_rng(seed)
+    codes = random_codes(rng, num_leaves)
+    found = in_classes(codes, FACTOR, rng.random(num_leaves), room)
+    assert (found >= codes).all()
+    np.testing.assert_array_equal(found.max(axis=1), codes.max(axis=1))
+    assert bits_of(found) <= room or (found == found[:, :1]).all()
+    assert np.unique(found, axis=1).shape[1] <= 16
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_two_classes_are_the_best_two(seed):
+    """With room for two of few leaves, no other cut of the range of codes has a smaller mean width."""
+    rng = np.random.default_rng(seed)
+    codes, volume = np.where(rng.random(200) < 0.03, 255, rng.integers(20, 40, (2, 200))), rng.random(200)
+    found = in_classes(codes, FACTOR, volume, 130)
+    assert np.unique(found, axis=1).shape[1] == 2
+
+    def width(codes):
+        return volume @ FACTOR[codes].sum(axis=0)
+
+    key = codes.max(axis=0)
+    for _, cut in pairwise(np.unique(key)):
+        upper = key >= cut
+        classes = np.where(upper, codes[:, upper].max(axis=1)[:, None], codes[:, ~upper].max(axis=1)[:, None])
+        assert bits_of(classes) > 130 or width(found) <= width(classes)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bounds_of_classes_hold_and_are_far_narrower_where_few_leaves_are_bad(seed):
+    rng = np.random.default_rng(seed)
+    lower, upper = -(10.0 ** (-8 + 3 * rng.random(5000))), 10.0 ** (-8 + 3 * rng.random(5000))
+    lower[rng.integers(5000, size=20)] = -1.0
+    rounding, num_bytes = np.full(5000, 1e-9), 8000
+    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.CLASSES, rng.random(5000), num_bytes)
+    below, above = certificate.bounds()
+    assert (below <= lower - rounding).all() and (above >= upper + rounding).all()
+    assert (above - below).mean() < 0.01 * 2 * certificate.max_error
+    body = BitWriter()
+    certificate.write(body)
+    assert 32 < body.num_bits <= Proof.CLASSES.num_bits(5000, num_bytes) < 0.01 * Proof.LEAVES.num_bits(5000, 0)
+    found = read_certificate(BitReader(body.to_bytes()), Proof.CLASSES, 5000)
+    assert found is not None and found.proof is Proof.CLASSES and found.max_error == certificate.max_error
+    np.testing.assert_array_equal(found.bounds(), certificate.bounds())
+
+
+def test_leaves_that_do_not_exist_and_data_that_end_are_refused():
+    codes = np.array([[0, 9, 9, 9], [3, 5, 5, 5]])
+    body = BitWriter()
+    write_classes(body, codes)
+    with pytest.raises(ValueError, match="names"):
+        read_classes(BitReader(body.to_bytes()), 0)
+    with pytest.raises(ValueError, match="end too early"):
+        read_classes(BitReader(body.to_bytes()[:-1]), 4)
+    with pytest.raises(ValueError, match="largest error of -"):
+        read_certificate(BitReader(BitWriter().write_floats(np.array([-1.0])).to_bytes()), Proof.LEAVES, 0)
