@@ -19,8 +19,8 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 for _library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-# What is compiled is compiled once for all workers and for the processes that tests start: the process that starts the
-# workers makes the folder, unless one is given.
+# What is compiled is compiled once for all workers and for the processes that tests start: the process that starts
+# the workers makes the folder, unless one is given.
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     _folder = os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="jax-cache-")
     atexit.register(shutil.rmtree, _folder, ignore_errors=True)
