@@ -9,7 +9,7 @@ from typing import Any
 
 from beartype import beartype
 
-CALLS = 20
+CALLS = 5
 _calls: Counter = Counter()
 _skipped: list[Callable] = []
 

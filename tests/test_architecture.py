@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
 # From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
 LAYERS = [
@@ -54,110 +52,83 @@ PLANNER_LAYERS = [
 PLR_IMPORTS = {
     "growth": {"partition", "query", "sampling", "file", "certificate"},
 }
-SOURCES = sorted(PACKAGE.rglob("*.py"))
-PLR, PLANNERS = PACKAGE / "plr", PACKAGE / "planners"
-PLR_SOURCES, PLANNER_SOURCES = ([path for path in SOURCES if path.is_relative_to(room)] for room in (PLR, PLANNERS))
+ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
+TREES = {path.relative_to(PACKAGE): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{name}" for name in ("plane", "continuous", "cone"))
 LEAF_NAMES = {"plane", "continuous", "smooth", "cone"}
 
 
-def imported_modules(path: Path) -> set[str]:
+def imported_modules(tree: ast.AST) -> set[str]:
     """Dotted names of all modules that a file imports, anywhere in it."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import; write it absolute"
+            assert node.level == 0, f"from {'.' * node.level}{node.module or ''}: relative import; write it absolute"
             # `from plr_jax import metrics` may import a module as well as a name.
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
     return names
 
 
-def parts_of(path: Path, package: Path = PACKAGE) -> set[str]:
-    """Parts of a package that a file imports: of the whole `_types`, `oracles`, ..."""
-    prefix = ".".join(package.relative_to(PACKAGE.parent).parts) + "."
-    ours = {name.removeprefix(prefix).split(".")[0] for name in imported_modules(path) if name.startswith(prefix)}
-    return {part for part in ours if (package / part).is_dir() or (package / f"{part}.py").exists()}
+IMPORTS = {path: imported_modules(tree) for path, tree in TREES.items()}
 
 
-def part_of(path: Path, package: Path = PACKAGE) -> str:
-    """The part of a package that a file belongs to."""
-    return path.relative_to(package).parts[0].removesuffix(".py")
+def parts_of(path: Path, room: str) -> set[str]:
+    """Parts of a room that a file imports: of the whole `_types`, `oracles`, ..."""
+    prefix = f"plr_jax.{room}." if room else "plr_jax."
+    ours = {name.removeprefix(prefix).split(".")[0] for name in IMPORTS[path] if name.startswith(prefix)}
+    return {part for part in ours if (PACKAGE / room / part).is_dir() or (PACKAGE / room / f"{part}.py").exists()}
 
 
-def below(part: str, layers: list[list[str]]) -> set[str]:
-    """The parts that a part may import."""
-    row = next(row for row, parts in enumerate(layers) if part in parts)
-    return {other for parts in layers[:row] for other in parts}
+def test_every_part_of_a_room_has_a_layer_and_imports_what_is_below():
+    for room, layers in ROOMS.items():
+        part_of = {
+            path: path.relative_to(room).parts[0].removesuffix(".py") for path in TREES if path.is_relative_to(room)
+        }
+        assert set(part_of.values()) - {"__init__"} == {part for layer in layers for part in layer}
+        below: dict[str, set[str]] = {"__init__": set().union(*layers)}
+        for row, layer in enumerate(layers):
+            below |= dict.fromkeys(layer, set().union(*layers[:row]))
+        below |= PLR_IMPORTS if room == "plr" else {}
+        above = {str(path): parts_of(path, room) - {part} - below[part] for path, part in part_of.items()}
+        assert not {path: parts for path, parts in above.items() if parts}
 
 
-def test_every_part_has_a_layer():
-    found = {part_of(path) for path in SOURCES} - {"__init__"}
-    assert found == {part for layer in LAYERS for part in layer}
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_point_downward(path):
-    part = part_of(path)
-    if part != "__init__":
-        assert parts_of(path) - {part} <= below(part, LAYERS)
-
-
-def test_every_part_of_the_room_that_stores_has_a_layer():
-    found = {part_of(path, PLR) for path in PLR_SOURCES} - {"__init__"}
-    assert found == {part for layer in PLR_LAYERS for part in layer}
-
-
-@pytest.mark.parametrize("path", PLR_SOURCES, ids=lambda path: str(path.relative_to(PLR)))
-def test_imports_inside_the_room_that_stores_point_downward(path):
-    part = part_of(path, PLR)
-    if part != "__init__":
-        assert parts_of(path, PLR) - {part} <= PLR_IMPORTS.get(part, below(part, PLR_LAYERS))
-
-
-def test_every_part_of_the_planners_has_a_layer():
-    found = {part_of(path, PLANNERS) for path in PLANNER_SOURCES} - {"__init__"}
-    assert found == {part for layer in PLANNER_LAYERS for part in layer}
-
-
-@pytest.mark.parametrize("path", PLANNER_SOURCES, ids=lambda path: str(path.relative_to(PLANNERS)))
-def test_imports_inside_the_planners_point_downward(path):
-    part = part_of(path, PLANNERS)
-    if part != "__init__":
-        assert parts_of(path, PLANNERS) - {part} <= below(part, PLANNER_LAYERS)
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_leaves_know_the_leaf_models(path):
+def test_only_leaves_know_the_leaf_models():
     """Outside of their folder, which lists them, and of the public list nothing imports one or asks which it is."""
-    if (path.parent == PLR and path.name == "__init__.py") or path.is_relative_to(PLR / "leaves"):
-        return
-    assert not [name for name in imported_modules(path) if name.startswith(LEAF_MODELS)]
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Compare | ast.MatchValue):
-            assert not {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)} & LEAF_NAMES
+    others = [path for path in TREES if not path.is_relative_to("plr/leaves") and path != Path("plr/__init__.py")]
+    assert not [path for path in others if any(name.startswith(LEAF_MODELS) for name in IMPORTS[path])]
+    compared = {
+        (str(path), part.value)
+        for path in others
+        for node in ast.walk(TREES[path])
+        if isinstance(node, ast.Compare | ast.MatchValue)
+        for part in ast.walk(node)
+        if isinstance(part, ast.Constant)
+    }
+    assert not {(path, value) for path, value in compared if value in LEAF_NAMES}
 
 
 def test_no_two_classes_or_public_functions_share_a_name():
     homes: dict[str, list[str]] = {}
-    for path in SOURCES:
-        for node in ast.parse(path.read_text()).body:
+    for path, tree in TREES.items():
+        for node in tree.body:
             is_class = isinstance(node, ast.ClassDef)
             if is_class or (isinstance(node, ast.FunctionDef) and not node.name.startswith("_")):
-                homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+                homes.setdefault(node.name, []).append(str(path))
     shared = {name: places for name, places in homes.items() if len(places) > 1}
     assert shared.keys() <= {"save", "load"}  # of a PLR, and with their room before them of a scene or a picture
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_plot_imports_matplotlib(path):
-    if {"matplotlib", "mpl_toolkits"} & {name.split(".")[0] for name in imported_modules(path)}:
-        assert part_of(path) == "plot"
+def test_only_plot_imports_matplotlib():
+    drawing = {
+        path for path in TREES if {"matplotlib", "mpl_toolkits"} & {name.split(".")[0] for name in IMPORTS[path]}
+    }
+    assert drawing and all(path.is_relative_to("plot") for path in drawing)
 
 
-def test_the_parser_sees_imports_inside_functions(tmp_path):
-    source = tmp_path / "x.py"
-    source.write_text("def f():\n    from plr_jax import plot\n    import matplotlib.figure\n")
-    assert {"plr_jax.plot", "matplotlib.figure"} <= imported_modules(source)
+def test_the_parser_sees_imports_inside_functions():
+    tree = ast.parse("def f():\n    from plr_jax import plot\n    import matplotlib.figure\n")
+    assert {"plr_jax.plot", "matplotlib.figure"} <= imported_modules(tree)

@@ -31,8 +31,7 @@ def beside_walls(workspace, n, seed):
     return x[:n]
 
 
-@pytest.mark.parametrize("max_bytes", [1024, 6144])
-@pytest.mark.parametrize("name", ["maze", "thin_maze", "arena"])
+@pytest.mark.parametrize(("name", "max_bytes"), [("maze", 1024), ("thin_maze", 6144), ("arena", 1024)])
 def test_every_free_point_has_an_answer(name, max_bytes, request):
     workspace, goal = arena(request.getfixturevalue("data_dir")) if name == "arena" else scene(name)
     oracle = plr_jax.VisibilityGraph(workspace, goal)

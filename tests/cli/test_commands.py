@@ -114,7 +114,7 @@ def test_what_cannot_be_written_is_found_out_before_any_work(tmp_path, monkeypat
     def work(*_):
         pytest.fail("this is work")
 
-    for name in ("scenes.maze", "plr.load"):
+    for name in ("scenes.maze", "_io.load"):
         monkeypatch.setattr(f"plr_jax.{name}", work)
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
@@ -171,11 +171,11 @@ def test_the_package_runs_as_a_module():
     assert done.returncode == 0 and "build" in done.stdout
 
 
-@pytest.mark.parametrize("command", [[], ["build"], ["query"], ["export"], ["info"], ["plot"], ["plan"], ["demo"]])
-def test_help_has_an_example(command):
-    result = run(*command, "--help")
-    assert result.exit_code == 0
-    assert f"plr-jax {command[0] if command else 'demo'}" in result.stdout
+def test_help_has_an_example():
+    for command in ([], ["build"], ["query"], ["export"], ["info"], ["plot"], ["plan"], ["demo"]):
+        result = run(*command, "--help")
+        assert result.exit_code == 0
+        assert f"plr-jax {command[0] if command else 'demo'}" in result.stdout
 
 
 def test_the_version_is_that_of_the_package():

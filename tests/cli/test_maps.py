@@ -19,9 +19,10 @@ def test_a_scene_of_two_robots_leaves_the_goal_to_the_user(tmp_path):
 
 
 def test_a_map_is_a_scene_or_a_file_by_its_ending(tmp_path):
-    workspace, goal = NamedMap("thin_maze").read()
-    assert workspace.bounds == scenes.thin_maze().workspace.bounds
-    np.testing.assert_array_equal(goal, scenes.thin_maze().goals[0])
+    for name, problem in (("thin_maze", scenes.thin_maze()), ("floor_plan", scenes.floor_plan())):
+        workspace, goal = NamedMap(name).read()
+        assert workspace.bounds == problem.workspace.bounds
+        np.testing.assert_array_equal(goal, problem.goals[0])
     (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
     (tmp_path / "b.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
     for name, area in [("a.map", 2), ("b.json", 4.5)]:

@@ -86,7 +86,7 @@ def test_plot_explains_mistakes(plane, tmp_path):
     assert "--goal needs --map" in mistake("plot", unlabeled, "--goal", "0,0", "-o", tmp_path / "a.png")
 
 
-@pytest.mark.parametrize("kind", ["distance", "cells", "surface"])
+@pytest.mark.parametrize("kind", ["distance", "cells"])
 def test_a_file_is_drawn_where_its_map_is_not(kind, plane, tmp_path):
     path, alone = tmp_path / "far.plr", tmp_path / "alone.plr"
     save(load(plane).with_label("elsewhere/scan.png --goal=0.06,0.07"), path)

@@ -196,8 +196,13 @@ def all_pictures():
     }
 
 
-def test_axes_and_color_bars_are_labeled_with_units():
-    for name, ax in all_pictures().items():
+@pytest.fixture(scope="module")
+def pictures():
+    return all_pictures()
+
+
+def test_axes_and_color_bars_are_labeled_with_units(pictures):
+    for name, ax in pictures.items():
         assert "x (workspace units)" in texts(ax)
         assert "y (workspace units)" in texts(ax)
         if name != "cells":
@@ -206,11 +211,11 @@ def test_axes_and_color_bars_are_labeled_with_units():
             assert ax.get_aspect() == 1.0
 
 
-def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(tmp_path):
+def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(pictures, tmp_path):
     """Legible on a dark page means: the page is ours, not the reader's."""
     from matplotlib.image import imread
 
-    for name, ax in all_pictures().items():
+    for name, ax in pictures.items():
         path = tmp_path / f"{name}.png"
         plot.save(ax, path)
         pixels = imread(path)
@@ -219,8 +224,8 @@ def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(tmp_path):
         assert pixels[..., :3].min() < 0.25
 
 
-def test_nothing_is_cut_off_at_the_edge_of_the_picture(tmp_path):
-    for name, ax in all_pictures().items():
+def test_nothing_is_cut_off_at_the_edge_of_the_picture(pictures, tmp_path):
+    for name, ax in pictures.items():
         plot.save(ax, tmp_path / "picture.png")
         page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
         assert content.x0 >= page.x0 and content.y0 >= page.y0, name

@@ -137,17 +137,17 @@ def test_paths_of_members_arrive(oracles, family):
             assert length >= oracle(start[None])[0] - 1e-6
 
 
-class Dying(Executor):
-    """Its first worker dies."""
+class Failing(Executor):
+    """One of its parts, by number, fails with some error."""
 
-    def __init__(self):
-        self.count = 0
+    def __init__(self, number: int, error: BaseException):
+        self.left, self.error = number, error
 
     def submit(self, fn, /, *args, **kwargs):
         future: Future = Future()
-        self.count += 1
-        if self.count == 1:
-            future.set_exception(BrokenExecutor("a worker died"))
+        self.left -= 1
+        if self.left == -1:
+            future.set_exception(self.error)
         else:
             future.set_result(fn(*args, **kwargs))
         return future
@@ -155,52 +155,36 @@ class Dying(Executor):
 
 def test_what_a_dead_worker_had_is_built_again(oracles, family, monkeypatch):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 4)
-    plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=Dying())
+    dying = Failing(0, BrokenExecutor("a worker died"))
+    plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=dying)
     assert [plr.to_bytes() for plr in plrs] == [plr.to_bytes() for plr in family]
-
-
-class Interrupted(Executor):
-    """Ctrl-C comes after the first part."""
-
-    def __init__(self):
-        self.count = 0
-
-    def submit(self, fn, /, *args, **kwargs):
-        future: Future = Future()
-        self.count += 1
-        if self.count == 1:
-            future.set_result(fn(*args, **kwargs))
-        else:
-            future.set_exception(KeyboardInterrupt())
-        return future
 
 
 def test_what_is_done_before_an_interrupt_is_kept(oracles, family, monkeypatch):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 4)
     with pytest.warns(plr_jax.ConstructionInterrupted, match="4 of 7"):
-        plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=Interrupted())
+        interrupted = Failing(1, KeyboardInterrupt())
+        plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=interrupted)
     done = [plr is not None for plr in plrs]
     assert done == [True] * 4 + [False] * 3
     assert plrs[0].to_bytes() == family[0].to_bytes()
 
 
 @pytest.mark.usefixtures("unchecked_types")
-def test_what_is_wrong_is_said(oracles):
-    def build(functions, **options):
-        plr_jax.construct_many(functions, MAZE.bounds, **options)
-
-    with pytest.raises(ValueError, match="at least, got none"):
-        build([])
-    with pytest.raises(ValueError, match="must be a list of distance functions"):
-        build(3)
-    with pytest.raises(ValueError, match="number 1 is 5"):
-        build([oracles[0], 5])
-    with pytest.raises(ValueError, match="executor must be"):
-        build(oracles, executor=4)
-    with pytest.raises(ValueError, match="too small: a tree of 1 leaves takes"):
-        build(oracles, leaf="cone", max_bytes=10)
-    with pytest.raises(ValueError, match="seed must be"):
-        build(oracles, seed=-1)
+@pytest.mark.parametrize(
+    ("functions", "options", "message"),
+    [
+        (lambda oracles: [], {}, "at least, got none"),
+        (lambda oracles: 3, {}, "must be a list of distance functions"),
+        (lambda oracles: [oracles[0], 5], {}, "number 1 is 5"),
+        (list, {"executor": 4}, "executor must be"),
+        (list, {"leaf": "cone", "max_bytes": 10}, "too small: a tree of 1 leaves takes"),
+        (list, {"seed": -1}, "seed must be"),
+    ],
+)
+def test_what_is_wrong_is_said(oracles, functions, options, message):
+    with pytest.raises(ValueError, match=message):
+        plr_jax.construct_many(functions(oracles), MAZE.bounds, **options)
 
 
 def test_nothing_is_warned_of(oracles):

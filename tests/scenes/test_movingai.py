@@ -76,13 +76,6 @@ def test_broken_maps_are_refused(text, message, tmp_path):
         scenes.read_map(path)
 
 
-def test_a_binary_file_is_no_map(tmp_path):
-    path = tmp_path / "binary.map"
-    path.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(ValueError, match=r"^[^ ]*binary\.map: expected text"):
-        scenes.read_map(path)
-
-
 @needs_data
 @pytest.mark.parametrize("name", PAIRS)
 def test_a_map_equals_its_published_polygons(name):

@@ -32,11 +32,7 @@ def assert_within(coarse, plr, x):
     assert (lower[known] <= np.maximum(answer[known], 0)).all() and (answer[known] <= upper[known]).all()
 
 
-KINDS = [
-    *((leaf, dim) for leaf in ("plane", "continuous", "cone") for dim in (1, 2, 3)),
-    ("smooth", 1),
-    ("smooth", 2),
-]
+KINDS = [("plane", 3), ("continuous", 1), ("continuous", 2), ("cone", 2), ("smooth", 2)]
 
 
 @pytest.mark.parametrize(("leaf", "dim"), KINDS)
@@ -94,8 +90,7 @@ def test_what_cannot_be_coarsened_is_refused():
         plr_jax.coarsen(plr, 0)
 
 
-@pytest.mark.parametrize("leaf", leaf_names())
-@pytest.mark.parametrize("label", ["", "maze --goal=0,0"])
+@pytest.mark.parametrize(("leaf", "label"), [("plane", ""), *((leaf, "maze --goal=0,0") for leaf in leaf_names())])
 def test_a_budget_that_is_too_small_is_told_with_one_that_is_enough(leaf, label):
     plr = plr_jax.construct(cone, UNIT, leaf=leaf, max_leaves=30).with_label(label)
     for max_bytes in (1, 20):

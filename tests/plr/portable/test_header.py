@@ -8,10 +8,8 @@ import subprocess
 import numpy as np
 import pytest
 from portable_helpers import CASES, case, hard_points, is_far, same_bits
-from vectors import read_vector, vector_names
 
 from experiments.porting._headers import STRICT, compiled_header, object_for_size, section_bytes
-from plr_jax import load_numpy
 from plr_jax.plr.portable.header import CWriter
 
 MOST_CODE = 2048  # bytes
@@ -35,15 +33,6 @@ def test_answers_are_those_of_numpy_bit_for_bit(plr, tmp_path, compiler):
     assert in_c.real == x.dtype and same_bits(in_c(x), f(x))
     if plr.leaf.name == "cone":
         assert same_bits(in_c.waypoints(x), f.waypoint(x))
-
-
-@pytest.mark.parametrize("name", vector_names())
-def test_answers_are_those_of_the_vectors_bit_for_bit(name, tmp_path, compiler):
-    path, x, distances, waypoints = read_vector(name)
-    in_c = compiled_header(load_numpy(path), tmp_path)
-    assert in_c.real == x.dtype and same_bits(in_c(x), distances)
-    if waypoints is not None:
-        assert same_bits(in_c.waypoints(x), waypoints)
 
 
 def test_the_comment_says_of_which_type_coordinates_are(plr):

@@ -58,12 +58,6 @@ def unchecked(stacked, q):
     return getattr(type(stacked).__call__, "__wrapped__", type(stacked).__call__)(stacked, q)
 
 
-def test_only_plrs_are_stacked(team):
-    with pytest.raises(ValueError, match="Only PLRs can be stacked, that of robot 1 is <function"):
-        stack = PLR.__dict__["stack"].__func__
-        getattr(stack, "__wrapped__", stack)([team[0], lambda x: x])
-
-
 def test_points_of_one_robot_do_not_move_anothers_answer(team):
     q = np.repeat(points(50, 3)[:, None], 2, axis=1)
     first = PLR.stack([team[0], team[2]])(q)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax._io import load, save
 from plr_jax.plr import construct, cyclic_axis, from_bytes, maximum_depth
 from plr_jax.plr.refinement import objective as objective_module
 from plr_jax.plr.refinement.objective import eikonal, jumps, quantile, sample_faces
@@ -130,17 +129,6 @@ def test_the_same_seed_gives_the_same_file_and_another_seed_another(wall):
     assert first.to_bytes() == second.to_bytes() != third.to_bytes()
 
 
-def test_a_refined_plr_is_an_ordinary_one(wall, tmp_path):
-    plr, x, distance = wall
-    refined, report = refine(plr, x, distance, loss=quantile(0.05))
-    save(refined, tmp_path / "refined.plr")
-    again = load(tmp_path / "refined.plr")
-    np.testing.assert_array_equal(again(x), refined(x))
-    assert again.num_bytes == report.refined.num_bytes == plr.num_bytes
-    np.testing.assert_array_equal(refined.cells.depth, plr.cells.depth)
-    np.testing.assert_array_equal(refined.cells.position, plr.cells.position)
-
-
 def test_unreachable_leaves_stay_so_and_leaves_with_few_points_keep_their_plane():
     in_wall = lambda x: np.where((x[:, 0] > 0.5) & (x[:, 1] < 0.5), np.inf, 1 + x[:, 0])  # noqa: E731
     plr = construct(in_wall, UNIT, max_depth=6, should_split=maximum_depth, split=cyclic_axis)
@@ -158,20 +146,11 @@ def test_unreachable_leaves_stay_so_and_leaves_with_few_points_keep_their_plane(
     assert np.isinf(np.asarray(refined(np.array([[0.99, 0.01]]))))
 
 
-def test_max_bytes_takes_bits_from_the_coefficients(wall):
-    plr, x, distance = wall
-    smaller = plr.num_bytes - 200
-    refined, _ = refine(plr, x, distance, max_bytes=smaller)
-    assert refined.num_bytes <= smaller and refined.stored.bits < 32
-    with pytest.raises(ValueError, match="max_bytes=61 is too small for 60 leaves"):
-        refine(plr, x, distance, max_bytes=61)
-
-
 def test_the_report(wall, wall_faces):
     plr, x, distance = wall
     half = np.where(np.arange(len(x)) < 100, np.inf, distance)
     refined, report = refine(plr, x, half, faces=wall_faces)
-    assert report.num_unreachable == 100
+    assert report.num_unreachable == 100 and report.refined.num_bytes == refined.num_bytes == plr.num_bytes
     total = report.refined.training.num_points + report.refined.held_out.num_points
     assert total == len(x) - 100 and report.refined.held_out.num_points == total // 5
     everywhere = np.asarray(refined(x[100:]), float) - distance[100:]

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, leaf_by_search, points, walled
 
-from plr_jax import Box, VisibilityGraph, scenes
+from plr_jax import Box
 from plr_jax.plr import Plane, construct
 from plr_jax.plr.refinement.objective import Quantile, eikonal, jumps, quantile, sample_faces, squared
 from plr_jax.plr.refinement.refine import refine
@@ -23,19 +23,6 @@ def test_the_share_of_over_estimates_is_the_asked_one_on_new_points(share, bits)
     assert abs(np.mean(np.asarray(refined(new), float) > cone(new)) - share) <= tolerance
     assert abs(report.refined.held_out.over - share) <= tolerance
     assert report.refined.held_out.loss < report.least_squares.held_out.loss
-
-
-def test_quantiles_of_a_maze_at_two_kilobytes():
-    problem = scenes.maze()
-    exact = VisibilityGraph(problem.workspace, problem.goals[0])
-    plr = construct(exact, problem.workspace.bounds, max_bytes=2048)
-    x, new = problem.workspace.sample_free(25_000, 4), problem.workspace.sample_free(20_000, 5)
-    distance, expected = exact(x), exact(new)
-    for share in (0.01, 0.5):
-        refined, report = refine(plr, x, distance, loss=quantile(share), max_bytes=2048, num_steps=200)
-        assert abs(np.mean(np.asarray(refined(new), float) > expected) - share) <= 0.01
-        assert refined.num_bytes <= 2048
-        assert report.refined.held_out.loss < report.least_squares.held_out.loss
 
 
 def test_the_shift_makes_up_for_what_rounding_did():
