@@ -95,22 +95,51 @@ class Boundary:
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:
     """The boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one, to the tolerance."""
+    vertices, edges = _vertices_and_edges(region)
+    edges = _split(vertices, edges, *_near(vertices, edges, tolerance))
+    return Boundary(vertices, edges, _sector_ends(vertices, edges))
+
+
+def is_told_apart(region: Any, tolerance: float) -> bool:
+    """Whether vertices of a region lie on edges, to a quarter of the tolerance, or not even to all of it.
+
+    If one does neither, or is as near to another vertex, edges that are split there may cross or cover one another.
+    """
+    vertices, edges = _vertices_and_edges(region)
+    vertex, edge = _near(vertices, edges, tolerance)
+    start, end = vertices[edges[edge]].transpose(1, 0, 2)
+    along, way = end - start, vertices[vertex] - start
+    is_beside = np.abs(cross_product(along, way)) > tolerance / 4 * np.linalg.norm(along, axis=1)
+    is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
+    pieces = np.sort(_split(vertices, edges, vertex, edge), axis=1)
+    return not (is_beside | is_beyond).any() and len(np.unique(pieces, axis=0)) == len(pieces)
+
+
+def _vertices_and_edges(region: Any) -> tuple[Float[np.ndarray, "vertices 2"], Int[np.ndarray, "edges 2"]]:
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     vertices, index = np.unique(points, axis=0, return_inverse=True)
     inner = ring[1:] == ring[:-1]
-    edges = _split(vertices, np.stack([index[:-1][inner], index[1:][inner]], axis=1), tolerance)
-    return Boundary(vertices, edges, _sector_ends(vertices, edges))
+    return vertices, np.stack([index[:-1][inner], index[1:][inner]], axis=1)
 
 
-def _split(
+def _near(
     vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], tolerance: float
-) -> Int[np.ndarray, "pieces 2"]:
-    """Edges cut at the vertices that lie on them."""
+) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
+    """Vertices that lie on edges, and these, without the ends of edges."""
     lines: Any = shapely.linestrings(vertices[edges])
     vertex, edge = shapely.STRtree(lines).query(shapely.points(vertices), predicate="dwithin", distance=tolerance)
     apart = (edges[edge] != vertex[:, None]).all(axis=1)
-    vertex, edge = vertex[apart], edge[apart]
+    return vertex[apart], edge[apart]
+
+
+def _split(
+    vertices: Float[np.ndarray, "vertices 2"],
+    edges: Int[np.ndarray, "edges 2"],
+    vertex: Int[np.ndarray, "pairs"],
+    edge: Int[np.ndarray, "pairs"],
+) -> Int[np.ndarray, "pieces 2"]:
+    """Edges cut at vertices that lie on them."""
     along = np.linalg.norm(vertices[vertex] - vertices[edges[edge, 0]], axis=1)
     owner = np.concatenate([np.arange(len(edges)), edge])
     start = np.concatenate([edges[:, 0], vertex])

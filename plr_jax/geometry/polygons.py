@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.boundary import is_told_apart
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product
 
@@ -241,12 +242,24 @@ def region_of(
 ) -> Polygon | MultiPolygon:
     """Free space as a workspace keeps it: rounded, normalized, without collinear vertices.
 
-    ``rounded`` moves vertices to multiples of a number. ``ValueError`` if there is no free space.
+    Vertices lie apart, and on edges or beside them, by 8 grids: walls and gaps thinner than that vanish. ``rounded``
+    moves vertices to multiples of a number. ``ValueError`` if there is no free space.
     """
     # Rounding last, not within the overlay: only so do walls that meet up to rounding meet in one vertex.
-    parts = polygons_of(rounded(free, grid_of(bounds)))
+    grid = grid_of(bounds)
+    region = _simplified(rounded(free, grid), 4 * grid)
+    # Snapped coarser and coarser where that is not enough, until nothing is thinner than edges may be cut beside.
+    coarser = 32 * grid
+    while not is_told_apart(region, 8 * grid):
+        region = _simplified(shapely.set_precision(region, coarser), 0.0)
+        coarser *= 2
+    return region
+
+
+def _simplified(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:
+    parts = polygons_of(geometry)
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so simplifying also reaches collinear ones at its seam.
     region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
-    return shapely.simplify(region, 4 * grid_of(bounds))
+    return shapely.simplify(region, tolerance)
