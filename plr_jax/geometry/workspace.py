@@ -14,7 +14,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
+from plr_jax.geometry.boundary import Boundary, are_crossed, boundary_of, grown_boundary, thin_walls
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
@@ -214,6 +214,10 @@ class Workspace:
         return shapely.STRtree(segments)
 
     @cached_property
+    def _thin_walls(self) -> Float[np.ndarray, "walls 3 2"]:
+        return thin_walls(self.boundary, self.edge_tree, self.tolerance)
+
+    @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
@@ -266,14 +270,16 @@ class Workspace:
     def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
         """Whether whole segments lie in closed free space.
 
-        A segment may slide along walls and pass through corners. One that passes through a point in which
-        two obstacles touch, from one side to the other, is not visible unless ``squeeze`` is set.
+        A segment may slide along walls and pass through corners. It crosses no wall, however thin. One that passes
+        through a point in which two obstacles touch, from one side to the other, is not visible unless ``squeeze``
+        is set.
 
         Args:
             a: Start points, ``(n, 2)``.
             b: End points, ``(n, 2)``.
             tolerance: How far outside free space points still count as free, for ends that are known no better, such
-                as those that a file rounds; None: the workspace's own.
+                as those that a file rounds; None: the workspace's own. Walls thinner than twice a larger one may be
+                crossed.
 
         Returns:
             True where every point of the segment is free (to ``tolerance``); False where an end is not
@@ -292,6 +298,9 @@ class Workspace:
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(free, segments)
+        if len(self._thin_walls):
+            moving = moving[visible[moving]]
+            visible[moving] = ~are_crossed(self._thin_walls, a[moving], b[moving], tolerance)
         if not self.squeeze and len(self.boundary.contacts):
             moving = moving[visible[moving]]
             visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)
