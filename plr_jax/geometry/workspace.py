@@ -47,7 +47,8 @@ class Workspace:
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
     ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
     interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
-    that what touches up to rounding touches.
+    that what touches up to rounding touches. Walls and gaps thinner than a hundredth of ``tolerance`` vanish, and
+    where several meet, those thinner than a quarter of it may; far from the origin, than twice of it.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -66,7 +67,7 @@ class Workspace:
 
     Raises:
         ValueError: If the bounds are not a 2-D box or have a periodic axis, an obstacle is not a simple polygon of
-            finite coordinates and positive area, or nothing is free.
+            finite coordinates and positive area, nothing is free, or walls or gaps are too thin to be told apart.
     """
 
     bounds: Box
