@@ -12,6 +12,7 @@ from plr_jax._deadline import require_time
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, pseudo_angle, turn_between
 
 _COLLARS, _REGIONS = 256, 8  # of walls and of regions, united at a time, between two looks at the clock
+_TIP = 100  # tolerances from an end of an edge, where an edge of a blunter tip is not beside the other one any more
 _MOST_CHORDS = 8
 """Chords a quarter circle around the corners of inflated obstacles: a path along one is 0.16 % too short."""
 _SHORTENING = 2e-5
@@ -91,6 +92,52 @@ class Boundary:
             inside = [self.in_sector(e, ends, tolerance) for e in np.flatnonzero(self.edges[:, 0] == vertex)]
             squeezes[s] |= not any(both.all() for both in inside)
         return squeezes
+
+
+def thin_walls(boundary: Boundary, tree: shapely.STRtree, tolerance: float) -> Float[np.ndarray, "walls 3 2"]:
+    """Edges beside others, or of tips, through which free space that is grown by a tolerance would meet itself.
+
+    Each twice: as its first point, again, and its last one; and as the vertex before it, its first and last point.
+    Some are none, but stand beside a gap as thin.
+
+    Args:
+        boundary: The boundary of free space.
+        tree: Its edges.
+        tolerance: By which free space is grown.
+    """
+    start, end = boundary.segments.transpose(1, 0, 2)
+    way = end - start
+    step = way * np.minimum(_TIP * tolerance / np.linalg.norm(way, axis=1), 0.5)[:, None]
+    point, beside = tree.query(
+        shapely.points(np.concatenate([start, start + step, end - step])), predicate="dwithin", distance=2 * tolerance
+    )
+    edge, is_vertex = point % len(way), point < len(way)
+    apart = (edge != beside) & ~(is_vertex & (boundary.edges[beside] == boundary.edges[edge, :1]).any(axis=1))
+    thin = np.union1d(edge[apart], beside[apart])
+    start, end, before = start[thin], end[thin], boundary.vertices[boundary.sector_end[thin]]
+    return np.concatenate([np.stack([start, start, end], axis=1), np.stack([before, start, end], axis=1)])
+
+
+def are_crossed(
+    walls: Float[np.ndarray, "walls 3 2"], a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"], tolerance: float
+) -> Bool[np.ndarray, "n"]:
+    """Whether segments cross walls of ``thin_walls`` from side to side.
+
+    Neither do those that end on a wall, to the tolerance, nor those that come as near to the end of one.
+    """
+    lines: Any = shapely.linestrings(walls)
+    segment, wall = shapely.STRtree(lines).query(
+        shapely.linestrings(np.stack([a, b], axis=1)), predicate="intersects"
+    )
+    ends_apart = ~np.any(
+        [shapely.dwithin(lines[wall], shapely.points(x[segment]), tolerance) for x in (a, b)], axis=0
+    )
+    segment, wall = segment[ends_apart], wall[ends_apart]
+    normal = left_normal(b[segment] - a[segment])[:, None]
+    first, middle, last = (normal * (walls[wall] - a[segment][:, None])).sum(axis=2).T
+    through = (first * last < 0) & (np.minimum(np.abs(first), np.abs(last)) > tolerance)
+    through &= (middle == first) | (np.abs(middle) <= tolerance)
+    return np.isin(np.arange(len(a)), segment[through])
 
 
 def boundary_of(region: Any, tolerance: float) -> Boundary:

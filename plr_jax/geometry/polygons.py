@@ -251,6 +251,11 @@ def region_of(
     # Snapped coarser and coarser where that is not enough, until nothing is thinner than edges may be cut beside.
     coarser = 32 * grid
     while not is_told_apart(region, 8 * grid):
+        if coarser > 256 * grid:
+            raise ValueError(
+                f"Obstacles leave walls or gaps too thin to be told apart: make them thicker than "
+                f"{coarser:.1e} or leave them out; far from the origin, translate the workspace there first."
+            )
         region = _simplified(shapely.set_precision(region, coarser), 0.0)
         coarser *= 2
     return region

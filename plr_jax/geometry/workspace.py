@@ -14,7 +14,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary, boundary_of, grown_boundary
+from plr_jax.geometry.boundary import Boundary, are_crossed, boundary_of, grown_boundary, thin_walls
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
@@ -47,7 +47,8 @@ class Workspace:
     Free space is closed: the boundary of an obstacle and the bounds are free, and so is whatever lies within
     ``tolerance`` of them. Obstacles may overlap, touch, and leave the bounds; together they cover the
     interior of their union. Coordinates are rounded to a grid a thousand times finer than ``tolerance``, so
-    that what touches up to rounding touches.
+    that what touches up to rounding touches. Walls and gaps thinner than a hundredth of ``tolerance`` vanish, and
+    where several meet, those thinner than a quarter of it may; far from the origin, than twice of it.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -66,7 +67,7 @@ class Workspace:
 
     Raises:
         ValueError: If the bounds are not a 2-D box or have a periodic axis, an obstacle is not a simple polygon of
-            finite coordinates and positive area, or nothing is free.
+            finite coordinates and positive area, nothing is free, or walls or gaps are too thin to be told apart.
     """
 
     bounds: Box
@@ -214,6 +215,10 @@ class Workspace:
         return shapely.STRtree(segments)
 
     @cached_property
+    def _thin_walls(self) -> Float[np.ndarray, "walls 3 2"]:
+        return thin_walls(self.boundary, self.edge_tree, self.tolerance)
+
+    @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
@@ -266,14 +271,16 @@ class Workspace:
     def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
         """Whether whole segments lie in closed free space.
 
-        A segment may slide along walls and pass through corners. One that passes through a point in which
-        two obstacles touch, from one side to the other, is not visible unless ``squeeze`` is set.
+        A segment may slide along walls and pass through corners. It crosses no wall, however thin. One that passes
+        through a point in which two obstacles touch, from one side to the other, is not visible unless ``squeeze``
+        is set.
 
         Args:
             a: Start points, ``(n, 2)``.
             b: End points, ``(n, 2)``.
             tolerance: How far outside free space points still count as free, for ends that are known no better, such
-                as those that a file rounds; None: the workspace's own.
+                as those that a file rounds; None: the workspace's own. Walls thinner than twice a larger one may be
+                crossed.
 
         Returns:
             True where every point of the segment is free (to ``tolerance``); False where an end is not
@@ -292,6 +299,9 @@ class Workspace:
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(free, segments)
+        if len(self._thin_walls):
+            moving = moving[visible[moving]]
+            visible[moving] = ~are_crossed(self._thin_walls, a[moving], b[moving], tolerance)
         if not self.squeeze and len(self.boundary.contacts):
             moving = moving[visible[moving]]
             visible[moving] = ~self.boundary.is_squeezed(a[moving], b[moving], tolerance)

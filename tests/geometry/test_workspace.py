@@ -89,6 +89,36 @@ def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
     assert workspace.is_free(np.array([[5.0, 5.0], [2.0, 0.0]])).all()
 
 
+@pytest.mark.parametrize("width", [3e-10, 1e-9, 1e-8, 1e-6])
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_walls_thinner_than_the_tolerance_are_not_crossed(width, turn):
+    # A wall, one that hangs from a block, bent ones of two pieces, and a needle.
+    walls = [
+        box(4, 2, 4 + width, 8),
+        box(6, 5, 6 + width, 8),
+        box(5.5, 8, 6.5, 9),
+        np.array([[2, 2], [2.5, 5], [2, 8], [2 + width, 8], [2.5 + width, 5], [2 + width, 2]]),
+        np.array([[8, 1], [8 + 1e3 * width, 1], [8, 7.5]]),
+    ]
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    workspace = Workspace(((-5, -5), (15, 15)), [wall @ rotation.T for wall in walls])
+    cases = {
+        ((3, 3), (5, 3)): False,
+        ((1, 5), (3, 5)): False,  # where the bent one bends
+        ((1, 4), (3, 4)): False,
+        ((5.5, 6), (6.5, 6.5)): False,
+        ((7, 4), (9, 4)): False,
+        ((3, 2), (5, 2)): True,  # past the end
+        ((4 + width, 3), (5, 3)): True,  # from the wall itself
+        ((4, 1), (4, 9)): True,  # along it
+        ((3.999, 3), (3.999, 7)): True,
+        ((2.5 + width, 5), (3, 2)): True,
+    }
+    a, b = np.array(list(cases), dtype=float).transpose(1, 0, 2) @ rotation.T
+    np.testing.assert_array_equal(workspace.is_visible(a, b), list(cases.values()))
+    np.testing.assert_array_equal(workspace.is_visible(b, a), list(cases.values()))
+
+
 def test_touching_a_contact_within_one_sector_is_no_squeeze():
     # The tip (5, 5) of a wedge touches a block's side; both are seen along the other side of the block.
     workspace = Workspace(TEN, [box(5, 4, 6, 8), np.array([[5.0, 5], [2, 6], [2, 5.5]])])
