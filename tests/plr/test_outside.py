@@ -182,6 +182,7 @@ def test_pairs_add_the_ways_of_both_ends():
         np.testing.assert_array_equal(pairs(np.array([bad, 0.5]), y[0], outside="clamp"), expected)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("outside", ["clip", None, 0, ["clamp"]])
 def test_another_word_is_refused(outside):
     plr = construct(Euclidean((0.3,)), Box((-1,), (1,)), max_leaves=4)
