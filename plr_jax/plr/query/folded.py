@@ -1,4 +1,4 @@
-"""Folding points in JAX: see ``folding/folding.py`` for what that means; and arithmetic that no compiler changes."""
+"""Folding points in JAX: see ``folding/folding.py`` for what that means."""
 
 from dataclasses import dataclass, field
 from functools import reduce
@@ -102,19 +102,3 @@ def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 @rounded.defjvp
 def _rounded_with_tangent(primals, tangents):
     return rounded(primals[0]), tangents[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Unfused:
-    """Numbers whose products are rounded before they are added, as the format says."""
-
-    value: Float[Array, "*batch"]
-
-    def __add__(self, other: "Unfused") -> "Unfused":
-        return Unfused(self.value + other.value)
-
-    def __sub__(self, other: "Unfused") -> "Unfused":
-        return Unfused(self.value - other.value)
-
-    def __mul__(self, other: "Unfused") -> "Unfused":
-        return Unfused(rounded(self.value * other.value))

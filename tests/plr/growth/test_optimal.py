@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth import optimal
+from plr_jax.plr.growth import levels
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import best_partition
 from plr_jax.plr.partition.cells import Cells
@@ -17,7 +17,7 @@ from plr_jax.plr.partition.cells import Cells
 @pytest.fixture(autouse=True)
 def boxes_of_all_shapes(monkeypatch):
     """Of three splits along each axis none is too long for the trees that all are compared with."""
-    monkeypatch.setattr(optimal, "MAX_ASPECT_BITS", 3)
+    monkeypatch.setattr(levels, "MAX_ASPECT_BITS", 3)
 
 
 DEPTH = 3
@@ -49,16 +49,19 @@ class FakeBoxes:
     def error(self):
         return np.zeros(len(self.cells))
 
-    def leaves(self, index):
+    def __getitem__(self, index):
         return FakeBoxes(self.costs, self.cells[index], self.asked)
 
     def append(self, *others):
         return FakeBoxes(self.costs, self.cells.append(*(other.cells for other in others)), self.asked)
 
-    def halves(self, parent, axis, is_upper):
+    def new_halves(self, parent, axis, is_upper, known):
         cells = self.cells[parent].halves(axis, is_upper)
-        self.asked.extend(map(tuple, np.concatenate([cells.depth, cells.position], axis=1).tolist()))
-        return FakeBoxes(self.costs, cells, self.asked)
+        key, first = np.unique(cells.hashes(), return_index=True)
+        new = ~np.isin(key, known)
+        some = cells[first[new]]
+        self.asked.extend(map(tuple, np.concatenate([some.depth, some.position], axis=1).tolist()))
+        return FakeBoxes(self.costs, some, self.asked), key[new], cells.hashes()
 
 
 def least_costs(costs, max_depth=2 * DEPTH):
@@ -111,14 +114,20 @@ def limits(**given):
     )
 
 
-def size(leaves):
-    return 10 + 3 * len(leaves.cells)
+def size(levels, leaves):
+    return 10 + 3 * sum(map(len, leaves))
+
+
+def best_boxes(root, **given):
+    levels, leaves = best_partition(root, limits(**given), size)
+    first, *others = (level.boxes[box] for level, box in zip(levels, leaves, strict=True))
+    return first.append(*others)
 
 
 def search(costs, **given):
     """The cost and the number of leaves of the partition that is found, after checking that it is one."""
     root = FakeBoxes(costs, Cells.root(2), [])
-    found = best_partition(root, limits(**given), size)
+    found = best_boxes(root, **given)
     assert len(root.asked) == len(set(root.asked)), "a box was judged twice"
     covered = np.zeros((2**DEPTH, 2**DEPTH), int)
     for depth, position in zip(found.cells.depth, found.cells.position, strict=True):
@@ -190,7 +199,7 @@ def test_no_axis_is_halved_more_often_than_allowed():
 
 
 def test_no_box_is_longer_than_allowed(monkeypatch):
-    monkeypatch.setattr(optimal, "MAX_ASPECT_BITS", 1)
+    monkeypatch.setattr(levels, "MAX_ASPECT_BITS", 1)
     for seed in range(4):
         _, _, found = search(random_costs(seed))
         assert np.ptp(found.cells.depth, axis=1).max() <= 1
@@ -205,7 +214,7 @@ def test_boxes_without_error_are_leaves():
         elif d0 and d1:
             costs[d0, d1, p0, p1] = 0.0
     root = FakeBoxes(costs, Cells.root(2), [])
-    found = best_partition(root, limits(), size)
+    found = best_boxes(root)
     assert found.integral.sum() == 0
     assert len(found.cells) == 3
     asked = np.array(root.asked)
@@ -216,7 +225,7 @@ def test_boxes_without_error_are_leaves():
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):
     costs = random_costs(5)
     whole = search(costs, max_leaves=20)
-    monkeypatch.setattr(optimal, "AT_ONCE", 3)
+    monkeypatch.setattr(levels, "AT_ONCE", 3)
     parts = search(costs, max_leaves=20)
     assert parts[:2] == whole[:2]
     np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)

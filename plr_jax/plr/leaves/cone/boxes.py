@@ -1,9 +1,7 @@
 """Boxes and the cones that fit them best, from what an oracle proves of the sources that their points use."""
 
-from bisect import bisect_left
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -14,30 +12,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.certificate.bounds import bounds_of_pieces
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Pattern, Sampler, call_oracle
 
 _MOST_OPTIONS = 4
 """Sources tried for a leaf: those to which most of it goes, judged by the centers of its pieces."""
-
-
-@dataclass(frozen=True, eq=False)
-class ConeLeaves:
-    """Leaves and the indices of their sources, -1 where nothing reaches the goal; and the boxes that they are."""
-
-    cells: Cells
-    source: Int[np.ndarray, "leaves"]
-    parts: list[tuple["ConeBoxes", Int[np.ndarray, "_"]]]
-
-    def append(self, *others: "ConeLeaves") -> "ConeLeaves":
-        """These leaves followed by others."""
-        source = np.concatenate([self.source, *(other.source for other in others)])
-        parts = [part for leaves in (self, *others) for part in leaves.parts]
-        return ConeLeaves(self.cells.append(*(other.cells for other in others)), source, parts)
-
-    def boxes(self) -> "ConeBoxes":
-        """The leaves as boxes, with all that is known of them."""
-        first, *others = (boxes[index] for boxes, index in self.parts)
-        return first.append(*others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +36,11 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
-    def leaves(self, index: Int[np.ndarray, "some"]) -> "ConeLeaves":
-        """Some of the boxes as leaves."""
-        return ConeLeaves(self.cells[index], self.source[index], [(self, index)])
+    def views(self, box: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+        """Viewpoint of the best source of each of some boxes, -1 where nothing reaches the goal."""
+        view = self.source[box]
+        view[view >= 0] = views_of(self.visible, view[view >= 0])
+        return view
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
         columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
@@ -81,24 +60,40 @@ class ConeBoxes:
             *columns,
         )
 
-    def halves(
-        self, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"], is_upper: Bool[np.ndarray, "new"]
-    ) -> "ConeBoxes":
-        """A half of each of some of the boxes."""
-        cells = self.cells[parent].halves(axis, is_upper)
-        visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
-        return fitted_boxes(self.domain, self.negligible, cells, visible)
+    def new_halves(
+        self,
+        parent: Int[np.ndarray, "halves"],
+        axis: Int[np.ndarray, "halves"],
+        is_upper: Bool[np.ndarray, "halves"],
+        known: UInt64[np.ndarray, "known"],
+    ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
+        """Those halves of some of the boxes whose keys are not known yet, each once; their keys; and all keys.
 
-    def distinct_halves(
-        self, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"], is_upper: Bool[np.ndarray, "new"]
-    ) -> tuple["ConeBoxes", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "new"]]:
-        """The distinct ones of such halves, their keys, and which of them each half is; of cells of a family."""
-        assert isinstance(self.visible, FamilyCellSources)
-        cells = self.cells[parent].halves(axis, is_upper)
-        visible, key, first, index = self.visible.distinct_parts(
-            parent, axis, is_upper, *cells.grown_boxes(self.domain), cells.hashes()
-        )
-        return fitted_boxes(self.domain, self.negligible, cells[first], visible), key, index
+        Of one goal the box is the key. Of a family it tells apart what goals make of the box too, which is known only
+        once the sources of the halves are.
+        """
+        cells, visible = self.cells[parent].halves(axis, is_upper), self.visible
+        lo, hi = cells.grown_boxes(self.domain)
+        if isinstance(visible, FamilyCellSources):
+            found, key, first, index = visible.distinct_parts(parent, axis, is_upper, lo, hi, cells.hashes())
+            new = _first_of_new(key, known)
+            rows, found, of_half = first[new], found.of_cells(new), key[index]
+        else:
+            key = of_half = cells.hashes()
+            new = rows = _first_of_new(key, known)
+            found = visible.parts(parent[rows], axis[rows], is_upper[rows], lo[rows], hi[rows])
+        return fitted_boxes(self.domain, self.negligible, cells[rows], found), key[new], of_half
+
+
+def _first_of_new(key: UInt64[np.ndarray, "n"], known: UInt64[np.ndarray, "known"]) -> Int[np.ndarray, "new"]:
+    """Where each distinct key that is not known stands first, in this order."""
+    distinct, first = np.unique(key, return_index=True)
+    return np.sort(first[~np.isin(distinct, known)])
+
+
+def views_of(visible: CellSources, source: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
+    """Viewpoints of sources, of which those of a single goal are one each."""
+    return visible.views(source) if isinstance(visible, FamilyCellSources) else source
 
 
 def root_box(visible: CellSources, domain: Box, tolerance: float) -> ConeBoxes:
@@ -187,91 +182,3 @@ class _ConesAboveOptions:
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         own, sources = self.source[self.option[row]], self.visible.sources
         return difference_of_cones(pieces, apex, offset, sources.points[own], sources.distances[own])
-
-
-# Choosing sources in sight: of those that serve a box about as well, one that most of it sees.
-#
-# Who goes straight from a point to its leaf's source meets a wall where the source is out of sight. There the
-# distance
-# is larger than the cone says, for if it were in sight, the way by it would be as short. So samples tell.
-
-
-PRICE = 30.0
-"""Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
-_LEAST_SHORTFALL = 1e-9
-"""Widths of the domain by which a distance is above a cone for certain."""
-
-BoxSources: TypeAlias = Int[np.ndarray, "boxes"]
-Pairs: TypeAlias = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]
-
-
-def sources_in_sight(boxes: ConeBoxes, sampler: Sampler, fits: Callable[[BoxSources], bool]) -> BoxSources:
-    """The source of every box, another one where a part of it does not see the best one and that one is worth it.
-
-    No box's proven error rises above the largest of all: what is proven of all of them holds as before. Of the
-    changes, the most useful first, as many are made as fit.
-    """
-    box, source = _changes(boxes, sampler)
-
-    def changed(count: int) -> BoxSources:
-        result = boxes.source.copy()
-        result[box[:count]] = source[:count]
-        return result
-
-    if fits(changed(len(box))):
-        return changed(len(box))
-    return changed(bisect_left(range(1, len(box)), True, key=lambda count: not fits(changed(count))))
-
-
-def _changes(boxes: ConeBoxes, sampler: Sampler) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
-    """Boxes that are better off with another source, and which; those that gain most, over all their area, first."""
-    box, source, by_all = pairs_of_boxes(boxes)
-    is_doubted = boxes.source >= 0
-    is_doubted[box[by_all & (source == boxes.source[box])]] = False
-    box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
-    if not len(box):
-        return box, source
-    doubted, count = np.flatnonzero(is_doubted), len(boxes.source)
-    price = PRICE * float(boxes.integral.sum())
-    some, option_box = boxes[doubted], np.searchsorted(doubted, box)
-    x = some.cells.points(sampler.pattern.u, boxes.domain)
-    distance = call_oracle(sampler.distance_fn, x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
-    error, hidden = errors_and_shares_hidden(some, sampler.pattern, x, distance, option_box, source)
-    cost = error + price * hidden
-    largest, integral = errors_of_options(boxes.visible, box, source)
-    is_own = source == boxes.source[box]
-    is_barred = ~is_own & (largest > max(boxes.error.max(), boxes.negligible))
-    order = np.lexsort((integral, ~is_own, ~by_all, cost, is_barred, box))
-    best = order[np.append(True, box[order[1:]] != box[order[:-1]])]
-    gain = np.bincount(box[is_own], cost[is_own], count)[box[best]] - cost[best]
-    gain *= np.bincount(boxes.visible.cell, areas(boxes.visible.pieces), count)[box[best]]
-    best = best[np.argsort(-gain, kind="stable")]
-    best = best[~is_own[best]]
-    return box[best], source[best]
-
-
-def pairs_of_boxes(boxes: ConeBoxes) -> Pairs:
-    """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it."""
-    visible = boxes.visible
-    count = len(visible.sources.points)
-    key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
-    box, source = np.divmod(key, count)
-    return box, source, np.bincount(index, visible.by_all, len(key)) == np.diff(visible.first_piece)[box]
-
-
-def errors_and_shares_hidden(
-    boxes: ConeBoxes,
-    pattern: Pattern,
-    x: Float[np.ndarray, "boxes k 2"],
-    distance: Float[np.ndarray, "boxes k"],
-    box: Int[np.ndarray, "options"],
-    source: Int[np.ndarray, "options"],
-) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Mean error of each source in its box, and the share of it from where a wall is in the way."""
-    sources, width = boxes.visible.sources, float(boxes.domain.width.max())
-    weight = pattern.weight * np.isfinite(distance)
-    weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
-    cone = sources.distances[source, None] + np.linalg.norm(x[box] - sources.points[source, None], axis=2)
-    above = np.where(np.isfinite(distance), distance, 0.0)[box] - cone
-    is_hidden = above > _LEAST_SHORTFALL * width
-    return np.sum(weight[box] * np.abs(above), axis=1), np.sum(weight[box] * is_hidden, axis=1)

@@ -1,7 +1,7 @@
 """A cone in every leaf: an offset and the distance to a source, which many leaves share."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,22 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_of_cones
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.best_first import best_axis, largest_error
+from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import best_partition
+from plr_jax.plr.growth.optimal import Leaves, best_partition
 from plr_jax.plr.leaves.base import UNIT, Functions, Rules, largest_coordinates
-from plr_jax.plr.leaves.cone.boxes import ConeLeaves, root_box, sources_in_sight
-from plr_jax.plr.leaves.cone.codec import StoredCones, num_bytes_of, read_cones, stored_cones, write_cones
+from plr_jax.plr.leaves.cone.boxes import root_box
+from plr_jax.plr.leaves.cone.codec import (
+    StoredCones,
+    cones_in_order,
+    num_bytes_of,
+    read_cones,
+    stored_cones,
+    write_cones,
+)
 from plr_jax.plr.leaves.cone.family.members import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.sampled import grow_from_samples
+from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tree_of_leaves
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
@@ -195,16 +204,19 @@ def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tup
     if not len(visible.cell):
         sampler.root()  # which says so
 
-    def stored(leaves: ConeLeaves) -> tuple[Cells, StoredCones]:
-        return stored_cones(leaves.cells, leaves.source, visible.sources, domain)
+    def stored(source: Int[np.ndarray, "leaves"]) -> StoredCones:
+        return cones_in_order(source, visible.sources, domain)
 
-    def size_with_room(leaves: ConeLeaves) -> int:
-        return num_bytes_of(*stored(leaves), domain, limits) * (_ROOM + 1) // _ROOM
+    def size_with_room(levels: list[BoxLevel], leaves: Leaves) -> int:
+        tree = tree_of_leaves(levels, leaves)
+        return num_bytes_of(tree.cells, stored(tree.source), domain, limits) * (_ROOM + 1) // _ROOM
 
     root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
-    best = best_partition(root, limits, size_with_room, num_sources)
+    levels, leaves = best_partition(root, limits, size_with_room, num_sources)
+    tree = tree_of_leaves(levels, leaves)
 
     def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-        return num_bytes_of(*stored(replace(best, source=source)), domain, limits) <= limits.max_bytes
+        return num_bytes_of(tree.cells, stored(source), domain, limits) <= limits.max_bytes
 
-    return stored(replace(best, source=sources_in_sight(best.boxes(), sampler, fits)))
+    options = options_of_trees(levels, [tree], sampler.pattern)
+    return tree.cells, stored(sources_in_sight(tree, options, fits))

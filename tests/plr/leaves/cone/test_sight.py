@@ -12,8 +12,8 @@ GOAL = (0.1, 0.1)
 WALL = [(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]
 
 
-def own_sources(boxes, sampler, fits):
-    return boxes.source
+def own_sources(tree, options, fits):
+    return tree.source
 
 
 @pytest.fixture(scope="module")
@@ -43,22 +43,22 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
 
 
 def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
-    boxes, changed = [], []
+    trees, changed = [], []
     choose = model.sources_in_sight
 
     def with_few(*arguments):
-        boxes.append(arguments[0])
+        trees.append(arguments[0])
         for most in (0, 3, 10**9):
             changed.append(
-                choose(*arguments[:2], lambda source, most=most: (source != boxes[0].source).sum() <= most)
+                choose(*arguments[:2], lambda source, most=most: (source != trees[0].source).sum() <= most)
             )
         return changed[-1]
 
     monkeypatch.setattr(model, "sources_in_sight", with_few)
     construct(maze, maze.workspace.bounds, leaf="cone", max_leaves=200)
-    counts = [(source != boxes[0].source).sum() for source in changed]
+    counts = [(source != trees[0].source).sum() for source in changed]
     assert counts[:2] == [0, 3] and counts[2] > 5
-    few, many = (np.flatnonzero(source != boxes[0].source) for source in changed[1:])
+    few, many = (np.flatnonzero(source != trees[0].source) for source in changed[1:])
     assert np.isin(few, many).all() and (changed[1][few] == changed[2][few]).all()
 
 

@@ -7,9 +7,10 @@ import pytest
 
 from plr_jax import VisibilityGraph, scenes
 from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.growth.levels import BoxLevel, expand, prune
 from plr_jax.plr.growth.limits import check_limits
 from plr_jax.plr.leaves.cone.boxes import fitted_boxes
-from plr_jax.plr.leaves.cone.family.levels import BoxLevel, Start, expand, prune
+from plr_jax.plr.leaves.cone.family.start import Start
 from plr_jax.plr.leaves.cone.family.trees import Cut, member_trees
 from plr_jax.plr.partition.cells import tree_of_levels
 
@@ -29,7 +30,7 @@ def family():
     found, key, node_of = first.family_sources(first.shared_cells(MAZE.bounds, lo, hi), oracles)
     cells = start.lowest[np.zeros(found.num_cells, int)]
     levels = [BoxLevel.of(fitted_boxes(MAZE.bounds, 1e-8, cells, found), key)]
-    expand(levels, np.ones(len(key), bool), float(PRICES[-1]), SHARE, limits)
+    expand(levels, np.ones(len(key), bool), float(PRICES[-1]), SHARE, limits, GAIN, 1.0)
     return start, levels, node_of
 
 
@@ -61,7 +62,7 @@ def test_no_half_is_left_to_be_looked_at(family):
 
 def test_the_best_trees_are_those_of_a_recursion(family):
     _, levels, _ = family
-    prunings = prune(levels, PRICES, SHARE)
+    prunings = prune(levels, PRICES, SHARE, GAIN)
     costs = [level.costs(SHARE) for level in levels]
     for p, price in enumerate(PRICES):
         memo = {}
@@ -83,7 +84,7 @@ def test_the_best_trees_are_those_of_a_recursion(family):
 
 def test_trees_are_walked_with_the_leaves_and_totals_that_were_counted(family):
     start, levels, node_of = family
-    prunings = prune(levels, PRICES, SHARE)
+    prunings = prune(levels, PRICES, SHARE, GAIN)
     total, count = (column[0][:, node_of] for column in (prunings.total, prunings.count))
     top = start.best(total, count, np.full((2, 1), -2), PRICES)
     nothing = np.zeros(2, int)

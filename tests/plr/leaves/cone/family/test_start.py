@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plr_jax.plr.growth.optimal import MAX_ASPECT_BITS
-from plr_jax.plr.leaves.cone.family.levels import NONE, Start
+from plr_jax.plr.growth.levels import MAX_ASPECT_BITS
+from plr_jax.plr.leaves.cone.family.start import NONE, Start
 
 ANY = -1  # source where nothing reaches the goal
 
