@@ -10,7 +10,7 @@ import pytest
 from portable_helpers import CASES, case, hard_points, is_far, same_bits
 from vectors import read_vector, vector_names
 
-from experiments.porting._headers import STRICT, compiled_header, object_for_size, section_bytes
+from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes
 from plr_jax import load_numpy
 from plr_jax.plr.portable.header import CWriter
 
