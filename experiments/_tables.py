@@ -1,6 +1,7 @@
-"""Tables of runs as text: medians with their worst cases, and columns that line up, as text or in Markdown."""
+"""Cells and tables: medians with their worst cases, Markdown, and rows of results as text that lines up."""
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -46,18 +47,35 @@ def rounded_down(value: float) -> str:
     return f"{math.floor(value / scale + 1e-9) * scale:.6g}"
 
 
-def aligned(rows: list[list[str]], numbers: int) -> str:
-    """A table as text, with a line under its head; its last columns hold numbers."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    words = len(widths) - numbers
-    lines = [
-        "  ".join(cell.ljust(width) if at < words else cell.rjust(width) for at, (cell, width) in enumerate(pairs))
-        for pairs in (list(zip(row, widths, strict=True)) for row in rows)
-    ]
-    return "\n".join(line.rstrip() for line in [lines[0], "-" * len(lines[0]), *lines[1:]]) + "\n"
+def as_text(results: Any, name: str) -> str:
+    """All lists of rows among results as tables that line up; what rows hold beyond numbers and words is left out."""
+    if isinstance(results, dict):
+        return "".join(as_text(part, f"{name}, {key}") for key, part in results.items())
+    if not isinstance(results, list) or not all(isinstance(row, dict) for row in results):
+        return ""
+    rows = [dict(_cells(row)) for row in results]
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    lines = [columns, *([row.get(key, "-") for key in columns] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ("  ".join(map(str.rjust, line, widths)) for line in lines)
+    return "\n".join([f"\n{name}\n", *text, ""])
+
+
+def _cells(row: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in row.items():
+        if isinstance(value, dict):
+            yield from _cells(value, f"{prefix}{key}.")
+        elif isinstance(value, int | float | str):
+            yield f"{prefix}{key}", f"{value:.4g}" if isinstance(value, float) else f"{value}"
 
 
 def markdown(rows: list[list[str]], numbers: int) -> str:
     """A table in Markdown whose last columns hold numbers."""
     rule = ["---"] * (len(rows[0]) - numbers) + ["--:"] * numbers
     return "".join("| " + " | ".join(row) + " |\n" for row in [rows[0], rule, *rows[1:]])
+
+
+def formatted(rows: Iterable[dict[str, Any]], *columns: tuple[str, str], words: int = 1) -> str:
+    """A table in Markdown: of each column its head and the form of a row's cell; the first columns hold words."""
+    cells = [[form.format_map(row) for _, form in columns] for row in rows]
+    return markdown([[head for head, _ in columns], *cells], numbers=len(columns) - words)

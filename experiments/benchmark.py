@@ -5,28 +5,16 @@ measures sections again and keeps the others as they are. What a section compare
 ``experiments/benchmarks/``.
 """
 
-from experiments._sections import Section, run_sections
-from experiments.benchmarks import (
-    _accuracy,
-    _cold_start,
-    _construct,
-    _gradient,
-    _growth,
-    _heuristic,
-    _oracle,
-    _query,
-)
+from experiments._runner import Section, run
+from experiments.benchmarks import _accuracy, _gradient, _growth, _oracle, _query
 
-SECTIONS: dict[str, Section] = {
-    "query": _query,
-    "gradient": _gradient,
-    "accuracy": _accuracy,
-    "construct": _construct,
-    "oracle": _oracle,
-    "heuristic": _heuristic,
-    "cold_start": _cold_start,
-    "growth": _growth,
+SECTIONS = {
+    "query": Section(_query.measure, _query.draw),
+    "gradient": Section(_gradient.measure),
+    "accuracy": Section(_accuracy.measure, _accuracy.draw),
+    "oracle": Section(_oracle.measure),
+    "growth": Section(_growth.measure, _growth.draw),
 }
 
 if __name__ == "__main__":
-    run_sections("benchmark", __doc__, SECTIONS)
+    run("benchmark", __doc__, SECTIONS)

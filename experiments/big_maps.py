@@ -8,12 +8,11 @@ found once for a goal. Seconds are those of the processor, medians of several ru
 
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments._results import run
+from experiments._runner import run
 from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._oracle import polygon_field
 from plr_jax import VisibilityGraph, Workspace
@@ -27,7 +26,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     rows = []
     for name, make in maps(seed, smoke):
         rows.append({"map": name, **measure(make, num_runs, num_points, seed)})
-        print(line(rows[-1]), flush=True)
     return {"runs": num_runs, "points": num_points, "rows": rows}
 
 
@@ -83,20 +81,5 @@ def _seconds(call: Callable[[], Any]) -> tuple[float, Any]:
     return time.process_time() - start, result
 
 
-def line(row: dict[str, Any]) -> str:
-    return (
-        f"{row['map']:14}{row['vertices']:>7,} vertices {row['corners']:>7,} corners {row['edges']:>8,} edges "
-        f"{row['bytes'] / 1e6:6.1f} MB  workspace {row['seconds_workspace']:6.3f} s  prepare "
-        f"{row['seconds_prepare']:6.3f} s  first query {row['seconds_first']:6.3f} s  "
-        f"{row['microseconds_a_point']:6.2f} us a point"
-    )
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    path = output / "big_maps.txt"
-    path.write_text("".join(line(row) + "\n" for row in results["rows"]))
-    return [path]
-
-
 if __name__ == "__main__":
-    run("big_maps", "Seconds to prepare an exact oracle on big maps, and what a query costs.", compute, draw)
+    run("big_maps", "Seconds to prepare an exact oracle on big maps, and what a query costs.", compute)

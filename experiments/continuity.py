@@ -7,7 +7,6 @@ take turns; medians are reported.
 """
 
 import time
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from experiments._results import run
+from experiments._runner import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, Box, VisibilityGraph, Workspace, construct, metrics
@@ -47,7 +46,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                 row = measure(plr, workspace, exact, x, distance)
                 timing = {"nanoseconds": nanoseconds[leaf], "to_planes": nanoseconds[leaf] / nanoseconds["plane"]}
                 rows.append({"map": name, "budget": budget, "leaf": leaf, **row, **timing, "seconds": seconds})
-                print(line(rows[-1]), flush=True)
     return {"points": num_points, "runs": num_runs, "rows": rows}
 
 
@@ -111,21 +109,5 @@ def both_sides(plr: PLR, domain: Box) -> tuple[Points, Points]:
     return below, above
 
 
-def line(row: dict[str, Any]) -> str:
-    return (
-        f"{row['map']:10}{row['budget']:>7,}  {row['leaf']:11}{row['leaves']:>7,} leaves {row['bytes']:>7,} bytes "
-        f"({row['resident_bytes']:>9,} resident)  mean {row['mean']:.2e}  max {row['max']:.2e}  "
-        f"jump {row['value_jump']:.1e}  gradient jump {row['gradient_jump']:.1e}  "
-        f"{row['nanoseconds']:6.2f} ns ({row['to_planes']:.2f} x)  built in {row['seconds']:.2f} s"
-    )
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table as text."""
-    path = output / "continuity.txt"
-    path.write_text("\n".join(line(row) for row in results["rows"]) + "\n")
-    return [path]
-
-
 if __name__ == "__main__":
-    run("continuity", "What continuity costs in error, bytes and query time.", compute, draw)
+    run("continuity", "What continuity costs in error, bytes and query time.", compute)

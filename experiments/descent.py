@@ -1,13 +1,9 @@
-"""Paths extracted from PLRs, and where their gradients point.
-
-On each map, at each size: descent from random free starts (how many reach the goal, whether a leg crosses a wall by
-an independent check, how much longer paths are than the shortest, seconds), and the gradient report. A field that
-is zero everywhere shows what descent does without one.
-"""
+"""Walks along the raw gradient alone: what a field gives without lookahead."""
 
 import dataclasses
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from experiments._results import run
-from experiments._walks import downhill, measure_walks
+from experiments._runner import run
 from experiments.benchmarks._maps import load_maps
 from plr_jax import (
     PLR,
@@ -33,6 +28,113 @@ from plr_jax import (
     metrics,
     plot,
 )
+
+STEPS_ACROSS = 500  # the longer side of the domain is so many steps long
+LONGEST = 4  # times the exact distance, after which a walk is given up
+_GRAZE = 0.1  # of a step, by which a walk may cut a corner: steps that turn beside one do not end on it exactly
+_STEPS_AT_ONCE = 64  # before those that have ended are left out
+_WALKING, _REACHED, _LEFT = range(3)
+
+Directions = Callable[[Any], Any]
+
+
+def measure_walks(
+    directions: Directions,
+    workspace: Workspace,
+    starts: Float[np.ndarray, "n 2"],
+    goal: Float[np.ndarray, "2"],
+    distance: Float[np.ndarray, "n"],
+) -> dict[str, Any]:
+    """Shares of the starts whose walk reaches the goal, leaves free space, or runs out of steps.
+
+    Args:
+        directions: The way to go from points ``(n, 2)``; only its direction matters, and where it is zero or not
+            finite, a walk stays.
+        workspace: The free space.
+        starts: Where the walks begin, all at once.
+        goal: Where they end, once it is within a step.
+        distance: The exact distance of the starts.
+    """
+    step = float(workspace.bounds.width.max()) / STEPS_ACROSS
+    walls, target = _walls(workspace, _GRAZE * step), jnp.asarray(goal, jnp.float32)
+    most = np.where(np.isfinite(distance), LONGEST * distance / step, 0.0)
+    x, status, taken = np.array(starts, np.float32), np.full(len(starts), _WALKING), np.zeros(len(starts))
+    count = 0
+    while len(pending := np.flatnonzero((status == _WALKING) & (count < most))):
+        rows = np.resize(pending, 1 << (len(pending) - 1).bit_length())  # padded: few sizes are compiled
+        now, state, steps = jnp.asarray(x[rows]), jnp.full(len(rows), _WALKING), jnp.zeros(len(rows))
+        for _ in range(_STEPS_AT_ONCE):
+            now, state, steps = _advance(now, directions(now), state, steps, walls, target, step)
+        x[rows], status[rows] = now, state
+        taken[rows] += np.asarray(steps)
+        count += _STEPS_AT_ONCE
+    reached = (status == _REACHED) & (taken <= most)
+    left = (status == _LEFT) & (taken <= most)
+    ratio = (taken * step)[reached] / distance[reached]
+    return {
+        "reached": float(reached.mean()),
+        "left_free_space": float(left.mean()),
+        "out_of_steps": float(1 - reached.mean() - left.mean()),
+        "median_ratio": float(np.median(ratio)) if reached.any() else None,
+    }
+
+
+def downhill(field: Callable[[Any], Any]) -> Directions:
+    """The negative gradient of a field, compiled."""
+    return jax.jit(lambda x: -jax.grad(lambda x: field(x).sum())(x))
+
+
+@partial(jax.jit, static_argnames="step")
+def _advance(
+    x: Float[Array, "n 2"],
+    direction: Float[Array, "n 2"],
+    state: Any,
+    steps: Float[Array, "n"],
+    walls: Float[Array, "edges 2 2"],
+    goal: Float[Array, "2"],
+    step: float,
+) -> tuple[Any, Any, Any]:
+    """One step of every walk, or the whole way to the goal within a step."""
+    direction = jnp.asarray(direction, x.dtype)
+    size = jnp.linalg.norm(direction, axis=1, keepdims=True)
+    moves = jnp.isfinite(size) & (size > 0)
+    unit = jnp.where(moves, direction, 0.0) / jnp.where(moves, size, 1.0)
+    near = jnp.linalg.norm(goal - x, axis=1) <= step
+    there = jnp.where(near[:, None], goal, x + step * unit)
+    after = jnp.where(_crosses(x, there, walls), _LEFT, jnp.where(near, _REACHED, _WALKING))
+    walking = state == _WALKING
+    return (
+        jnp.where(walking[:, None], there, x),
+        jnp.where(walking, after, state),
+        steps + walking,
+    )
+
+
+def _crosses(a: Float[Array, "n 2"], b: Float[Array, "n 2"], walls: Float[Array, "edges 2 2"]) -> Bool[Array, "n"]:
+    """Whether each segment crosses an edge."""
+    c, d = walls[:, 0], walls[:, 1]
+
+    def side(p: Any, q: Any, r: Any) -> Any:
+        (px, py), (qx, qy), (rx, ry) = (jnp.moveaxis(each, -1, 0) for each in (p, q, r))
+        return (qx - px) * (ry - py) > (qy - py) * (rx - px)
+
+    a, b = a[:, None], b[:, None]
+    return ((side(a, b, c) != side(a, b, d)) & (side(c, d, a) != side(c, d, b))).any(axis=1)
+
+
+def _walls(workspace: Workspace, graze: float) -> Float[Array, "edges 2 2"]:
+    """The edges around free space, moved outward a little."""
+    grown = shapely.buffer(workspace.free_space, graze, join_style="mitre")
+    rings = [ring for part in np.atleast_1d(shapely.get_parts(grown)) for ring in (part.exterior, *part.interiors)]
+    edges = [np.stack([points[:-1], points[1:]], axis=1) for points in map(shapely.get_coordinates, rings)]
+    return jnp.asarray(np.concatenate(edges), jnp.float32)
+
+
+# Paths extracted from PLRs, and where their gradients point.
+#
+# On each map, at each size: descent from random free starts (how many reach the goal, whether a leg crosses a wall by
+# an independent check, how much longer paths are than the shortest, seconds), and the gradient report. A field that
+# is zero everywhere shows what descent does without one.
 
 START_SEED = 1_000
 SIZES = {"maze": [2_048, 6_144], "thin_maze": [2_048, 6_144], "arena": [6_144, 16_384], "den312d": [6_144]}
@@ -56,10 +158,8 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         x = workspace.sample_free(num_points, 2 * START_SEED + seed)
         distance = exact(starts)
         blind = _measure_descent(lambda x: np.zeros(len(x)), workspace, starts, goal, distance, num_runs)
-        print(f"{name} without a field: {blind['reached']:.2%} reached, length over exact up to {_longest(blind)}")
         few = slice(num_starts // 10)  # the oracle is slow
         walked = measure_walks(exact.directions, workspace, starts[few], goal, distance[few])
-        print(f"{name} along the exact directions: {_outcome(walked)}")
         rows, plr = [], None
         for max_bytes in sizes[name]:
             for leaf in _LEAVES[::2] if smoke else _LEAVES:
@@ -71,7 +171,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                 if leaf == "plane":
                     plr = field
                 rows.append({"budget": max_bytes, "leaf": leaf, "bytes": field.num_bytes, **row})
-                _say(name, rows[-1])
         assert plr is not None
         entry = {"map": name, "corners": len(exact.graph.vertices) - 1, "without_field": blind}
         entry |= {"exact_directions": {"starts": len(starts[few]), "walks": walked}, "rows": rows}
@@ -173,28 +272,6 @@ def _arrows(workspace: Workspace) -> Float[np.ndarray, "n 2"]:
 
 def _longest(row: dict[str, Any]) -> str:
     return f"{row['ratio']['max']:.4f} (median {row['ratio']['median']:.4f})"
-
-
-def _outcome(walks: dict[str, Any]) -> str:
-    return (
-        f"{walks['reached']:.2%} of walks reach the goal, {walks['left_free_space']:.2%} leave free space, "
-        f"{walks['out_of_steps']:.2%} run out of steps"
-    )
-
-
-def _say(name: str, row: dict[str, Any]) -> None:
-    ratio, gradient = row["ratio"], row["gradient"]
-    print(
-        f"{name} {row['leaf']}, {row['bytes']:,} bytes: {row['reached']:.2%} reached, {row['crossings']} cross, "
-        f"length over exact {ratio['median']:.4f} (99 % {ratio['99 %']:.4f}, max {ratio['max']:.4f}), "
-        f"{row['seconds']['median']:.3f} s; "
-        f"angle {gradient['angles'][0.5]:.2f} degrees (90 % {gradient['angles'][0.9]:.1f}, "
-        f"99 % {gradient['angles'][0.99]:.1f}), "
-        f"{gradient['num_not_finite']} not finite, {gradient['num_zero']} zero, "
-        f"jumps up to {gradient['jumps']['max']:.2g}; finite differences {row['finite_differences']:.1e}\n"
-        f"  raw gradient: {_outcome(row['walks'])}",
-        flush=True,
-    )
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:

@@ -23,10 +23,10 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 from tqdm import tqdm
 
-from experiments._figures import label_ends
-from experiments._results import run
+from experiments._runner import run
+from experiments.benchmarks._accuracy import label_ends
 from experiments.benchmarks._maps import load_maps
-from experiments.benchmarks._trees import NUM_TREES, leaves_that_fit, train_linear_trees
+from experiments.benchmarks._rivals import NUM_TREES, leaves_that_fit, train_linear_trees
 from plr_jax import VisibilityGraph, Workspace, best_axis, construct, cyclic_axis, metrics
 from plr_jax.plr import Plane
 

@@ -8,13 +8,12 @@ point of a stack, beside points of one PLR.
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from experiments._results import run
+from experiments._runner import run
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, VisibilityGraph, construct, construct_many, scenes, stack
 from plr_jax._cores import num_cores
@@ -23,18 +22,6 @@ GOAL_SEED, POINT_SEED = 11, 12
 MAPS = {"maze": (1_000, 1_024), "floor_plan": (2_000, 2_048)}
 """Goals and bytes of each PLR."""
 NUM_ALONE, NUM_POINTS, RUNS = 20, 1_000_000, 15
-_COLUMNS = [
-    "map",
-    "goals",
-    "bytes",
-    "seconds",
-    "ms a goal",
-    "CPU ms alone",
-    "mean error",
-    "alone",
-    "largest",
-    "alone",
-]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
@@ -45,9 +32,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         row, built = _measure(name, num_goals, max_bytes, num_alone, seed)
         rows.append(row)
         plrs = plrs or built
-        print("  ".join(_cells(row)), flush=True)
     stacked = _stack_times(plrs, num_points, seed)
-    print(_stack_line(stacked), flush=True)
     return {"rows": rows, "stack": stacked}
 
 
@@ -94,38 +79,5 @@ def _stack_times(plrs: list[PLR], num_points: int, seed: int) -> dict[str, Any]:
     return {"plrs": len(plrs), "points": num_points, **medians, "ratio": medians["stack"] / medians["one"]}
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
-    family, alone = row["family"], row["alone"]
-    return [
-        row["map"],
-        f"{row['goals']:,}",
-        f"{row['bytes']:,}",
-        f"{row['seconds']:.1f}",
-        f"{1e3 * row['seconds'] / row['goals']:.1f}",
-        f"{1e3 * row['cpu_alone']:.0f}",
-        *(f"{kind[of]:.2g}" for of in ("mean", "max") for kind in (family, alone)),
-    ]
-
-
-def _stack_line(stacked: dict[str, Any]) -> str:
-    return (
-        f"{stacked['points']:,} pairs of {stacked['plrs']:,} PLRs {1e3 * stacked['stack']:.1f} ms, points of one "
-        f"{1e3 * stacked['one']:.1f} ms: ratio {stacked['ratio']:.1f}"
-    )
-
-
-def table(results: dict[str, Any]) -> str:
-    """The table of the README, in Markdown."""
-    lines = [f"| {' | '.join(_COLUMNS)} |", "|---" * len(_COLUMNS) + "|"]
-    lines += [f"| {' | '.join(_cells(row))} |" for row in results["rows"]]
-    return "\n".join([*lines, "", f"{_stack_line(results['stack'])}."])
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    path = output / "families.txt"
-    path.write_text(table(results) + "\n", encoding="utf-8")
-    return [path]
-
-
 if __name__ == "__main__":
-    run("families", "A thousand goals at once: seconds, errors, stacks.", compute, draw)
+    run("families", "A thousand goals at once: seconds, errors, stacks.", compute)

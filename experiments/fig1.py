@@ -4,7 +4,7 @@ import base64
 from pathlib import Path
 from typing import Any
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import PLR, Box, Euclidean, construct, cyclic_axis, from_bytes, maximum_depth, metrics, plot
 
 DEPTH = 6

@@ -17,7 +17,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import (
     Roadmap,
     VisibilityGraph,

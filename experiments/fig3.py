@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from experiments._planning import PLR_BYTES, SCENES, SMOKE_BYTES, solved_scene
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import plot
 
 PANELS = (

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from experiments._planning import PLR, PLR_BYTES, SCENES, SMOKE_BYTES, STRAIGHT, solve
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import Problem, plot
 
 COLUMNS = ("single door", "cross 3", "four rooms 4")

@@ -22,8 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 from scipy import ndimage
 
-from experiments._results import run
-from experiments._tables import aligned
+from experiments._runner import run
 from experiments.benchmarks._timing import interleaved
 from plr_jax import GridGraph, GridPairs, construct_grid_pairs, scenes
 
@@ -52,7 +51,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                 row = {"map": name, "connectivity": connectivity, "cells": int(free.sum()), **one.record()}
                 row |= gaps(one.bound, x, y, truth)
                 rows.append(row | {"nanoseconds": 1e9 * seconds[one.name].median / num_timed})
-                print(line(rows[-1]), flush=True)
     return {"rows": rows}
 
 
@@ -202,35 +200,5 @@ def gaps(bound: Bound, x: Points, y: Points, truth: Float[np.ndarray, "n"]) -> d
     }
 
 
-def line(row: dict[str, Any]) -> str:
-    return "  ".join(columns(row))
-
-
-def columns(row: dict[str, Any]) -> list[str]:
-    return [
-        f"{row['map']}, {row['connectivity']} neighbors",
-        row["method"],
-        f"{row['bytes']:,}",
-        f"{row['resident_bytes']:,}",
-        f"{row['mean_gap']:.2g}",
-        f"{row['max_gap']:.3g}",
-        f"{100 * row['exact']:.1f} %",
-        f"{row['violations']:,}",
-        f"{row['pairs']:,}",
-        f"{row['nanoseconds']:,.0f}",
-        f"{row['build_seconds']:.2f}",
-    ]
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table as text."""
-    words = ["grid", "method"]
-    numbers = ["file bytes", "in memory", "mean gap", "largest", "exact", "above", "pairs", "ns", "built, s"]
-    path = output / "grid_pairs.txt"
-    path.write_text(aligned([words + numbers, *(columns(row) for row in results["rows"])], len(numbers)))
-    print(path.read_text())
-    return [path]
-
-
 if __name__ == "__main__":
-    run("grid_pairs", "Steps between all pairs of cells, beside differential heuristics.", compute, draw)
+    run("grid_pairs", "Steps between all pairs of cells, beside differential heuristics.", compute)

@@ -18,7 +18,7 @@ import numpy as np
 import shapely
 from PIL import Image, ImageDraw
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import VisibilityGraph, Workspace, load, scenes
 
 SCAN, SCAN_ROOMS, NOISE = (2000, 1500), (10, 7), 0.0005
@@ -39,7 +39,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
             path = Path(folder, f"{name}.png")
             Image.fromarray(salted(drawn(size, rooms, seed), noise, seed)).save(path)
             rows.append({"map": name, "pixels": list(size), **of_picture(path, num_runs, seed)})
-            print(line(rows[-1]), flush=True)
     return {"runs": num_runs, "max_bytes": MAX_BYTES, "noise": NOISE, "rows": rows}
 
 
@@ -142,22 +141,5 @@ def beside_pixels(free: np.ndarray, workspace: Workspace) -> dict[str, Any]:
     return {"hausdorff": float(max(away)), "closed_passages": closed, "passages": len(center)}
 
 
-def line(row: dict[str, Any]) -> str:
-    return (
-        f"{row['map']:6}{row['pixels'][1]:>6} x {row['pixels'][0]:<5} read {row['seconds_read']:6.3f} s "
-        f"{row['vertices']:>6,} vertices, {row['hausdorff']:.3f} pixels apart, {row['closed_passages']} of "
-        f"{row['passages']:,} passages closed; plr-jax build {row['best']['seconds']:6.2f} s "
-        f"({row['best']['cpu_seconds']:.2f} s of processors), planes alone {row['plane']['seconds']:6.2f} s "
-        f"({row['plane']['cpu_seconds']:.2f}); {row['bytes']:,} bytes, mean error {row['mean_error']:.3g} of "
-        f"{row['mean_distance']:.4g}"
-    )
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    path = output / "maps.txt"
-    path.write_text("".join(line(row) + "\n" for row in results["rows"]))
-    return [path]
-
-
 if __name__ == "__main__":
-    run("maps", "Seconds from a picture to a file, and how near its polygons are to its pixels.", compute, draw)
+    run("maps", "Seconds from a picture to a file, and how near its polygons are to its pixels.", compute)

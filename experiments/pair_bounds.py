@@ -7,17 +7,15 @@ oracle itself rounds. The times are of warm calls of a million pairs, for the di
 
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments._results import run
-from experiments._tables import aligned
+from experiments._runner import run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._timing import interleaved
-from experiments.summaries._rows import MAX_BYTES
-from experiments.summaries._truth import draw_pairs
+from experiments.compare_summaries import MAX_BYTES
+from experiments.summaries._given import draw_pairs
 from plr_jax import PairPLR, VisibilityGraph, construct_pairs
 
 _ORACLE = 1e-12  # of the domain's width: what the oracle rounds
@@ -44,7 +42,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         calls = {"nanoseconds": partial(pairs, x, y), "nanoseconds_of_bounds": partial(pairs.bounds, x, y)}
         row |= {name: 1e9 * each.median / timed for name, each in interleaved(calls, _RUNS).items()}
         rows.append(row)
-        print("  ".join(_cells(row)), flush=True)
     return {"rows": rows}
 
 
@@ -78,38 +75,5 @@ def _together(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return {"pairs": count, "violations": total["violations"], **means, **largest, **told}
 
 
-_HEAD = ["map", "bytes", "MB in memory", "s to build", "pairs", "bounds violated", "mean error", "largest"]
-_HEAD += ["mean gap below", "above", "told above", "ns a pair", "ns of bounds"]
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    return [
-        row["map"],
-        f"{row['bytes']:,}",
-        f"{row['resident_bytes'] / 1e6:.2g}",
-        f"{row['build_seconds']:.2g}",
-        f"{row['pairs']:,}",
-        f"{row['violations']:,}",
-        f"{row['error']:.2g}",
-        f"{row['largest']:.2g}",
-        f"{row['gap']:.2g}",
-        f"{row['gap_above']:.2g}",
-        f"{row['told']:.3%}",
-        f"{row['nanoseconds']:,.0f}",
-        f"{row['nanoseconds_of_bounds']:,.0f}",
-    ]
-
-
-def table(results: dict[str, Any]) -> list[list[str]]:
-    """A head, and a row a map."""
-    return [_HEAD, *map(_cells, results["rows"])]
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    path = output / "pair_bounds.txt"
-    path.write_text(aligned(table(results), len(_HEAD) - 1) + "\n", encoding="utf-8")
-    return [path]
-
-
 if __name__ == "__main__":
-    run("pair_bounds", "Proven bounds of distances of pairs: violations, gaps, seconds.", compute, draw)
+    run("pair_bounds", "Proven bounds of distances of pairs: violations, gaps, seconds.", compute)

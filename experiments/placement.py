@@ -18,8 +18,7 @@ from jaxtyping import Array, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments._results import run
-from experiments._tables import aligned, or_dash
+from experiments._runner import run
 from experiments.benchmarks._maps import load_map, load_maps
 from plr_jax import PairPLR, Placement, VisibilityGraph, Workspace, construct_pairs, place, plot
 
@@ -168,30 +167,7 @@ def exchanged(table: Float[np.ndarray, "n n"], chosen: Int[np.ndarray, "k"], cos
         chosen = np.append(rest[place], point)
 
 
-HEAD = ["map", "task", "objective", "cost", "best points", "dense grid", "straight lines", "best start", "s", "first"]
-NUMBERS = 7
-
-
-def cells(row: dict[str, Any]) -> list[str]:
-    """A row of the table: our cost, and what the others' are of it."""
-    of_ours = (or_dash(None if row[name] is None else row[name] / row["cost"], ".5f") for name in _RIVALS)
-    return [
-        row["map"],
-        row["task"],
-        row["objective"],
-        f"{row['cost']:,.6g}",
-        *of_ours,
-        f"{row['seconds']:.2g}",
-        f"{row['seconds_first']:.2g}",
-    ]
-
-
-_RIVALS = ("of_points", "of_grid", "straight", "best_start")
-
-
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    text = output / "placement.txt"
-    text.write_text(aligned([HEAD, *map(cells, results["rows"])], NUMBERS), encoding="utf-8")
     maps = results["pictures"]
     figure = Figure(figsize=(4.2 * len(maps), 8.6), dpi=130, facecolor="white", layout="constrained")
     axes = figure.subplots(2, len(maps), squeeze=False)
@@ -208,7 +184,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=10)
     picture = output / "placement.png"
     figure.savefig(picture)
-    return [text, picture]
+    return [picture]
 
 
 def draw_meeting(workspace: Workspace, of_sum: dict[str, Any], of_max: dict[str, Any], ax: Axes) -> None:

@@ -25,10 +25,8 @@ from matplotlib.lines import Line2D
 from tqdm import tqdm
 
 from experiments._planning import SCENES, is_valid, lower_bound, plan, plan_and_check, reversed_team
-from experiments._results import run
-from experiments._tables import aligned
-from experiments.baselines.ompl import ompl_plan
-from experiments.baselines.ompl_prioritized import ompl_prioritized
+from experiments._runner import run
+from experiments.baselines.ompl import ompl_plan, ompl_prioritized
 from plr_jax import BLOptions, Problem, Solution, scenes
 
 PRIORITIZED = "prioritized"
@@ -185,94 +183,10 @@ def by_scene(results: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table as text, and cost over time."""
-    tables = {
-        "Seconds to a path that costs no more than ours": race_table(results),
-        "Medians over the variants of a scene": summary_table(results),
-        "Seconds to any path": first_paths_table(results),
-    }
-    text = "\n".join(f"{title}\n\n{table}" for title, table in tables.items())
-    num_paths, num_invalid = count_paths(results)
-    text += f"\n{num_paths} paths put through validate, {num_invalid} of them not valid.\n"
-    (output / "race.txt").write_text(text, encoding="utf-8")
-    print(text)
+    """Cost over time."""
     figure = draw_figure(results)
     figure.savefig(output / "race.png", dpi=150)
-    return [output / "race.txt", output / "race.png"]
-
-
-def race_table(results: dict[str, Any]) -> str:
-    """Seconds to our cost, variant by variant."""
-    rows = [["scene", "start", "ours s", "cost / bound", *results["planners"]]]
-    for entry in results["trials"]:
-        ours = entry["ours"]
-        times = [seconds_of(entry, planner) for planner in results["planners"]]
-        rows.append(
-            [
-                entry["scene"],
-                f"{entry['seed']}",
-                f"{ours['seconds']:.3f}",
-                f"{ours['cost'] / entry['lower_bound']:.3f}",
-                *times,
-            ]
-        )
-    return aligned(rows, numbers=len(rows[0]) - 2)
-
-
-def seconds_of(entry: dict[str, Any], planner: str) -> str:
-    """When a planner reached our cost, ``>`` where not within the limit."""
-    if planner not in entry["ompl"]:
-        return "-"
-    seconds = entry["ompl"][planner]["seconds"]
-    return f"> {entry['limit']:.1f}" if seconds is None else f"{seconds:.3f}"
-
-
-def summary_table(results: dict[str, Any]) -> str:
-    """Medians a scene: our seconds and OMPL's best planner's, to any path, to 5 % more than ours, to no more."""
-    rows = [["scene", *(f"{who} {mark}" for mark in ("first", "5 % more", "same") for who in ("ours,", "best,"))]]
-    rows[0].append("first at the same cost")
-    for total in results["summary"]:
-        cells = []
-        for mark in MARKS:
-            part = total[mark]
-            cells += [f"{part['ours']:.4f}", f"{'> ' if part['at_least'] else ''}{part['best']:.4f}"]
-        winners = ", ".join(dict.fromkeys(total["same_cost"]["winners"])) or "none"
-        rows.append([total["scene"], *cells, winners])
-    return aligned(rows, numbers=len(rows[0]) - 1) + "".join(
-        f"Ours sooner, of {len(part)} {name}: {', '.join(_sooner(part, mark) for mark in MARKS)}\n"
-        for name, part in (
-            ("scenes of Table II", [total for total in results["summary"] if total["scene"] in SCENES]),
-            ("crowds", [total for total in results["summary"] if total["scene"] in CROWDS]),
-        )
-    )
-
-
-def _sooner(summaries: list[dict[str, Any]], mark: str) -> str:
-    """In how many scenes ours reached a mark first."""
-    return f"{mark.replace('_', ' ')} {sum(total[mark]['ours'] < total[mark]['best'] for total in summaries)}"
-
-
-def first_paths_table(results: dict[str, Any]) -> str:
-    """Median seconds to any path at all, and how often there was one."""
-    rows = [["scene", *results["planners"]]]
-    for name, entries in by_scene(results).items():
-        cells = []
-        for planner in results["planners"]:
-            times = [entry["ompl"][planner]["first_path_seconds"] for entry in entries if planner in entry["ompl"]]
-            found = [seconds for seconds in times if seconds is not None]
-            median = f"{np.median(found):.3f}" if found else "-"
-            cells.append(f"{median} ({len(found)}/{len(times)})")
-        rows.append([name, *cells])
-    return aligned(rows, numbers=len(results["planners"]))
-
-
-def count_paths(results: dict[str, Any]) -> tuple[int, int]:
-    """Paths that were checked, and those that were not valid."""
-    checks = []
-    for entry in results["trials"]:
-        checks += [entry["ours"]["valid"], entry["ours"]["improved_valid"]]
-        checks += [attempt["valid"] for attempt in entry["ompl"].values()]
-    return sum(valid is not None for valid in checks), sum(valid is False for valid in checks)
+    return [output / "race.png"]
 
 
 def draw_figure(results: dict[str, Any]) -> Figure:

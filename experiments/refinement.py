@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, scenes
 from plr_jax.plr import Faces, eikonal, jumps, quantile, refine, sample_faces
 
@@ -52,7 +52,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
                 {"scene": name, "budget": budget, **row}
                 for row in _measure_scene(problem.workspace, exact, budget, (x, distance), (test, expected), seed)
             ]
-    print(_table(rows))
     return {"training_points": num_points, "test_points": num_test, "shares": list(SHARES), "rows": rows}
 
 
@@ -107,20 +106,6 @@ def measure(
 
 def _rms(values: Float[np.ndarray, "n"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _table(rows: list[dict[str, Any]]) -> str:
-    lines = [
-        f"{'scene':10}{'budget':>7}  {'planes':16}{'bytes':>6}{'mean':>10}{'max':>9}{'over':>8}"
-        f"{'max over':>10}{'|grad|-1':>10}{'jumps':>10}{'seconds':>9}"
-    ]
-    for row in rows:
-        lines.append(
-            f"{row['scene']:10}{row['budget']:>7}  {row['planes']:16}{row['bytes']:>6}{row['mean']:>10.3g}"
-            f"{row['max']:>9.3g}{row['over']:>8.2%}{row['max_over']:>10.2g}{row['eikonal_rms']:>10.3g}"
-            f"{row['jump_rms']:>10.3g}{row['seconds']:>9.2f}"
-        )
-    return "\n".join(lines)
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:

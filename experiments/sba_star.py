@@ -6,13 +6,12 @@ path checked. Numbers of nodes depend on the seed alone; seconds do not.
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import Problem, construct, robot_distance_fns, scenes, validate
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import straight_line, sum_of_distances, zero
@@ -82,26 +81,5 @@ def solve(problem: Problem, heuristic: HeuristicFn, seed: int, max_nodes: int) -
     }
 
 
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table as text: medians over all runs, those that ended without a path among them."""
-    path = output / "sba_star.txt"
-    lines = [
-        f"{'scene':14}{'heuristic':20}{'solved':>8}{'nodes':>8}{'most':>8}{'samples':>9}{'s':>8}{'cost/bound':>12}"
-    ]
-    for row in results["rows"]:
-        runs = row["runs"]
-        column = {key: [entry[key] for entry in runs] for key in runs[0]}
-        costs = [cost / row["lower_bound"] for cost in column["cost"] if cost is not None]
-        solved, cost = f"{len(costs)}/{len(runs)}", f"{np.median(costs):.2f}" if costs else "-"
-        lines.append(
-            f"{row['scene']:14}{row['heuristic']:20}{solved:>8}{np.median(column['nodes']):8.0f}"
-            f"{max(column['nodes']):8}{np.median(column['samples']):9.0f}"
-            f"{np.median(column['seconds_indicative']):8.2f}{cost:>12}"
-        )
-    path.write_text("\n".join(lines) + "\n")
-    print("\n".join(lines))
-    return [path]
-
-
 if __name__ == "__main__":
-    run("sba_star", "SBA* with each heuristic: nodes, seconds, cost and success.", compute, draw)
+    run("sba_star", "SBA* with each heuristic: nodes, seconds, cost and success.", compute)

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments._results import run
-from experiments._scale_table import table
+from experiments._runner import run
 from experiments._scale_work import FatalOnce, build, family, files_of
 
 SCENE, NUM_WORKERS, NUM_KILLS = "maze", (1, 2, 8), 20
@@ -114,11 +113,5 @@ def _process(work: Work, path: Path, seconds: float) -> tuple[bytes, bool]:
     return (path.read_bytes() if path.exists() else b""), process.exitcode != 0
 
 
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    path = output / "scale.txt"
-    path.write_text(table(results), encoding="utf-8")
-    return [path]
-
-
 if __name__ == "__main__":
-    run("scale", "Whoever builds a fleet's PLRs, however often killed: the same bytes.", compute, draw)
+    run("scale", "Whoever builds a fleet's PLRs, however often killed: the same bytes.", compute)

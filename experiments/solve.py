@@ -4,16 +4,16 @@ Every section is written as soon as it is measured; ``--only SECTION`` measures 
 they are. What a section does is told in its file in ``experiments/solving/``.
 """
 
-from experiments._sections import Section, run_sections
+from experiments._runner import Section, run
 from experiments.solving import _bodies, _cars, _nodes, _plane, _speed_map
 
-SECTIONS: dict[str, Section] = {
-    "plane": _plane,
-    "speed_map": _speed_map,
-    "bodies": _bodies,
-    "cars": _cars,
-    "nodes": _nodes,
+SECTIONS = {
+    "plane": Section(_plane.measure),
+    "speed_map": Section(_speed_map.measure),
+    "bodies": Section(_bodies.measure),
+    "cars": Section(_cars.measure),
+    "nodes": Section(_nodes.measure),
 }
 
 if __name__ == "__main__":
-    run_sections("solve", __doc__, SECTIONS)
+    run("solve", __doc__, SECTIONS)

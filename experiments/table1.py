@@ -7,14 +7,13 @@ points. Seeds change the roadmap's samples and the pattern in which construction
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int
 from tqdm import tqdm
 
-from experiments._results import run
+from experiments._runner import run
 from plr_jax import CellFit, Problem, Roadmap, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
 
 NUM_POINTS = 1_000_000
@@ -72,7 +71,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         "seeds": seeds,
         "paper": PAPER,
         "rows": rows,
-        "against_roadmap": compare_with_roadmap(rows),
     }
 
 
@@ -118,39 +116,5 @@ def _measure_scene(
     return [{"method": method, "configuration": name, "seeds": entry} for (method, name), entry in table.items()]
 
 
-def compare_with_roadmap(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For each PLR of a roadmap, its error beside that of the roadmap it was built from, seed by seed."""
-    roadmap = next(row for row in rows if row["method"] == "PRM*")
-    return [
-        {
-            "configuration": row["configuration"],
-            "seed": own["seed"],
-            "max_of_roadmap": other["max"],
-            "max_over_max_of_roadmap": own["max"] / other["max"],
-            "mean_over_mean_of_roadmap": own["mean"] / other["mean"],
-        }
-        for row in rows
-        if row["method"] == "PLR (PRM*)"
-        for own, other in zip(row["seeds"], roadmap["seeds"], strict=True)
-    ]
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table as a plain text file; Markdown is made by ``experiments.readme_tables``."""
-    path = output / "table1.txt"
-    lines = [
-        f"{'scene':10}{'method':12}{'configuration':36}{'bytes':>10}{'max':>10}{'worst':>10}{'mean':>10}{'worst':>10}"
-    ]
-    for row in results["rows"]:
-        first = row["seeds"][0]
-        worst = [max(entry[key] for entry in row["seeds"]) for key in ("max", "mean")]
-        lines.append(
-            f"{row['scene']:10}{row['method']:12}{row['configuration']:36}{first['bytes']:10,}{first['max']:10.2g}"
-            f"{worst[0]:10.2g}{first['mean']:10.2g}{worst[1]:10.2g}"
-        )
-    path.write_text("\n".join(lines) + "\n")
-    return [path]
-
-
 if __name__ == "__main__":
-    run("table1", "Table I: bytes, max and mean error of PLRs and of the roadmap.", compute, draw)
+    run("table1", "Table I: bytes, max and mean error of PLRs and of the roadmap.", compute)

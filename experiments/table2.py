@@ -8,21 +8,15 @@ heuristics get the first few variants. Nodes, costs and paths depend on the seed
 ended; seconds do not. Every path is checked by ``validate``. The race with other planners is ``experiments.race``.
 """
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
-from experiments._cold import cold_seconds
 from experiments._planning import (
-    EXACT,
     HEURISTICS,
     LATTICE,
     NONE,
-    PLR,
     PLR_BYTES,
     SCENES,
     SMOKE_BYTES,
@@ -32,8 +26,7 @@ from experiments._planning import (
     lower_bound,
     plan,
 )
-from experiments._results import run
-from experiments._tables import aligned, nodes_of, num_solved, spread
+from experiments._runner import run
 from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS, NUM_STARTS_UNDER_HEURISTICS = 20, 5
@@ -42,7 +35,6 @@ TIME_LIMIT = 60.0
 NUM_STARTS_NONE, TIME_LIMIT_NONE = 3, 20.0
 SEARCHERS = (("bl",), ("lacam", "bl"))  # under a heuristic, and by the planner's own choice
 PHASES = ("lattice", "heuristic", "search", "replan", "shorten")
-RATE_EXPANSIONS, RATE_RUNS, JOINT_CHILDREN = 2_000, 5, 9**4
 
 PAPER: dict[str, dict[str, Any]] = {
     "single door": {"none": 1.46, "plr": 0.08, "rrt_star": 0.08, "nodes_none": 24_864, "nodes_plr": 3_800},
@@ -67,13 +59,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         "teams_without_heuristic": {"starts": len(seeds_none), "seconds": limit_none},
         "paper": PAPER,
         "rows": [row for name in names for row in measure_scene(name, seeds, seeds_none, limit_none, plr_bytes)],
-        "cold": [
-            {"scene": name, "heuristic": heuristic, **cold_seconds(name, heuristic)}
-            for name in tqdm(names[:1] if smoke else names, desc="cold", delay=3, disable=None)
-            for heuristic in ((LATTICE,) if smoke else (LATTICE, PLR, EXACT))
-        ],
-        "children_rate": children_rates(20 if smoke else RATE_EXPANSIONS, 1 if smoke else RATE_RUNS, plr_bytes),
-        "dbcbs": dbcbs(smoke),
     }
 
 
@@ -155,149 +140,5 @@ def with_phases(solution: Solution) -> dict[str, float]:
     return {phase: solution.stats.seconds.get(phase, 0.0) for phase in PHASES}
 
 
-def children_rates(num_expansions: int, num_runs: int, plr_bytes: int) -> list[dict[str, Any]]:
-    """Joint children a second of the search's own seconds: 4 discs of 9 primitives, ``9**4`` joint children a node.
-
-    Children grow robot by robot: 9, 81, 729 and 6,561 of them get a score and are tested against the robots before.
-    All four numbers are counted as scored; beside them stand those of all four robots alone. Valid are those of all
-    four robots that collide with nothing, counted before the best are kept. A node whose kept children are used up
-    is expanded again, and its children then count again. Choosing nodes and children, claiming cells and all else
-    that a search does is in its seconds; building lattices and shortening the path is not.
-    """
-    problem = SCENES["four rooms 4"]()
-    heuristic = build(problem, PLR, plr_bytes).heuristic
-    # Weight 1 searches longer; it ends at a path or at the limit.
-    longer = BLOptions(searchers=("bl",), heuristic_weight=1.0, max_expansions=num_expansions)
-    searches = {
-        "to the first path": BLOptions(searchers=("bl",)),
-        "weight 1": longer,
-    }
-    rows = []
-    for name, options in searches.items():
-        plan(problem, heuristic, options)
-        all_stats = [plan(problem, heuristic, options)[0].stats for _ in range(num_runs)]
-        seconds, stats = float(np.median([each.seconds["search"] for each in all_stats])), all_stats[0]
-        rows.append(
-            {
-                "search": name,
-                "expansions": stats.num_expansions,
-                "children_scored": stats.num_children_scored,
-                "whole_children_scored": stats.num_expansions * JOINT_CHILDREN,
-                "children_valid": stats.num_children_valid,
-                "seconds_search": round(seconds, 5),
-                "scored_a_second": round(stats.num_children_scored / seconds),
-                "whole_scored_a_second": round(stats.num_expansions * JOINT_CHILDREN / seconds),
-                "valid_a_second": round(stats.num_children_valid / seconds),
-            }
-        )
-    return rows
-
-
-def dbcbs(smoke: bool) -> list[dict[str, Any]] | None:
-    """The problems of db-CBS, their robots holonomic; None where their folder is not there."""
-    folder = os.environ.get("PLR_JAX_DATA")
-    files = sorted((Path(folder) / "dbcbs").glob("*.yaml")) if folder else []
-    if not files:
-        print("The problems of db-CBS are left out: PLR_JAX_DATA names no folder that holds them.")
-        return None
-    return [dbcbs_row(file) for file in tqdm(files[:1] if smoke else files, desc="db-CBS", delay=3, disable=None)]
-
-
-def dbcbs_row(file: Path) -> dict[str, Any]:
-    """One problem of db-CBS as the planner takes it, or why it is refused."""
-    try:
-        problem = scenes.read_dbcbs(file)
-    except ValueError as refusal:
-        return {"problem": file.stem, "refused": str(refusal).removeprefix(f"{file}: ")}
-    measured = measure(problem, build(problem, LATTICE), lower_bound(problem), BLOptions(time_limit=TIME_LIMIT))
-    return {"problem": file.stem, "robots": len(problem.robots), **measured}
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The tables as text."""
-    tables = {
-        "BL over perturbed starts and goals: medians (worst)": main_table(results),
-        "Nodes: medians over perturbed starts and goals": nodes_table(results),
-        "Seconds of the first plan in a new process": cold_table(results["cold"]),
-        "Joint children of 4 discs in four rooms, millions a second of search": rate_table(results["children_rate"]),
-        "Problems of db-CBS, holonomic": dbcbs_table(results["dbcbs"]) if results["dbcbs"] else "left out\n",
-    }
-    text = "\n".join(f"{title}\n\n{table}" for title, table in tables.items())
-    num_paths, num_invalid = count_paths(results)
-    text += f"\n{num_paths} paths put through validate, {num_invalid} of them not valid.\n"
-    path = output / "table2.txt"
-    path.write_text(text, encoding="utf-8")
-    print(text)
-    return [path]
-
-
-def main_table(results: dict[str, Any]) -> str:
-    head = ["scene", "heuristic", "solved", "nodes", "s", "first path s", "cost / bound", "PLR s", "paper s"]
-    rows = [head]
-    for row in results["rows"]:
-        paper = results["paper"].get(row["scene"], {})
-        published = paper.get({NONE: "none", PLR: "plr"}.get(row["heuristic"], ""))
-        rows.append(
-            [
-                row["scene"],
-                row["heuristic"],
-                f"{num_solved(row)}/{len(row['seed'])}",
-                spread(row["nodes"], ",.0f"),
-                spread(row["seconds"], ".3f"),
-                spread(row["first_path_seconds"], ".3f"),
-                spread(row["cost_over_bound"], ".3f"),
-                spread(row["seconds_plr"], ".2f"),
-                f"{published}" if published else "-",
-            ]
-        )
-    return aligned(rows, numbers=7)
-
-
-def nodes_table(results: dict[str, Any]) -> str:
-    """Nodes of each heuristic; ``>`` where most runs ended without a path."""
-    rows = [["scene", *HEURISTICS]]
-    for name in dict.fromkeys(row["scene"] for row in results["rows"]):
-        found = {row["heuristic"]: nodes_of(row) for row in results["rows"] if row["scene"] == name}
-        rows.append([name, *(found[heuristic] for heuristic in HEURISTICS)])
-    return aligned(rows, numbers=len(HEURISTICS))
-
-
-def cold_table(entries: list[dict[str, Any]]) -> str:
-    phases = ["import", "oracle", "plr", "plan", "process"]
-    rows = [["scene", "heuristic", *phases]]
-    rows += [[entry["scene"], entry["heuristic"], *(f"{entry[phase]:.2f}" for phase in phases)] for entry in entries]
-    return aligned(rows, numbers=len(phases))
-
-
-def rate_table(entries: list[dict[str, Any]]) -> str:
-    rates = {"scored": "scored_a_second", "of all 4 robots": "whole_scored_a_second", "found valid": "valid_a_second"}
-    rows = [["search", "expansions", *rates]]
-    for entry in entries:
-        cells = [f"{entry[key] / 1e6:.1f}" for key in rates.values()]
-        rows.append([entry["search"], f"{entry['expansions']:,}", *cells])
-    return aligned(rows, numbers=4)
-
-
-def dbcbs_table(entries: list[dict[str, Any]]) -> str:
-    rows = [["problem", "robots", "nodes", "s", "cost / bound", "found by", "path"]]
-    for entry in entries:
-        if "refused" in entry:
-            rows.append([entry["problem"], *["-"] * 5, "refused"])
-            continue
-        path = {None: entry["status"], True: "valid", False: "NOT VALID"}[entry["valid"]]
-        ratio = f"{entry['cost_over_bound']:.3f}" if entry["cost_over_bound"] else "-"
-        numbers = [f"{entry['nodes']:,}", f"{entry['seconds']:.3f}", ratio]
-        rows.append([entry["problem"], f"{entry['robots']}", *numbers, entry["found_by"], path])
-    refusals = "".join(f"{entry['problem']}: {entry['refused']}\n" for entry in entries if "refused" in entry)
-    return aligned([[*row[:1], *row[5:], *row[1:5]] for row in rows], numbers=4) + refusals
-
-
-def count_paths(results: dict[str, Any]) -> tuple[int, int]:
-    """Paths that were checked, and those that were not valid."""
-    checks = [valid for row in results["rows"] for valid in row["valid"]]
-    checks += [entry["valid"] for entry in [*results["cold"], *(results["dbcbs"] or [])] if "valid" in entry]
-    return sum(valid is not None for valid in checks), sum(valid is False for valid in checks)
-
-
 if __name__ == "__main__":
-    run("table2", "Table II: BL under every heuristic: nodes, seconds, cost and success.", compute, draw, renew)
+    run("table2", "Table II: BL under every heuristic: nodes, seconds, cost and success.", compute, renew=renew)

@@ -3,15 +3,13 @@
 On each map, at each size: paths from random free starts, each leg tested by Shapely, how deep it is inside walls.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
-from matplotlib.figure import Figure
 
-from experiments._results import run
+from experiments._runner import run
 from experiments.benchmarks._maps import load_maps
 from plr_jax import Traces, TraceStatus, VisibilityGraph, Workspace, construct, trace
 
@@ -20,7 +18,6 @@ SIZES = {"maze": [512, 1_024], "thin_maze": [512, 1_024], "arena": [2_048, 4_096
 """Bytes of the PLRs of each map."""
 DEPTH = 1e-5
 """How deep inside walls a path may be, in widths of the map, and still count as clear."""
-_COLUMNS = ["map", "bytes", "leaves", "arrived", "clear", "length over exact"]
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
@@ -31,7 +28,6 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         starts = workspace.sample_free(num_starts, START_SEED + seed)
         for max_bytes in sizes[name]:
             rows.append({"map": name, "budget": max_bytes, **_measure(exact, starts, max_bytes)})
-            print("  ".join(_cells(rows[-1])), flush=True)
     return {"starts": num_starts, "depth": DEPTH, "rows": rows}
 
 
@@ -61,27 +57,5 @@ def _clear(traces: Traces, workspace: Workspace) -> Bool[np.ndarray, "n"]:
     return shapely.covers(grown, paths)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
-    return [
-        row["map"],
-        f"{row['bytes']:,}",
-        f"{row['leaves']:,}",
-        f"{row['arrived']:.2%}",
-        f"{row['clear']:.2%}",
-        f"{row['ratio']['mean']:.8f}",
-    ]
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    rows = results["rows"]
-    figure = Figure(figsize=(7, 0.6 + 0.3 * len(rows)), dpi=100, facecolor="white", layout="constrained")
-    ax = figure.subplots()
-    ax.axis("off")
-    ax.table([_cells(row) for row in rows], colLabels=_COLUMNS, loc="center", cellLoc="center")
-    path = output / "trace.png"
-    figure.savefig(path)
-    return [path]
-
-
 if __name__ == "__main__":
-    run("trace", "Ways home read from PLRs of cones alone.", compute, draw)
+    run("trace", "Ways home read from PLRs of cones alone.", compute)

@@ -1,47 +1,129 @@
-"""Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
-
-All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
-map's smaller side. What each is given:
-
-- The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
-  like, which is counted; cones ask it what whole cells see, which is not.
-- Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
-  many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
-- Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half
-  a million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where the
-  error is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept in
-  16-bit floats, which costs it no accuracy.
-- scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
-  so points beside them get no answer.
-
-Seconds of building are without the oracle's, but for cones, which the exact distance itself answers for cells.
-"""
+"""What several figures of experiments have in common."""
 
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments._tables import aligned
-from experiments.benchmarks import _accuracy_figure
-from experiments.benchmarks._grids import (
+from experiments.benchmarks._maps import load_map
+from experiments.benchmarks._rivals import (
+    Rival,
+    best_linear_trees,
     filled_grid,
     interpax_grid,
+    make_all,
     scipy_grid,
     sixteen_bit_grid,
+    train_network,
     travel_time_grid,
     triangles,
 )
-from experiments.benchmarks._maps import load_map
-from experiments.benchmarks._network import train_network
-from experiments.benchmarks._rivals import Rival, make_all
-from experiments.benchmarks._trees import best_linear_trees
 from plr_jax import VisibilityGraph, Workspace, construct
+
+
+def label_ends(ax: Axes, ends: list[tuple[str, float, float, str]], spacing: float) -> None:
+    """Name every line of logarithmic axes where it ends, with labels moved apart that would overlap.
+
+    Args:
+        ax: The axes.
+        ends: Of each line its label, where it ends along x and y, and its color.
+        spacing: Least distance of labels, in heights of the axes.
+    """
+    lo, hi = np.log(ax.get_ylim())
+    height = -np.inf
+    for label, x, y, color in sorted(ends, key=lambda end: end[2]):
+        height = max((np.log(y) - lo) / (hi - lo), height + spacing)
+        ax.annotate(
+            label,
+            (x, y),
+            (1.06, height),
+            textcoords="axes fraction",
+            color=color,
+            va="center",
+            fontsize=9,
+            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
+        )
+
+
+# Mean error against bytes, one panel a map.
+
+# interpax's linear answers are those of the bilinear grid.
+_STYLES = {
+    "PLR, cones": ("#0072B2", "-", "*"),
+    "PLR": ("#0072B2", "-", "o"),
+    "PLR, continuous": ("#0072B2", "--", "o"),
+    "bilinear grid, 16-bit": ("#444444", "-", "D"),
+    "bilinear grid": ("#444444", "--", "D"),
+    "interpax, cubic, 16-bit": ("#009E73", "-", "^"),
+    "interpax, cubic": ("#009E73", "--", "^"),
+    "LinearNDInterpolator": ("#CC79A7", "-", "v"),
+    "LightGBM linear trees": ("#D55E00", "-", "s"),
+    "network, 16-bit": ("#E69F00", "-", "P"),
+    "scikit-fmm": ("#56B4E9", ":", "X"),
+}
+_LABEL_HEIGHT = 0.06
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """A panel a map, the lines labeled at the right of the last."""
+    maps = results["maps"]
+    figure = Figure(figsize=(2.7 * len(maps) + 2.0, 4.2), layout="constrained", facecolor="white")
+    panels = figure.subplots(1, len(maps), squeeze=False)[0]
+    for ax, (name, rows) in zip(panels, maps.items(), strict=True):
+        _draw_map(ax, rows)
+        ax.set_title(name.replace("_", " "), fontsize=11)
+        ax.set_xlabel("bytes")
+    panels[0].set_ylabel("mean error (workspace units)")
+    label_ends(panels[-1], _ends(list(maps.values())[-1]), _LABEL_HEIGHT)
+    path = output / "benchmark_accuracy.png"
+    figure.savefig(path, dpi=150)
+    return [path]
+
+
+def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
+    for name, (color, line, marker) in _STYLES.items():
+        points = [(row["bytes"], row["free"]["mean"]) for row in rows if row["contender"] == name]
+        if points:
+            ax.loglog(*zip(*points, strict=True), line, color=color, marker=marker, ms=4, lw=1.5)
+    budgets = sorted({row["budget"] for row in rows})
+    ax.set_xticks(budgets, [f"{budget:,}" for budget in budgets])
+    ax.minorticks_off()
+    ax.grid(True, which="major", color="#dddddd", lw=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
+    """Label, end and color of each line."""
+    most = max(row["budget"] for row in rows)
+    last = [row for row in rows if row["budget"] == most and row["contender"] in _STYLES and row["free"]["mean"]]
+    return [(row["contender"], row["bytes"], row["free"]["mean"], _STYLES[row["contender"]][0]) for row in last]
+
+
+# Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
+#
+# All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
+# map's smaller side. What each is given:
+#
+# - The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
+#   like, which is counted; cones ask it what whole cells see, which is not.
+# - Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
+#   many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
+# - Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
+#   half a million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where
+#   the error is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept
+#   in 16-bit floats, which costs it no accuracy.
+# - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
+#   so points beside them get no answer.
+#
+# Seconds of building are without the oracle's, but for cones, which the exact distance itself answers for cells.
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena", "den312d")
@@ -50,8 +132,6 @@ _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
 _PLRS = {"PLR, cones": "cone", "PLR": "plane", "PLR, continuous": "continuous"}
 _TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
-
-draw = _accuracy_figure.draw
 
 
 class Oracle:
@@ -182,48 +262,3 @@ def summary(error: Float[np.ndarray, "n"]) -> dict[str, float | int | None]:
         "max": float(answered.max()),
         **counts,
     }
-
-
-def table(results: dict[str, Any]) -> str:
-    maps = results["maps"]
-    return "\n".join(
-        [
-            *(
-                f"{name}, {results['points']:,} free points\n{aligned(_table_rows(rows), 12)}"
-                for name, rows in maps.items()
-            ),
-            *(f"skipped: {name}: {reason}" for name, reason in results["skipped"].items()),
-            *(line for name, rows in maps.items() for line in _claims(name, rows)),
-            "",
-        ]
-    )
-
-
-def _table_rows(rows: list[dict[str, Any]]) -> list[list[str]]:
-    head = ["", "bytes", "mean", "median", "99 %", "max", "unanswered"]
-    head += ["near walls: mean", "99 %", "max", "unanswered", "samples", "build s"]
-    return [head, *([row["contender"], *_cells(row)] for row in rows)]
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    free = [_error(row["free"][key]) for key in ("mean", "median", "quantile_99", "max")]
-    near = [_error(row["near_walls"][key]) for key in ("mean", "quantile_99", "max")]
-    unanswered = [f"{row[where]['unanswered']:,}" for where in ("free", "near_walls")]
-    made = [f"{row['samples']:,}", f"{row['build_seconds']:.2f}"]
-    return [f"{row['bytes']:,}", *free, unanswered[0], *near, unanswered[1], *made]
-
-
-def _error(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _claims(name: str, rows: list[dict[str, Any]]) -> list[str]:
-    """Our kinds of PLR over the best rival that answers every free point, for each budget."""
-    lines = []
-    for plr in (row for row in rows if row["contender"] in _PLRS):
-        rivals = [row for row in rows if row["budget"] == plr["budget"] and row["contender"] not in _PLRS]
-        best = min((row for row in rivals if not row["free"]["unanswered"]), key=lambda row: row["free"]["mean"])
-        ratio = plr["free"]["mean"] / best["free"]["mean"]
-        names = f"{plr['contender']} / {best['contender']}"
-        lines.append(f"{name}, {plr['budget']:,} bytes: mean error, {names} {ratio:.2g} (below 1)")
-    return lines

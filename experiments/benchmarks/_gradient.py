@@ -7,7 +7,6 @@ Errors of gradients are lengths of differences from the exact one, a unit vector
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from experiments._tables import aligned
 from experiments.benchmarks._query import LEAVES, POINT_SEED, SMOKE_LEAVES, makers, maze_plr
 from experiments.benchmarks._rivals import Rival, compiled, make_all
 from experiments.benchmarks._timing import interleaved
@@ -93,39 +91,3 @@ def _errors(
         "gradient_mean": float(away.mean()),
         "gradient_99": float(np.quantile(away, 0.99)),
     }
-
-
-def table(results: dict[str, Any]) -> str:
-    head = [
-        "",
-        "bytes",
-        "value, ns a point",
-        "with gradient",
-        "ratio",
-        "mean error",
-        "of gradient",
-        "99 % of gradient",
-    ]
-    rows, lines = [head], []
-    plr = results["rows"]["PLR"]["both"][0]
-    for name, row in results["rows"].items():
-        value, both = row["value"][0], row["both"][0]
-        errors = [f"{row['mean']:.5f}", f"{row['gradient_mean']:.3f}", f"{row['gradient_99']:.3f}"]
-        rows.append([name, f"{row['bytes']:,}", f"{value:.2f}", f"{both:.2f}", f"{both / value:.2f}", *errors])
-        lines += [f"value and gradient: PLR / {name} {plr / both:.3f}"] if name != "PLR" else []
-    ratio = plr / results["rows"]["PLR"]["value"][0]
-    return "\n".join(
-        [
-            f"{results['points']:,} points of the maze",
-            aligned(rows, len(head) - 1),
-            *(f"skipped: {name}: {reason}" for name, reason in results["skipped"].items()),
-            *lines,
-            f"PLR: value and gradient / value {ratio:.2f} (at most 1.5)",
-            "",
-        ]
-    )
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """The table says it all."""
-    return []

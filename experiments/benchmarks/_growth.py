@@ -12,20 +12,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator
 from tqdm import tqdm
 
 from experiments import _planning
-from experiments._tables import aligned
-from experiments.benchmarks._construct import cone
-from experiments.benchmarks._heuristic import team_configurations, team_of, team_plrs
 from experiments.benchmarks._oracle import median_seconds, polygon_field, prepared
 from experiments.benchmarks._timing import interleaved
-from plr_jax import PLR, BLOptions, Problem, VisibilityGraph, construct, scenes, sum_of_distances
+from plr_jax import PLR, BLOptions, Problem, VisibilityGraph, construct, robot_distance_fns, scenes, sum_of_distances
 
 NUM_TURNS, NUM_RUNS = 9, 3
 _POINT_SEED = 1_000
@@ -67,6 +66,9 @@ Curve = tuple[Sequence[int], Sequence[float]]
 
 
 def _cone_plr(dim: int, leaves: int, seed: int) -> PLR:
+    def cone(x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        return np.sqrt(sum(column * column for column in x.T))
+
     return construct(cone, (np.zeros(dim), np.ones(dim)), max_leaves=leaves, seed=seed)
 
 
@@ -135,11 +137,14 @@ def _num_vertices(smoke: bool) -> list[int]:
 def _heuristic_by_robots(seed: int, smoke: bool) -> Curve:
     sizes = [1, 2] if smoke else [1, 2, 4, 8, 16]
     problem = scenes.four_rooms(4)
-    plrs, _ = team_plrs(problem, 512 if smoke else _PLR_BYTES, seed)
-    calls = {}
+    domain, size = problem.workspace.bounds, 512 if smoke else _PLR_BYTES
+    plrs = [construct(fn, domain, max_bytes=size, seed=seed) for fn in robot_distance_fns(problem)]
+    calls, n = {}, 1_024 if smoke else _BATCH
     for robots in sizes:
-        q = team_configurations(problem, robots, 1_024 if smoke else _BATCH, seed)
-        calls[str(robots)] = _call(sum_of_distances(team_of(plrs, robots)), q)
+        q = problem.workspace.sample_free(n * robots, _POINT_SEED + seed).reshape(n, robots, 2)
+        # Each robot's PLR has arrays of its own, also where robots are as many as twice the team's.
+        team = [jax.tree.map(jnp.copy, plrs[i % len(plrs)]) for i in range(robots)]
+        calls[str(robots)] = _call(sum_of_distances(team), q)
     return sizes, [seconds.median for seconds in interleaved(calls, 3 if smoke else NUM_TURNS).values()]
 
 
@@ -168,15 +173,6 @@ _CURVES: dict[str, tuple[str, Callable[[int, bool], Curve]]] = {
     "heuristic": ("robots", _heuristic_by_robots),
     "plan": ("robots", _plan_by_robots),
 }
-
-
-def table(results: dict[str, Any]) -> str:
-    rows = [["cost", "grows with", "from", "to", "seconds", "to", "exponent"]]
-    for name, curve in results["curves"].items():
-        sizes = [f"{curve['sizes'][end]:,}" for end in (0, -1)]
-        seconds = [f"{curve['seconds'][end]:.3g}" for end in (0, -1)]
-        rows.append([name, curve["unit"], *sizes, *seconds, f"{curve['exponent']:.2f}"])
-    return aligned(rows, numbers=5)
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:

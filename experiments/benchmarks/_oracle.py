@@ -25,7 +25,6 @@ import shapely
 from jaxtyping import Float
 from tqdm import tqdm
 
-from experiments._tables import aligned
 from experiments.benchmarks._maps import Map, load_map
 from plr_jax import VisibilityGraph, Workspace
 
@@ -37,12 +36,12 @@ SECONDS_A_BATCH, SECONDS_IN_ALL = 0.2, 20.0
 RIVAL_LIMIT, QUERY_LIMIT = 25.0, 5.0
 _CORNERS = 8  # of an obstacle of a synthetic map
 _GROWN, _FRAME, _SLIT = 1e-7, 0.1, 1e-4  # as shares of the longer side of the bounds
-_TARGETS = {"maze": (2, None), "arena": (5, None), "den312d": (25, 1), "den520d": (60, 15), "synthetic": (None, 90)}
+_MAPS = ("maze", "arena", "den312d", "den520d", "synthetic")
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     batches = BATCHES[:2] if smoke else BATCHES
-    maps = [(name, _map(name, seed, smoke)) for name in (["maze", "synthetic"] if smoke else _TARGETS)]
+    maps = [(name, _map(name, seed, smoke)) for name in (["maze", "synthetic"] if smoke else _MAPS)]
     results: dict[str, Any] = {"rival_limit": RIVAL_LIMIT, "maps": {}}
     too_slow: dict[str, str] = {}
     for name, entry in tqdm(maps, desc="maps", disable=None):
@@ -197,44 +196,3 @@ def _obstacles(free: Any, width: float) -> list[Any]:
 
 def _ring(ring: Any) -> list[list[float]]:
     return shapely.get_coordinates(ring)[:-1].tolist()
-
-
-def table(results: dict[str, Any]) -> str:
-    maps = {name: row for name, row in results["maps"].items() if "skipped" not in row}
-    batches = list(next(iter(maps.values()))["microseconds_a_point"])
-    head = ["map", "contender", "vertices", "workspace s", "prepare s", *(f"us a point, {int(n):,}" for n in batches)]
-    rows = [[*head, "bytes", "largest difference"]]
-    notes = [f"{name}: skipped, {row['skipped']}" for name, row in results["maps"].items() if "skipped" in row]
-    for name, row in maps.items():
-        times = [f"{row['microseconds_a_point'][n]:,.2f}" for n in batches]
-        seconds = [f"{row['seconds_workspace']:.4f}", f"{row['seconds_prepare']:.4f}"]
-        rows.append([name, "VisibilityGraph", f"{row['vertices']:,}", *seconds, *times, f"{row['bytes']:,}", ""])
-        for rival, outcome in row["rivals"].items():
-            if "skipped" in outcome:
-                notes.append(f"{name}, {rival}: {outcome['skipped']}")
-                continue
-            each = [f"{outcome['query'] * 1e6:,.0f}", *["" for _ in batches[1:]]]
-            found = [f"{outcome['bytes_pickled']:,}", f"{outcome['largest_difference']:.1e}"]
-            rows.append([name, rival, f"{row['vertices']:,}", "", f"{outcome['prepare']:.4f}", *each, *found])
-    return "\n".join([aligned(rows, numbers=len(rows[0]) - 2), *notes, *_ratios(maps, batches[-1])]) + "\n"
-
-
-def _ratios(maps: dict[str, Any], largest: str) -> list[str]:
-    lines = []
-    for name, row in maps.items():
-        point, prepare = _TARGETS[name]
-        if point is not None:
-            micro = row["microseconds_a_point"][largest]
-            lines.append(f"{name}: {micro:.2f} us a point in a batch of {int(largest):,} (at most {point})")
-        if prepare is not None:
-            lines.append(f"{name}: {row['seconds_prepare']:.2f} s of preprocessing (at most {prepare})")
-        micro = row["microseconds_a_point"]
-        for rival, outcome in row["rivals"].items():
-            if "skipped" not in outcome:
-                query = outcome["query"] * 1e6
-                prepare = outcome["prepare"] / (row["seconds_workspace"] + row["seconds_prepare"])
-                lines.append(
-                    f"{name}: {rival} / VisibilityGraph {prepare:,.2f} in preprocessing, "
-                    f"{query / micro[largest]:,.0f} a point in a batch, {query / micro['1']:.1f} one by one"
-                )
-    return lines

@@ -1,18 +1,12 @@
-"""Time of a query: a PLR against its rivals, in the plane at equal bytes, and alone over dimensions and leaves.
+"""Time of a PLR's query over dimensions, leaves and points; of one point; and compilations of a second PLR.
 
-In the plane, all answer the same random points of the maze:
-
-- Nodes of grids and weights of the network are float32 numbers that fill the bytes of the PLR's file.
-- SciPy's grid and LightGBM are timed with float32 and with float64 points; ratios are to the faster.
-- LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_trees.py``).
-- The Numba loops read the PLR's own tables, on one core and on all.
-- The floors: JAX reading the points and writing one float for each, and NumPy copying as many bytes.
-
-In four dimensions the function is the joint distance of two point robots of the maze that change places and ignore
-one another, ``sqrt(d1**2 + d2**2)``. How time grows with dimensions, leaves and points is in ``_query_sizes.py``.
+The function is the distance to a point off the center of the unit cube (a cone).
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,28 +14,181 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from matplotlib.figure import Figure
+from tqdm import tqdm
 
-from experiments._tables import aligned
-from experiments.benchmarks import _query_sizes
-from experiments.benchmarks._grids import filled_grid, interpax_grid, map_coordinates, scipy_grid, triangles
-from experiments.benchmarks._network import train_network
 from experiments.benchmarks._numba_loop import numba_loop
-from experiments.benchmarks._rivals import Rival, make_all
+from experiments.benchmarks._rivals import (
+    Rival,
+    filled_grid,
+    interpax_grid,
+    linear_trees,
+    make_all,
+    map_coordinates,
+    scipy_grid,
+    train_network,
+    triangles,
+)
 from experiments.benchmarks._timing import interleaved
-from experiments.benchmarks._trees import linear_trees
 from plr_jax import PLR, VisibilityGraph, construct, metrics, scenes
+
+_DIMS = (2, 3, 4, 5, 6)
+_LEAVES = (64, 1_024, 16_384, 65_536)
+_LARGEST, _LARGEST_DIMS, _LARGEST_SECONDS = 10**6, (2, 4), 30
+_SAMPLES = 16
+_OTHER_GOALS = 4
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#444444")
+
+
+def measure_sizes(points: list[int], leaves: int, turns: int, seed: int, smoke: bool) -> dict[str, Any]:
+    sizes, skipped = _sizes(_DIMS[:2] if smoke else _DIMS, (64,) if smoke else _LEAVES, points, turns, seed)
+    return {
+        "sizes": sizes,
+        "sizes_skipped": skipped,
+        "one_point": _one_point(leaves, turns, seed),
+        "other_goals": _other_goals(1 if smoke else _OTHER_GOALS, leaves, seed),
+    }
+
+
+def size_of(plr: PLR) -> dict[str, int]:
+    return {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "resident_bytes": plr.resident_bytes}
+
+
+def _sizes(
+    dims: tuple[int, ...], leaves: tuple[int, ...], points: list[int], turns: int, seed: int
+) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """Rows of all sizes. A million leaves are built only where that will not take long, judged by the size before."""
+    rows, skipped = [], {}
+    for dim in tqdm(dims, desc="dimensions", disable=None):
+        plrs, seconds = {}, 0.0
+        for number in leaves:
+            plrs[number], seconds = _cone(dim, number, seed)
+        expected = seconds * _LARGEST / max(leaves)
+        if len(leaves) > 1 and dim in _LARGEST_DIMS:
+            if expected < _LARGEST_SECONDS:
+                plrs[_LARGEST], _ = _cone(dim, _LARGEST, seed)
+            else:
+                reason = f"would take {expected:.0f} s to construct, more than {_LARGEST_SECONDS} s"
+                skipped[f"{_LARGEST:,} leaves in {dim}-D"] = reason
+        rows += _rows(plrs, points, turns, seed)
+    return rows, skipped
+
+
+def _cone(dim: int, leaves: int, seed: int) -> tuple[PLR, float]:
+    tip = np.linspace(0.31, 0.43, dim)
+    begun = time.perf_counter()
+    domain = (np.zeros(dim), np.ones(dim))
+    plr = construct(
+        lambda x: np.linalg.norm(x - tip, axis=1), domain, max_leaves=leaves, num_samples=_SAMPLES, seed=seed
+    )
+    return plr, time.perf_counter() - begun
+
+
+def _rows(plrs: dict[int, PLR], points: list[int], turns: int, seed: int) -> list[dict[str, Any]]:
+    """Nanoseconds a point of PLRs of one dimension, taking turns."""
+    dim = next(iter(plrs.values())).dim
+    rows = {leaves: {"dim": dim, **size_of(plr), "nanoseconds": {}} for leaves, plr in plrs.items()}
+    for n in points:
+        x = jnp.asarray(np.random.default_rng(POINT_SEED + seed).random((n, dim)), jnp.float32)
+        calls: dict[str, Callable[[], Any]] = {str(leaves): partial(plr, x) for leaves, plr in plrs.items()}
+        for leaves, seconds in interleaved(calls, turns).items():
+            rows[int(leaves)]["nanoseconds"][str(n)] = [1e9 / n * s for s in seconds]
+    return list(rows.values())
+
+
+def _maze_plr(goal: np.ndarray, leaves: int, seed: int) -> PLR:
+    workspace = scenes.maze().workspace
+    return construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=leaves, seed=seed)
+
+
+def _one_point(leaves: int, turns: int, seed: int) -> dict[str, list[float]]:
+    """Microseconds of a call with one point."""
+    plr = _maze_plr(scenes.maze().goals[0], leaves, seed)
+    x = np.random.default_rng(POINT_SEED + seed).random((1, 2)).astype(np.float32)
+    on_device, closed_over = jnp.asarray(x), jax.jit(plr)
+    calls = {
+        "plr(x), JAX array": lambda: plr(on_device),
+        "plr(x), NumPy array": lambda: plr(x),
+        "in a jitted function that holds the PLR": lambda: closed_over(on_device),
+    }
+    return {name: [1e6 * s for s in seconds] for name, seconds in interleaved(calls, turns).items()}
+
+
+def _other_goals(number: int, leaves: int, seed: int) -> list[dict[str, Any]]:
+    """Compilations when PLRs of other goals, with as many leaves, answer points after the first did."""
+    workspace = scenes.maze().workspace
+    first = _maze_plr(scenes.maze().goals[0], leaves, seed)
+    x = jnp.asarray(np.random.default_rng(POINT_SEED + seed).random((1_000, 2)), jnp.float32)
+    first(x).block_until_ready()
+    rows, seen = [], {_shapes(first)}
+    for goal in workspace.sample_free(number, POINT_SEED + seed):
+        plr = _maze_plr(goal, leaves, seed)
+        with compilations() as compiled:
+            plr(x).block_until_ready()
+        rows.append(
+            {"leaves": plr.num_leaves, "tables_of_known_size": _shapes(plr) in seen, "compilations": len(compiled)}
+        )
+        seen.add(_shapes(plr))
+    return rows
+
+
+def _shapes(plr: PLR) -> tuple:
+    return tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree_util.tree_leaves(plr.tables))
+
+
+@contextmanager
+def compilations() -> Iterator[list[float]]:
+    """Seconds of everything that XLA compiles meanwhile."""
+    compiled: list[float] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event == _COMPILED:
+            compiled.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield compiled
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def draw(results: dict[str, Any], output: Path) -> list[Path]:
+    """Nanoseconds a point of the largest batch against leaves, one line a dimension."""
+    most = list(results["sizes"][0]["nanoseconds"])[-1]
+    figure = Figure(figsize=(5.6, 3.8), layout="constrained", facecolor="white")
+    ax = figure.subplots()
+    for dim, color in zip(sorted({row["dim"] for row in results["sizes"]}), _COLORS, strict=False):
+        rows = [row for row in results["sizes"] if row["dim"] == dim]
+        leaves, times = [row["leaves"] for row in rows], [row["nanoseconds"][most][0] for row in rows]
+        ax.loglog(leaves, times, "-o", color=color, ms=4, lw=1.5)
+        ax.annotate(f"{dim}-D", (leaves[-1], times[-1]), (6, 0), textcoords="offset points", color=color, va="center")
+    ax.set_xlabel("leaves")
+    ax.set_ylabel(f"nanoseconds a point, {int(most):,} points")
+    ax.grid(True, which="major", color="#dddddd", lw=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+    path = output / "benchmark_query.png"
+    figure.savefig(path, dpi=150)
+    return [path]
+
+
+# Time of a query: a PLR against its rivals, in the plane at equal bytes, and alone over dimensions and leaves.
+#
+# In the plane, all answer the same random points of the maze:
+#
+# - Nodes of grids and weights of the network are float32 numbers that fill the bytes of the PLR's file.
+# - SciPy's grid and LightGBM are timed with float32 and with float64 points; ratios are to the faster.
+# - LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_trees.py``).
+# - The Numba loops read the PLR's own tables, on one core and on all.
+# - The floors: JAX reading the points and writing one float for each, and NumPy copying as many bytes.
+#
+# In four dimensions the function is the joint distance of two point robots of the maze that change places and ignore
+# one another, ``sqrt(d1**2 + d2**2)``.
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 LEAVES, SMOKE_LEAVES = 512, 64
 _SAMPLES_OF_JOINT = 64
 _DOUBLE = ", float64 points"
-_RATIOS = {
-    "map_coordinates": "at most 1.2",
-    "Numba loop": "at most 2",
-    "copy, JAX": "at most 6",
-    "SciPy RegularGridInterpolator": "at most 1/40 = 0.025",
-    "LightGBM linear tree": "at most 1/30 = 0.033",
-}
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
@@ -49,7 +196,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     return {
         "plane": _plane(points, turns, leaves, seed, *((2_000, 20, 1_000) if smoke else (100_000, 4_000, 20_000))),
         "joint": _joint(points[-1], turns, 500 if smoke else 50_000, seed),
-        **_query_sizes.measure(points, leaves, turns, seed, smoke),
+        **measure_sizes(points, leaves, turns, seed, smoke),
     }
 
 
@@ -149,63 +296,9 @@ def _joint(num_points: int, turns: int, num_leaves: int, seed: int) -> dict[str,
     q = np.concatenate([workspace.sample_free(num_points, POINT_SEED + seed + robot) for robot in range(2)], axis=1)
     seconds = interleaved(_calls(contenders, q.astype(np.float32)), turns)
     return {
-        **_query_sizes.size_of(plr),
+        **size_of(plr),
         "points": num_points,
         "rows": {name: _errors(rival, distance, q[:100_000]) for name, rival in contenders.items()},
         "nanoseconds": {name: [1e9 / num_points * s for s in times] for name, times in seconds.items()},
         "skipped": skipped,
     }
-
-
-def table(results: dict[str, Any]) -> str:
-    plane, joint = results["plane"], results["joint"]
-    joint_rows = [["4-D, two robots", "ns a point", "mean error", "max error"]]
-    for name, quartiles in joint["nanoseconds"].items():
-        joint_rows.append([name, f"{quartiles[0]:.2f}", *_error_cells(joint["rows"].get(name))])
-    reasons = {**plane["skipped"], **joint["skipped"]}
-    return "\n".join(
-        [
-            f"the maze, {plane['leaves']} leaves",
-            aligned(_plane_rows(plane), len(plane["points"]) + 4),
-            f"{joint['leaves']:,} leaves, {joint['bytes']:,} bytes, {joint['points']:,} points",
-            aligned(joint_rows, 3),
-            _query_sizes.table(results),
-            *(f"skipped: {name}: {reason}" for name, reason in reasons.items()),
-            *_ratios(plane),
-            f"4-D, {joint['leaves']:,} leaves: {joint['nanoseconds']['PLR'][0]:.1f} ns a point (at most 12)",
-            *_query_sizes.claims(results),
-            "",
-        ]
-    )
-
-
-def _plane_rows(plane: dict[str, Any]) -> list[list[str]]:
-    head = ["", *(f"ns a point of {n:,}" for n in plane["points"]), "bytes", "mean error", "max error", "unanswered"]
-    rows = [head]
-    for name, times in plane["nanoseconds"].items():
-        row = plane["rows"].get(name.removesuffix(_DOUBLE))
-        cells = [f"{times[str(n)][0]:,.2f}" for n in plane["points"]]
-        about = [f"{row['bytes']:,}", *_error_cells(row), f"{row['unanswered']:,}"] if row else ["-"] * 4
-        rows.append([name, *cells, *about])
-    return rows
-
-
-def _error_cells(row: dict[str, Any] | None) -> list[str]:
-    return [f"{row['mean']:.5f}", f"{row['max']:.4f}"] if row else ["-", "-"]
-
-
-def _ratios(plane: dict[str, Any]) -> list[str]:
-    """PLR over each kind of rival, of which the fastest counts, for the most points."""
-    n = plane["points"][-1]
-    medians = {name: times[str(n)][0] for name, times in plane["nanoseconds"].items()}
-    lines = []
-    for rival, claim in _RATIOS.items():
-        names = [name for name in medians if name.startswith(rival)]
-        if names:
-            fastest = min(names, key=lambda name: medians[name])
-            lines.append(f"{n:,} points: PLR / {fastest} {medians['PLR'] / medians[fastest]:.3f} ({claim})")
-    return lines
-
-
-def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    return _query_sizes.draw(results, output)

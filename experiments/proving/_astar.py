@@ -15,7 +15,6 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from experiments._tables import aligned
 from experiments.benchmarks._maps import load_maps
 from plr_jax import VisibilityGraph, Workspace, construct
 
@@ -155,14 +154,3 @@ def summed_up(name: str, problems: list[dict[str, Any]]) -> list[dict[str, Any]]
             }
         )
     return rows
-
-
-def table(results: dict[str, Any]) -> str:
-    head = ["map", "heuristic", "problems", "not optimal", "longest / shortest", "above the truth", "expansions"]
-    rows = [[*head, "of straight line's", "nodes, of its"]]
-    for row in results["rows"]:
-        over = f"{max(row['largest_over'], 0):.2%}"
-        numbers = [f"{row['worst_ratio']:.6f}", over, f"{row['expanded']:,.0f}", f"{row['to_straight']:.1%}"]
-        counts = [f"{row['problems']:,}", f"{row['not_optimal']:,}"]
-        rows.append([row["map"], row["heuristic"], *counts, *numbers, f"{row['nodes_to_straight']:.1%}"])
-    return aligned(rows, numbers=7)

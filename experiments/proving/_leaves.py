@@ -16,9 +16,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LogNorm, hsv_to_rgb
 from matplotlib.figure import Figure
 
-from experiments._tables import aligned
 from experiments.benchmarks._maps import load_maps
-from experiments.proving._worst_points import widest_bounds
+from experiments.proving._sizes import widest_bounds
 from plr_jax import PLR, VisibilityGraph, Workspace, certify, construct, from_bytes, plot
 
 BUDGETS = {"maze": 512, "arena": 4_096}
@@ -44,16 +43,6 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
 def _rings(polygon: Any) -> dict[str, Any]:
     outer, *holes = [shapely.get_coordinates(ring)[:-1].tolist() for ring in (polygon.exterior, *polygon.interiors)]
     return {"outer": outer, "holes": holes}
-
-
-def table(results: dict[str, Any]) -> str:
-    rows = [["map", "bytes", "leaves", "sources", "most leaves of one", "area within 1e-5", "largest proven"]]
-    for name, each in results["maps"].items():
-        plr, source = _plr(each), _sources(_plr(each))[0]
-        counts = [plr.num_leaves, len(np.unique(source)), np.bincount(source).max()]
-        last = [f"{_share_within(plr):.1%}", f"{each['max_error']:.3g}"]
-        rows.append([name, f"{each['bytes']:,}", *(f"{count:,}" for count in counts), *last])
-    return aligned(rows, numbers=6) + "Area: of leaves whose proven error is at most 1e-5 of the domain's width.\n"
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
@@ -84,13 +73,6 @@ def _sources(
 ) -> tuple[Int[np.ndarray, "leaves"], Float[np.ndarray, "sources 2"], Int[np.ndarray, "sources"]]:
     """The source of each leaf, where sources are, and their parents."""
     return plr.stored.source, plr.stored.sources.points, plr.stored.sources.parent
-
-
-def _share_within(plr: PLR) -> float:
-    """Area of the leaves whose proven error is small, as a share of the domain."""
-    lo, hi = plr.leaf_boxes
-    area, small = np.prod(hi - lo, axis=1), widest_bounds(plr) <= _SMALL * plr.domain.width.max()
-    return float(area[small].sum() / area.sum())
 
 
 def _boxes(plr: PLR) -> Float[np.ndarray, "leaves 4 2"]:

@@ -22,10 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from experiments._tables import aligned, or_dash
-from experiments.solving._counted import counted
-from experiments.solving._grids import Sizes, all_neighbors, even_sizes, grid_search, marched
-from experiments.solving._prm_star import prm_star
+from experiments.solving._rivals import Sizes, all_neighbors, counted, even_sizes, grid_search, marched, prm_star
 from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
 
 CELLS = (50_000, 100_000)
@@ -74,10 +71,8 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         truth, grids[name] = _grid(body, _SMOKE_GRID if smoke else GRID_CELLS, x)
         for max_leaves in (_SMOKE_CELLS,) if smoke else CELLS:
             rows.append({"body": name, **_solved(body, max_leaves, truth, x, seed)})
-            print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
         for num_samples in (_SMOKE_SAMPLES,) if smoke else SAMPLES:
             rows.append({"body": name, **_sampled(body, num_samples, truth, seed)})
-            print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
     return {"points": num_points, "grids": grids, "rows": rows}
 
 
@@ -145,67 +140,3 @@ def _errors(answer: Float[np.ndarray, "n"], cost: Float[np.ndarray, "n"]) -> dic
         "largest": float(error[known].max()) if known.any() else None,
         "unanswered": float(1 - known.mean()),
     }
-
-
-_NUMBERS = 14
-
-
-def _rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
-    head = [
-        "body",
-        "method",
-        "cells",
-        "bytes",
-        "s",
-        "configurations",
-        "motions",
-        "boxes",
-        "mean difference",
-        "largest",
-    ]
-    table = [[*head, "no answer", "below grid", "upper - lower", "upper bound", "grid beyond", "by at most"]]
-    for row in rows:
-        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.1f}"]
-        tests = [f"{row['tests'][kind]:,}" for kind in ("configurations", "motions", "boxes")]
-        names = ("mean", "largest", "unanswered", "below", "gap", "with_upper", "beyond_share", "beyond_largest")
-        table.append([row["body"], row["method"], *size, *tests, *(or_dash(row.get(name), ".2%") for name in names)])
-    return table
-
-
-def tests_at_equal_error(rows: list[dict[str, Any]], error: float) -> tuple[float, bool]:
-    """Configurations and motions that roadmaps test to err as little, and whether it would take more."""
-    sizes = sorted((row for row in rows if row["mean"] is not None), key=lambda row: -row["mean"])
-    tests = np.array([row["tests"]["configurations"] + row["tests"]["motions"] for row in sizes], float)
-    means = np.array([row["mean"] for row in sizes])
-    found = np.interp(-np.log(error), -np.log(means), np.log(tests))
-    return float(np.exp(found)), bool(means.min() > error)
-
-
-def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
-    """Rows of cells, how many of the last columns hold numbers, and a note."""
-    parts = [
-        f"Shares of the mean cost-to-go of what is judged: ours at {results['points']:,} random free configurations "
-        "with a way, roadmaps at their samples. The rectangle's grid has 48 directions in the plane: its ways are up "
-        "to 0.75 % too long in between; grids test configurations and motions as all others do."
-    ]
-    for name, grid in results["grids"].items():
-        sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))
-        parts.append(
-            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; {half} differs by {grid['difference']:.2%}; "
-            f"{grid['reached']:.1%} of free configurations have a way."
-        )
-        of_body = [row for row in results["rows"] if row["body"] == name]
-        roadmaps = [row for row in of_body if row["method"] == "PRM*"]
-        for row in (row for row in of_body if row["method"] != "PRM*"):
-            tests, is_more = tests_at_equal_error(roadmaps, row["mean"])
-            parts.append(
-                f"PRM* as near to the grid as {row['cells']:,} cells: {'> ' if is_more else ''}{tests:,.0f} tests of "
-                f"configurations and motions, ours {row['tests']['boxes']:,} of boxes and "
-                f"{row['tests']['configurations'] + row['tests']['motions']:,} of those."
-            )
-    return _rows_of(results["rows"]), _NUMBERS, " ".join(parts) + "\n"
-
-
-def table(results: dict[str, Any]) -> str:
-    rows, numbers, note = tabled(results)
-    return aligned(rows, numbers) + note

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from experiments._tables import aligned
 from experiments.benchmarks._timing import interleaved
 from plr_jax import Box, DistanceFn, Dubins, GridField, ReedsShepp, construct
 
@@ -53,7 +52,6 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         }.items():
             row = table | {"method": method, "nanoseconds": _nanoseconds(of_table, x, batches, smoke)}
             rows.append(row | _errors(of_table(x), truth))
-        print(aligned(_rows_of(rows, batches), 5 + len(batches)), flush=True)
     return {"poses": len(x), "batches": batches, "rows": rows}
 
 
@@ -111,28 +109,3 @@ def _axes(sizes: tuple[int, int, int]) -> list[Float[np.ndarray, "n"]]:
 def _errors(answer: Float[np.ndarray, "n"], truth: Float[np.ndarray, "n"]) -> dict[str, float]:
     error = np.abs(answer - truth)
     return {"mean": float(error.mean()), "largest": float(error.max()), "mean_distance": float(truth.mean())}
-
-
-def _rows_of(rows: list[dict[str, Any]], batches: list[int]) -> list[list[str]]:
-    head = ["car", "method", "bytes", "built in s", "mean error", "of distance", "largest"]
-    table = [[*head, *(f"ns a pose of {size:,}" for size in batches)]]
-    for row in rows:
-        size = [f"{row['bytes']:,}", f"{row['seconds']:.1f}"]
-        errors = [f"{row['mean']:.2g}", f"{row['mean'] / row['mean_distance']:.3%}", f"{row['largest']:.2g}"]
-        table.append([row["car"], row["method"], *size, *errors, *(f"{time:,.3g}" for time in row["nanoseconds"])])
-    return table
-
-
-def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
-    """Rows of cells, how many of the last columns hold numbers, and a note."""
-    note = (
-        f"Errors in turning radii, of 50 x 50 of them and all headings, over {results['poses']:,} random poses. "
-        "Table: float32 at cells of an eighth of a turning radius and 5 degrees, half of the window; planners take "
-        "the nearest cell. PLRs are compiled, in float32; closed forms and tables are NumPy's, in float64.\n"
-    )
-    return _rows_of(results["rows"], results["batches"]), 5 + len(results["batches"]), note
-
-
-def table(results: dict[str, Any]) -> str:
-    rows, numbers, note = tabled(results)
-    return aligned(rows, numbers) + note

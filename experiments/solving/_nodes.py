@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 from experiments._planning import is_valid, plan
-from experiments._tables import aligned, or_dash, spread
 from plr_jax import (
     BLOptions,
     HeuristicFn,
@@ -45,7 +44,6 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         built = time.perf_counter() - began
         row = {"heuristic": name, "built": built, "at_start": float(heuristic(published.starts[None])[0])}
         rows.append(row | _planned(problems, heuristic, _moved(published, seed)))
-        print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
     return {"max_leaves": max_leaves, "starts": len(problems), "rows": rows}
 
 
@@ -76,30 +74,3 @@ def _planned(problems: list[Problem], heuristic: HeuristicFn, known: Problem) ->
         "cost": [solution.cost if solution.solved else None for _, solution, _ in runs],
         "valid": [is_valid(problem, solution) for problem, solution, _ in runs],
     }
-
-
-_NUMBERS = 6
-
-
-def _rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
-    table = [["heuristic", "built in s", "at the start", "solved", "nodes", "s", "cost"]]
-    for row in rows:
-        solved = sum(cost is not None for cost in row["cost"])
-        made = [f"{row['built']:.2f}", or_dash(row["at_start"], ".3f"), f"{solved}/{len(row['cost'])}"]
-        runs = [spread(row["nodes"], ",.0f"), spread(row["seconds"], ".3f"), spread(row["cost"], ".3f")]
-        table.append([row["heuristic"], *made, *runs])
-    return table
-
-
-def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
-    """Rows of cells, how many of the last columns hold numbers, and a note."""
-    note = (
-        f"`bl_plan` of the tangle, best-first search alone; medians, and in brackets the largest, of "
-        f"{results['starts']} starts. SE(2): {results['max_leaves']:,} cells a rectangle.\n"
-    )
-    return _rows_of(results["rows"]), _NUMBERS, note
-
-
-def table(results: dict[str, Any]) -> str:
-    rows, numbers, note = tabled(results)
-    return aligned(rows, numbers) + note

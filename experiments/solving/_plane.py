@@ -28,11 +28,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from experiments._tables import aligned, or_dash
 from experiments.benchmarks._maps import Map, load_map
-from experiments.solving._counted import CountedSpace, counted
-from experiments.solving._grids import all_neighbors, even_sizes, grid_search, marched
-from experiments.solving._prm_star import prm_star
+from experiments.solving._rivals import (
+    CountedSpace,
+    all_neighbors,
+    counted,
+    even_sizes,
+    grid_search,
+    marched,
+    prm_star,
+)
 from plr_jax import PLR, PlaneSpace, VisibilityGraph, solve_eikonal
 
 MAPS = ("maze", "thin_maze", "arena", "den312d")
@@ -64,7 +69,6 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
         counts = violations([plr for _, plr in solved], found, exact, 20_000 if smoke else POINTS_TESTED, seed)
         ours = [row | count for (row, _), count in zip(solved, counts, strict=True)]
         rows += [{"map": name, **row} for row in [*ours, *rivals(found, x, distance, seed, smoke)]]
-        print(aligned(rows_of([row for row in rows if row["map"] == name]), _NUMBERS), flush=True)
     return {"first_call": first_call(limits[0]), "points": len(x), "rows": rows}
 
 
@@ -149,41 +153,6 @@ def _on_grid(method: str, space: CountedSpace, goal: Float[np.ndarray, "2"], num
         if method == "scikit-fmm"
         else grid_search(space, goal, sizes, all_neighbors(2, _DIJKSTRA_REACH))
     )
-
-
-_NUMBERS = 13
-
-
-def rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
-    """A head, and a row a method and size."""
-    head = ["map", "method", "cells", "bytes", "s", "calls", "configurations", "motions", "boxes", "mean error"]
-    table = [[*head, "largest", "no answer", "below truth", "upper - lower", "no upper"]]
-    for row in rows:
-        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.2f}"]
-        tests = [f"{row['tests'][kind]:,}" for kind in ("calls", "configurations", "motions", "boxes")]
-        shares = ("mean", "largest", "unanswered", "below", "gap", "without_upper")
-        table.append([row["map"], row["method"], *size, *tests, *(or_dash(row.get(name), ".2%") for name in shares)])
-    return table
-
-
-def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
-    """Rows of cells, how many of the last columns hold numbers, and a note."""
-    ours = [row for row in results["rows"] if row["method"] == "solve_eikonal"]
-    first = results["first_call"]
-    note = (
-        f"Errors and gaps over the mean distance of the same points, of {results['points']:,} random free ones; "
-        "cells are those solved on, samples of a roadmap. Bounds tested at "
-        f"{ours[0]['points_tested']:,} points a map for each of {len(ours)} PLRs: "
-        f"{sum(row['lower_violated'] for row in ours)} below a lower bound, "
-        f"{sum(row['upper_violated'] for row in ours)} above an upper one. The first call in a process takes "
-        f"{first['first']:.1f} s, a second one {first['second']:.1f} s (maze).\n"
-    )
-    return rows_of(results["rows"]), _NUMBERS, note
-
-
-def table(results: dict[str, Any]) -> str:
-    rows, numbers, note = tabled(results)
-    return aligned(rows, numbers) + note
 
 
 def main(limit: str) -> None:

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from experiments._tables import aligned
-from experiments.solving._grids import marched
+from experiments.solving._rivals import marched
 from plr_jax import CostMap, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
 
 GOAL = np.array([0.13, 0.21])
@@ -74,7 +73,6 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
                 "bytes": plr.num_bytes,
             }
             rows.append(row | _errors(plr, x, marching["truth"]) | marching["row"])
-            print(aligned(_rows_of(rows[-1:]), _NUMBERS), flush=True)
     return {"side": side, "points": len(x), "rows": rows}
 
 
@@ -102,43 +100,3 @@ def _errors(plr: Any, x: Float[np.ndarray, "n 2"], truth: Float[np.ndarray, "n"]
         "beyond_share": float((beyond > 0).mean()),
         "beyond_largest": float(beyond.max(initial=0.0)),
     }
-
-
-_NUMBERS = 11
-
-
-def _rows_of(rows: list[dict[str, Any]]) -> list[list[str]]:
-    head = [
-        "speed",
-        "cells",
-        "bytes",
-        "s",
-        "mean error",
-        "largest",
-        "upper - lower",
-        "no upper",
-        "grid beyond bounds",
-    ]
-    table = [[*head, "by at most", "grid: s", "grid: own error"]]
-    for row in rows:
-        shares = [row[name] for name in ("mean", "largest", "gap", "without_upper", "beyond_share", "beyond_largest")]
-        cells = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.2f}"]
-        cells += ["-" if share is None else f"{share:.3%}" for share in shares]
-        table.append([row["map"], *cells, f"{row['marching_seconds']:.1f}", f"{row['marching_difference']:.3%}"])
-    return table
-
-
-def tabled(results: dict[str, Any]) -> tuple[list[list[str]], int, str]:
-    """Rows of cells, how many of the last columns hold numbers, and a note."""
-    side = results["side"]
-    note = (
-        f"Shares of the mean travel time, at {results['points']:,} points; truth: fast marching on {side:,} x "
-        f"{side:,} cells, its own error the mean difference to {side // 2:,} x {side // 2:,}. What is proven is of "
-        "the exact times, not of the grid's.\n"
-    )
-    return _rows_of(results["rows"]), _NUMBERS, note
-
-
-def table(results: dict[str, Any]) -> str:
-    rows, numbers, note = tabled(results)
-    return aligned(rows, numbers) + note

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from experiments.summaries._node_grid import NodeGrid, finest_grid, rounded
-from experiments.summaries._summary import Candidates, CompiledSummary, Given, Pairs, Points, compiled, straight
+from experiments.summaries._given import Candidates, CompiledSummary, Given, Pairs, Points, compiled, straight
+from experiments.summaries._node_tables import NodeGrid, finest_grid, rounded
 from plr_jax import Roadmap, construct
 from plr_jax.geometry.graph import Graph, dijkstra
 

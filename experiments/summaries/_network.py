@@ -15,7 +15,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from experiments.summaries._summary import Candidates, Given, compiled, straight
+from experiments.summaries._given import Candidates, Given, compiled, straight
 
 _OCTAVES = 4
 _BATCH = 1_024

@@ -25,8 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.csgraph import shortest_path
 
-from experiments.summaries._corner_lists import CornerLists, corner_lists
-from experiments.summaries._summary import Candidates, Given, Points
+from experiments.summaries._given import Candidates, CornerLists, Given, Points, corner_lists
 from plr_jax import Workspace
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.graph import Graph, to_networkx

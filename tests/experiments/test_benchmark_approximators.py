@@ -1,37 +1,26 @@
 """The benchmark's sections about approximators: query, gradient, accuracy; and the rivals they compare."""
 
-import json
-import re
-from functools import cache
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments._sections import figures_of
-from experiments.benchmarks import _accuracy, _gradient, _query, _query_sizes
-from experiments.benchmarks._grids import (
+from experiments.benchmarks import _accuracy, _gradient, _query
+from experiments.benchmarks._numba_loop import numba_loop
+from experiments.benchmarks._rivals import (
+    Rival,
     filled_grid,
+    make_all,
     map_coordinates,
     scipy_grid,
     sixteen_bit_grid,
+    train_network,
     travel_time_grid,
     triangles,
 )
-from experiments.benchmarks._network import train_network
-from experiments.benchmarks._numba_loop import numba_loop
-from experiments.benchmarks._rivals import Rival, make_all
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
-SECTIONS = {"query": _query, "gradient": _gradient, "accuracy": _accuracy}
 GOAL = np.array([0.4, 0.3])
-
-
-@cache
-def smoke(name):
-    """Results of a section at its smallest, as they come back from a file."""
-    return json.loads(json.dumps(SECTIONS[name].measure(0, True), allow_nan=False))
 
 
 def empty_square():
@@ -43,47 +32,6 @@ def wall_square():
     """A wall that leaves a gap at the top."""
     workspace = Workspace(((0, 0), (1, 1)), [np.array([(0.45, 0), (0.55, 0), (0.55, 0.8), (0.45, 0.8)])])
     return workspace, VisibilityGraph(workspace, np.array([0.2, 0.3]))
-
-
-@pytest.mark.parametrize("name", SECTIONS)
-def test_table_and_figures_come_from_the_results_alone(name, tmp_path):
-    text = SECTIONS[name].table(smoke(name))
-    assert "PLR" in text and not re.search(r"\bnan\b", text)
-    for path in figures_of(SECTIONS[name], smoke(name), tmp_path):
-        assert path.name == f"benchmark_{name}.png" and path.stat().st_size > 1_000
-
-
-def test_every_contender_of_a_query_has_times_or_a_reason():
-    plane = smoke("query")["plane"]
-    plr, exact = _query.maze_plr(64, 0)
-    for name in ["PLR", *_query.makers(plr, exact, 100, 1, 0)]:
-        assert (name in plane["nanoseconds"]) != (name in plane["skipped"])
-    for times in plane["nanoseconds"].values():
-        assert all(0 < t < np.inf for quartiles in times.values() for t in quartiles)
-    assert {"copy, JAX", "copy, NumPy"} <= plane["nanoseconds"].keys()
-
-
-def test_gradients_of_plr_and_grid_are_timed_and_judged():
-    rows = smoke("gradient")["rows"]
-    assert {"PLR", "map_coordinates", "network", "SciPy RegularGridInterpolator"} <= rows.keys()
-    assert all(t > 0 for row in rows.values() for t in [*row["value"], *row["both"]])
-    # SciPy's and JAX's grids hold the same nodes.
-    grids = [rows[name]["gradient_mean"] for name in ("map_coordinates", "SciPy RegularGridInterpolator")]
-    assert grids[0] == pytest.approx(grids[1], rel=0.05)
-
-
-def test_accuracy_keeps_bytes_and_counts_points():
-    rows = smoke("accuracy")["maps"]["maze"]
-    assert {row["contender"] for row in rows} | smoke("accuracy")["skipped"].keys() >= {
-        "PLR",
-        "bilinear grid",
-        "LightGBM linear trees",
-        "scikit-fmm",
-    }
-    for row in rows:
-        assert 0.85 * row["budget"] < row["bytes"] <= row["budget"]
-        assert row["free"]["mean"] > 0 and row["near_walls"]["points"] < row["free"]["points"]
-        assert (row["free"]["unanswered"] > 0) == (row["contender"] == "scikit-fmm")
 
 
 @pytest.mark.parametrize(
@@ -159,7 +107,7 @@ def test_network_keeps_its_bytes_and_learns():
 
 def test_linear_trees_count_their_packed_bytes():
     pytest.importorskip("lightgbm")
-    from experiments.benchmarks._trees import linear_trees
+    from experiments.benchmarks._rivals import linear_trees
 
     _, exact = empty_square()
     x = np.random.default_rng(0).random((2_000, 2))
@@ -198,12 +146,12 @@ def test_a_rival_answers_points_of_any_precision_as_float64():
 
 
 def test_compilations_are_counted():
-    with _query_sizes.compilations() as compiled:
+    with _query.compilations() as compiled:
         jax.jit(lambda x: x * 3 + 1)(np.ones(7)).block_until_ready()
     assert len(compiled) == 1
     plr, _ = _query.maze_plr(64, 0)
     x = scenes.maze().workspace.sample_free(3, 0)
     plr(x)
-    with _query_sizes.compilations() as compiled:
+    with _query.compilations() as compiled:
         plr(x)
     assert not compiled

@@ -1,56 +1,22 @@
 """Rivals of a file of all pairs, each at its smallest, and what they are made of by hand."""
 
-import json
-from functools import cache
-
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import shortest_path
 
-from experiments import _summary_tables, compare_summaries
+from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
-from experiments.summaries import _fastmap, _landmarks, _network, _node_grid, _polygons, _rows, _truth
-from experiments.summaries._summary import Given, Pairs
+from experiments.summaries import _embeddings, _given, _landmarks, _network, _node_tables, _polygons
+from experiments.summaries._given import Given, Pairs
 from plr_jax import VisibilityGraph, Workspace, scenes
 from plr_jax.geometry.graph import Graph
 
 SQUARE = Workspace(((0, 0), (1, 1)))
-RIVALS = ["maze_full_table", "maze_landmark_tables", "maze_landmark_plrs", "maze_fastmap", "maze_embedding"]
-RIVALS += ["maze_network", "maze_spanner", "maze_polygon", "maze_straight_line", "maze_product_plr", "maze_ours"]
-
-
-@cache
-def smoke(name):
-    """Results of a rival at its smallest, as they come back from a file; it is measured once."""
-    return json.loads(json.dumps(compare_summaries.SECTIONS[name].measure(0, True), allow_nan=False))
 
 
 def given(workspace, max_bytes, goals=20):
     oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
-    return Given(oracle, max_bytes, _truth.draw_pairs(oracle, goals, 50, 1), 0, True)
-
-
-@pytest.mark.parametrize("name", RIVALS)
-def test_every_rival_is_measured_within_its_bytes(name):
-    results = smoke(name)
-    assert len(compare_summaries.SECTIONS[name].table(results).splitlines()) == 2 + len(results["rows"]) > 2
-    assert results["map"] == "maze" and results["rival"] == name.removeprefix("maze_")
-    for row in results["rows"]:
-        assert row["bytes"] <= 1_024 and row["pairs"] == 1_000
-        assert 0 <= row["mean"] < row["largest"] and row["below"] + row["above"] <= 1 and row["nanoseconds"] > 0
-
-
-def test_every_rival_meets_every_map():
-    maps = ("maze", "arena", "den312d", "den520d")
-    rivals = {name.removeprefix("maze_") for name in RIVALS}
-    assert {f"{name}_{rival}" for name in maps for rival in rivals} == compare_summaries.SECTIONS.keys()
-
-
-def test_readme_table_has_a_line_for_each_row():
-    results = {name: smoke(name) for name in RIVALS}
-    lines = _summary_tables.summaries(results).splitlines()
-    assert len([line for line in lines if line.startswith("|")]) == 2 + sum(len(r["rows"]) for r in results.values())
-    assert "| maze | polygon, exact oracle | lists of corners | 112 |" in "\n".join(lines)
+    return Given(oracle, max_bytes, _given.draw_pairs(oracle, goals, 50, 1), 0, True)
 
 
 def test_the_polygon_is_exact():
@@ -96,12 +62,12 @@ def test_spanners_are_never_below_the_truth():
 
 
 def test_grids_interpolate_between_free_nodes():
-    grid = _node_grid.grid_of(SQUARE, 20)
+    grid = _node_tables.grid_of(SQUARE, 20)
     table = np.stack([grid.free @ [1.0, 2.0], np.full(len(grid.free), 3.0)], axis=1)[grid.nearest]
     for x in np.random.default_rng(0).random((50, 2)):
         np.testing.assert_allclose(grid.read(table, x), [x @ [1.0, 2.0], 3.0], atol=1e-5)
     walled = Workspace(((0, 0), (1, 1)), [[(0.4, 0.0), (0.6, 0.0), (0.6, 0.9), (0.4, 0.9)]])
-    grid = _node_grid.grid_of(walled, 81)  # 9 by 9
+    grid = _node_tables.grid_of(walled, 81)  # 9 by 9
     assert grid.shape == (9, 9) and len(grid.free) == 81 - 8  # x = 0.5, below y = 0.9
     assert walled.is_free(grid.free).all()
     inside = np.ravel_multi_index((4, 0), (9, 9))
@@ -111,22 +77,22 @@ def test_grids_interpolate_between_free_nodes():
 
 def test_the_finest_grid_fits():
     for max_bytes in (200, 1_000, 5_000):
-        grid = _node_grid.finest_grid(SQUARE, lambda grid: grid.table_bytes(1, 8), max_bytes)
+        grid = _node_tables.finest_grid(SQUARE, lambda grid: grid.table_bytes(1, 8), max_bytes)
         assert 0.8 * max_bytes < grid.table_bytes(1, 8) <= max_bytes
-    assert _node_grid.finest_grid(SQUARE, lambda grid: grid.table_bytes(1, 8), 20) is None
+    assert _node_tables.finest_grid(SQUARE, lambda grid: grid.table_bytes(1, 8), 20) is None
 
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_rounding_moves_by_half_a_step(bits):
     values = np.random.default_rng(0).normal(size=(1_000, 3)) * [1, 10, 0]
-    moved = np.abs(_node_grid.rounded(values, bits) - values).max(axis=0)
+    moved = np.abs(_node_tables.rounded(values, bits) - values).max(axis=0)
     assert (moved <= 0.5 * np.ptp(values, axis=0) / (2**bits - 1) + 1e-6).all() and moved[1] > 0
 
 
 def test_fastmap_keeps_the_distances_of_the_plane():
     known = given(SQUARE, 1_024)
     points = SQUARE.sample_free(200, 2)
-    placed = _fastmap.fastmap(known, points, 3)
+    placed = _embeddings.fastmap(known, points, 3)
     between = np.linalg.norm(points[:, None] - points, axis=2)
     np.testing.assert_allclose(np.linalg.norm(placed[:, None] - placed, axis=2), between, atol=1e-6)
     assert np.abs(placed[:, 2]).max() < 1e-6
@@ -166,25 +132,25 @@ def test_networks_are_symmetric_and_not_below_the_straight_line():
 
 
 def test_errors_are_those_of_each_side():
-    found = _rows.errors(np.array([1.0, 2.5, 2.0, 4.00001]), np.array([1.0, 2.0, 3.0, 4.0]))
+    found = compare_summaries.errors(np.array([1.0, 2.5, 2.0, 4.00001]), np.array([1.0, 2.0, 3.0, 4.0]))
     assert found["mean"] == pytest.approx(1.50001 / 4) and found["largest"] == 1 and found["pairs"] == 4
     assert found["below"] == found["above"] == 0.25 and found["share"] == pytest.approx(1.50001 / 10)
 
 
 def test_pairs_are_free_exact_and_drawn_once():
     exact = VisibilityGraph(problem := scenes.maze().workspace, (0.06, 0.07))
-    pairs = _truth.draw_pairs(exact, 30, 10, 5)
+    pairs = _given.draw_pairs(exact, 30, 10, 5)
     assert len(np.unique(pairs.y, axis=0)) == 30 and len(np.unique(pairs.x, axis=0)) == 300
     assert problem.is_free(pairs.x).all() and problem.is_free(pairs.y).all()
     for x, y, distance in zip(*(column[:20] for column in pairs), strict=True):
         assert BruteDistance(MAZE, y)(x[None])[0] == pytest.approx(distance, abs=1e-9)
-    again, other = _truth.draw_pairs(exact, 30, 10, 5), _truth.draw_pairs(exact, 30, 10, 6)
+    again, other = _given.draw_pairs(exact, 30, 10, 5), _given.draw_pairs(exact, 30, 10, 6)
     np.testing.assert_array_equal(again.x, pairs.x)
     assert not np.isin(other.x, pairs.x).any()
 
 
 def test_published_lengths_are_those_of_the_arena(data_dir, monkeypatch):
     monkeypatch.setenv("PLR_JAX_DATA", str(data_dir))
-    pairs = _truth.published("arena")
-    assert isinstance(pairs, Pairs) and len(pairs.distance) == 160 and _truth.published("maze") is None
+    pairs = _given.published("arena")
+    assert isinstance(pairs, Pairs) and len(pairs.distance) == 160 and _given.published("maze") is None
     assert (pairs.distance >= np.linalg.norm(pairs.x - pairs.y, axis=1) - 1e-4).all()

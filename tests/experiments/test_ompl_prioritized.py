@@ -3,8 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from experiments.baselines.ompl import Done, Found, Ready, task_of
-from experiments.baselines.ompl_prioritized import ompl_prioritized
+from experiments.baselines.ompl import Done, Found, Ready, ompl_prioritized, task_of
 from plr_jax import (
     DiscRobot,
     PointRobot,

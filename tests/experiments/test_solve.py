@@ -1,52 +1,15 @@
-"""PLRs without an oracle, section by section at its smallest, and the rivals by hand."""
+"""The rivals of PLRs without an oracle, by hand."""
 
-import json
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
-from experiments import _solve_tables, solve
-from experiments.solving import _bodies, _cars, _counted, _grids, _plane, _prm_star, _speed_map
+from experiments import _distance_tables
+from experiments.solving import _bodies, _cars, _plane, _rivals, _speed_map
 from plr_jax import CellState, Euclidean, PlaneSpace, ReedsShepp, RigidBodySpace, VisibilityGraph, Workspace, scenes
 
 SQUARE = Workspace(((0, 0), (1, 1)))
-
-
-@cache
-def smoke(name):
-    """Results of a section at its smallest, as they come back from a file; it is measured once."""
-    return json.loads(json.dumps(solve.SECTIONS[name].measure(0, True), allow_nan=False))
-
-
-@pytest.mark.parametrize("name", solve.SECTIONS)
-def test_text_comes_from_the_results_alone(name):
-    rows, numbers, note = solve.SECTIONS[name].tabled(smoke(name))
-    assert len({len(row) for row in rows}) == 1 and 0 < numbers < len(rows[0])
-    assert note in solve.SECTIONS[name].table(smoke(name))
-
-
-@pytest.mark.parametrize("name", solve.SECTIONS)
-def test_readme_tables_have_a_line_for_each_row(name):
-    results = {name: smoke(name)}
-    own = {"plane": _solve_tables.plane, "bodies": _solve_tables.bodies}
-    text = own[name](results) if name in own else _solve_tables.section(name, results)
-    assert len([line for line in text.splitlines() if line.startswith("|")]) == 2 + len(smoke(name)["rows"])
-
-
-def test_in_the_plane_no_bound_is_broken_and_tests_are_counted():
-    results = smoke("plane")
-    ours = [row for row in results["rows"] if row["method"] == "solve_eikonal"]
-    for row in ours:
-        assert row["lower_violated"] == row["upper_violated"] == 0 < row["points_tested"]
-        assert row["tests"]["boxes"] >= row["cells"] and row["unanswered"] == 0
-        assert 0 < row["below"] < row["gap"]
-    others = {row["method"]: row for row in results["rows"] if row["method"] != "solve_eikonal"}
-    assert others.keys() == {"PRM*", "scikit-fmm", "Dijkstra, 48 directions"}
-    assert others["PRM*"]["tests"]["motions"] > others["PRM*"]["cells"]
-    assert all(0 < others[method]["mean"] < 0.03 for method in ("scikit-fmm", "Dijkstra, 48 directions"))
-    assert results["first_call"]["second"] > 0
 
 
 def test_broken_bounds_are_counted():
@@ -62,28 +25,28 @@ def test_broken_bounds_are_counted():
 
 
 def test_spaces_count_what_they_are_asked():
-    asked = _counted.counted(PlaneSpace(SQUARE))
+    asked = _rivals.counted(PlaneSpace(SQUARE))
     assert asked.is_free(np.full((3, 2), 0.5)).all()
     assert asked.are_free(np.zeros((2, 2)), np.ones((2, 2))).all()
     assert (asked.classify(np.zeros((4, 2)), np.ones((4, 2))) == CellState.FREE).all()
     assert asked.sees_boxes(np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2))).all()
     assert asked.tests.for_json() == {"calls": 4, "configurations": 3, "motions": 2, "boxes": 5}
     problem = scenes.tangle()
-    assert not hasattr(_counted.counted(RigidBodySpace(problem.workspace, problem.robots[0])), "sees_boxes")
+    assert not hasattr(_rivals.counted(RigidBodySpace(problem.workspace, problem.robots[0])), "sees_boxes")
 
 
 def test_centers_run_fastest_along_the_first_coordinate():
     space = PlaneSpace(Workspace(((0, 0), (3, 2))))
     expected = [(0.5, 0.5), (1.5, 0.5), (2.5, 0.5), (0.5, 1.5), (1.5, 1.5), (2.5, 1.5)]
-    np.testing.assert_allclose(_grids.centers(space.domain, (3, 2), np.arange(6)), expected)
-    assert _grids.even_sizes(space.domain, np.ones(2), 600) == (30, 20)
-    assert _grids.even_sizes(space.domain, np.array([1.0, 6.0]), 400) == (10, 40)
+    np.testing.assert_allclose(_rivals.centers(space.domain, (3, 2), np.arange(6)), expected)
+    assert _rivals.even_sizes(space.domain, np.ones(2), 600) == (30, 20)
+    assert _rivals.even_sizes(space.domain, np.array([1.0, 6.0]), 400) == (10, 40)
 
 
 def test_one_of_each_two_opposite_neighbors():
-    assert sorted(_grids.all_neighbors(2, 1)) == [(0, 1), (1, -1), (1, 0), (1, 1)]
-    assert len(_grids.all_neighbors(2, 2)) == 8 and (2, 2) not in _grids.all_neighbors(2, 2)
-    assert len(_grids.all_neighbors(2, 4)) == 24
+    assert sorted(_rivals.all_neighbors(2, 1)) == [(0, 1), (1, -1), (1, 0), (1, 1)]
+    assert len(_rivals.all_neighbors(2, 2)) == 8 and (2, 2) not in _rivals.all_neighbors(2, 2)
+    assert len(_rivals.all_neighbors(2, 4)) == 24
 
 
 def test_grids_among_no_obstacles_tell_the_distance():
@@ -92,10 +55,10 @@ def test_grids_among_no_obstacles_tell_the_distance():
     exact = Euclidean(goal)(x)
     inside = ((x > 0.01) & (x < 0.99)).all(axis=1)  # beyond, fields go on as at their outer centers
     x, exact = x[inside], exact[inside]
-    searched = _grids.grid_search(space, goal, (64, 64), _grids.all_neighbors(2, 4))
+    searched = _rivals.grid_search(space, goal, (64, 64), _rivals.all_neighbors(2, 4))
     assert np.abs(searched(x) - exact).max() < 0.015
-    assert np.abs(_grids.marched(space, goal, (64, 64))(x) - exact).max() < 0.006
-    twice = _grids.marched(space, goal, (64, 64), lambda q: np.full(len(q), 2.0))
+    assert np.abs(_rivals.marched(space, goal, (64, 64))(x) - exact).max() < 0.006
+    twice = _rivals.marched(space, goal, (64, 64), lambda q: np.full(len(q), 2.0))
     assert np.abs(twice(x) - 2 * exact).max() < 0.012
 
 
@@ -104,7 +67,7 @@ def test_grids_go_around_periodic_axes_and_count_turns():
     problem = scenes.tangle()
     space = RigidBodySpace(Workspace(((0, 0), (9, 9))), problem.robots[0])
     goal = np.array([4.5, 4.5, 3.0])
-    field = _grids.grid_search(space, goal, (18, 18, 32), _bodies._RECTANGLE_STEPS)
+    field = _rivals.grid_search(space, goal, (18, 18, 32), _bodies._RECTANGLE_STEPS)
     q = np.array([(4.75, 4.75, -3.0 + 1e-3), (6.75, 4.75, 1.0)])
     np.testing.assert_allclose(field(q), space.motion_cost.lengths(q, np.tile(goal, (2, 1)), space.domain), rtol=0.1)
 
@@ -113,7 +76,7 @@ def test_a_roadmap_of_a_body_costs_what_its_motions_do():
     problem = scenes.tangle()
     space = RigidBodySpace(Workspace(((0, 0), (9, 9))), problem.robots[0])
     goal = np.array([4.5, 4.5, 0.0])
-    sampled = _prm_star.prm_star(space, goal, 300, 0)
+    sampled = _rivals.prm_star(space, goal, 300, 0)
     straight = space.motion_cost.lengths(sampled.vertices, np.tile(goal, (301, 1)), space.domain)
     assert (sampled.costs >= straight - 1e-9).all() and sampled.costs[0] == 0
     near = np.flatnonzero((sampled.roadmap.graph.edges == 0).any(axis=1))
@@ -135,20 +98,14 @@ def test_fast_boxes_bound_themselves():
     np.testing.assert_allclose(boxes.bounds(boxes.lo, boxes.hi), 0.1)
 
 
-def test_times_of_the_grid_are_within_what_is_proven():
-    for row in smoke("speed_map")["rows"]:
-        assert row["beyond_share"] < 0.01 and row["without_upper"] == 0
-        assert row["marching_difference"] < row["mean"] < row["gap"]
-
-
 def test_roadmaps_are_compared_at_equal_error():
     rows = [
         {"mean": mean, "tests": {"configurations": tests // 2, "motions": tests - tests // 2}}
         for mean, tests in ((0.1, 1_000), (0.01, 100_000))
     ]
-    tests, is_more = _bodies.tests_at_equal_error(rows, math.sqrt(0.001))
+    tests, is_more = _distance_tables._tests_at_equal_error(rows, math.sqrt(0.001))
     assert tests == pytest.approx(10_000) and not is_more
-    assert _bodies.tests_at_equal_error(rows, 0.001) == (pytest.approx(100_000), True)
+    assert _distance_tables._tests_at_equal_error(rows, 0.001) == (pytest.approx(100_000), True)
 
 
 def test_the_table_of_a_car_knows_its_own_cells_and_their_reflections():
@@ -157,17 +114,3 @@ def test_the_table_of_a_car_knows_its_own_cells_and_their_reflections():
     values = _cars.lookup_table(oracle, sizes)
     poses = np.array([(0.0, 0.0, 0.0), (-25.0, 25.0, -np.pi), (12.5, -7.5, np.pi / 4), (12.5, 7.5, np.pi)])
     np.testing.assert_allclose(_cars.looked_up(values, poses), oracle(poses), atol=1e-5)
-
-
-def test_cars_are_smaller_as_plrs_than_as_tables():
-    for car in ("Reeds-Shepp", "Dubins"):
-        rows = {row["method"]: row for row in smoke("cars")["rows"] if row["car"] == car}
-        assert rows["PLR"]["bytes"] < rows["table, nearest"]["bytes"] and 0 < rows["PLR"]["mean"] < 1
-        assert rows["table, interpolated"]["mean"] < rows["table, nearest"]["mean"]
-        assert rows["closed form"]["mean"] == 0
-
-
-def test_all_heuristics_find_valid_paths():
-    rows = smoke("nodes")["rows"]
-    assert [row["heuristic"] for row in rows] == ["straight line", "centers", "SE(2)"]
-    assert all(all(row["valid"]) for row in rows)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from portable_helpers import CASES, case, hard_points, is_far, same_bits
 
-from experiments.porting._headers import STRICT, compiled_header, object_for_size, section_bytes
+from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes
 from plr_jax.plr.portable.header import CWriter
 
 MOST_CODE = 2048  # bytes

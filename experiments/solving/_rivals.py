@@ -1,18 +1,87 @@
-"""Cost-to-go on regular grids: Dijkstra's algorithm among many neighbors, and fast marching (scikit-fmm).
+"""Configuration spaces that count what they are asked: the price of a method in tests of freedom."""
 
-Values are at the centers of a grid's cells, and read between them by :class:`plr_jax.GridField`.
-"""
-
+import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax import Box, ConfigurationSpace, FreeTest, GridField
+from plr_jax import Box, ConfigurationSpace, FreeTest, GridField, MotionCost, Roadmap, SeesBoxes
+from plr_jax.geometry import graph as graphs
+
+Configurations = Float[np.ndarray, "n dof"]
+
+
+@dataclass
+class Tests:
+    """How often a space was asked, and about how many configurations, motions and boxes."""
+
+    calls: int = 0
+    configurations: int = 0
+    motions: int = 0
+    boxes: int = 0
+
+    def add(self, kind: str, asked: np.ndarray) -> None:
+        """One call more."""
+        self.calls += 1
+        setattr(self, kind, getattr(self, kind) + len(asked))
+
+    def for_json(self) -> dict[str, int]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class CountedSpace:
+    """A configuration space, and how often it was asked."""
+
+    space: ConfigurationSpace
+    tests: Tests = field(default_factory=Tests)
+
+    @property
+    def domain(self) -> Box:
+        return self.space.domain
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        return self.space.motion_cost
+
+    def is_free(self, q: Any) -> Bool[np.ndarray, "n"]:
+        self.tests.add("configurations", q)
+        return self.space.is_free(q)
+
+    def are_free(self, q0: Any, q1: Any) -> Bool[np.ndarray, "n"]:
+        self.tests.add("motions", q0)
+        return self.space.are_free(q0, q1)
+
+    def classify(self, lo: Any, hi: Any) -> Int8[np.ndarray, "n"]:
+        self.tests.add("boxes", lo)
+        return self.space.classify(lo, hi)
+
+
+@dataclass(frozen=True, eq=False)
+class CountedSeeingSpace(CountedSpace):
+    """The same of a space that sees boxes: each box that is looked into counts as one more."""
+
+    def sees_boxes(self, q: Any, lo: Any, hi: Any) -> Bool[np.ndarray, "n"]:
+        assert isinstance(self.space, SeesBoxes)
+        self.tests.add("boxes", lo)
+        return self.space.sees_boxes(q, lo, hi)
+
+
+def counted(space: ConfigurationSpace) -> CountedSpace:
+    """The space with everything that it can do, none of it asked yet."""
+    return CountedSeeingSpace(space) if isinstance(space, SeesBoxes) else CountedSpace(space)
+
+
+# Cost-to-go on regular grids: Dijkstra's algorithm among many neighbors, and fast marching (scikit-fmm).
+#
+# Values are at the centers of a grid's cells, and read between them by :class:`plr_jax.GridField`.
 
 _AT_ONCE = 1 << 20  # cells tested at a time, which bounds the memory
 _RADIUS = 4.0  # cells: around the goal, where motions are straight
@@ -138,3 +207,39 @@ def _radius(space: ConfigurationSpace, goal: Float[np.ndarray, "dim"], sizes: Si
     unseen = near[~space.are_free(x, np.tile(goal, (len(near), 1)))]
     seen_to = from_goal.ravel()[unseen].min(initial=_RADIUS * spacing.max())
     return float(max(np.linalg.norm(spacing), seen_to - spacing.max()))
+
+
+# PRM* in any configuration space, with the space's own cost of motions.
+
+_BYTES_A_FLOAT = 4
+
+
+class SampledCosts(NamedTuple):
+    """Cost-to-go of the samples of a roadmap, and what it took."""
+
+    vertices: Float[np.ndarray, "v dof"]
+    costs: Float[np.ndarray, "v"]
+    roadmap: Roadmap
+    seconds: float
+    tests: dict[str, Any]
+
+    @property
+    def num_bytes(self) -> int:
+        """Of what answers for this goal: coordinates and costs of the vertices, in float32."""
+        return _BYTES_A_FLOAT * (self.vertices.size + self.costs.size)
+
+
+def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, "dof"], num_samples: int, seed: int) -> SampledCosts:
+    """A roadmap of a space, its samples' costs those of the space, which need not be Euclidean lengths."""
+    asked = counted(space)
+    scale = space.motion_cost.scale
+    began = time.perf_counter()
+    roadmap = Roadmap(
+        space.domain, asked.is_free, goal, num_samples, seed=seed, is_visible=asked.are_free, weights=scale
+    )
+    costs = roadmap.distances
+    if len(space.motion_cost.blocks) > 1:
+        measure = partial(space.motion_cost.lengths, domain=space.domain)
+        costs, _ = graphs.dijkstra(graphs.Graph(roadmap.graph.vertices, roadmap.graph.edges, measure), 0)
+    seconds = time.perf_counter() - began
+    return SampledCosts(roadmap.graph.vertices, costs, roadmap, seconds, asked.tests.for_json())

@@ -1,0 +1,397 @@
+"""Tables of README files about distances: errors, proofs, without an oracle, all pairs, time of a query."""
+
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from experiments._tables import formatted, markdown, mean_and_largest, or_dash, spread
+from experiments.compare_summaries import MAX_BYTES, TOLERANCE
+
+_SHORT_BYTES = 6_144
+_SHORT_CONTENDERS = {
+    "PLR, cones": "PLR, cones",
+    "PLR": "PLR, planes",
+    "PLR, continuous": "PLR, continuous",
+    "bilinear grid, 16-bit": "bilinear grid, 16-bit",
+    "network, 16-bit": "network, 16-bit",
+}
+_IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
+_SHORT_QUERIES = (
+    *("PLR", "map_coordinates", "network", f"SciPy RegularGridInterpolator{_IN_FLOAT64}"),
+    "Numba loop, all cores",
+)
+_BYTES_A_CORNER = 4  # two coordinates of 16 bits
+_RIVALS = {
+    "ours": "construct_pairs",
+    "product_plr": "PLR over pairs",
+    "straight_line": "straight line",
+    "full_table": "full table",
+    "landmark_tables": "landmarks, tables",
+    "landmark_plrs": "landmarks, PLRs",
+    "fastmap": "FastMap",
+    "embedding": "least stress",
+    "network": "network, 16-bit",
+    "spanner": "polygon, spanner",
+    "polygon": "polygon, exact oracle",
+}
+
+
+def rivals(results: dict[str, Any]) -> str:
+    """Mean and largest errors of one number of bytes, one row an approximation and one column a map."""
+    maps = results["maps"]
+    budgets = {row["budget"] for rows in maps.values() for row in rows}
+    budget = _SHORT_BYTES if _SHORT_BYTES in budgets else max(budgets)
+    table = [[f"error at {budget:,} bytes", *maps]]
+    for contender, label in _SHORT_CONTENDERS.items():
+        errors = [
+            next((row["free"] for row in rows if (row["contender"], row["budget"]) == (contender, budget)), None)
+            for rows in maps.values()
+        ]
+        if any(errors):  # of what was not measured there is no row
+            table.append([label, *map(mean_and_largest, errors)])
+    return markdown(table, numbers=len(maps))
+
+
+def speed(results: dict[str, Any]) -> str:
+    """Nanoseconds a point in the plane, beside bytes and error."""
+    plane = results["plane"]
+    return _nanoseconds(plane, "query", [name for name in _SHORT_QUERIES if name in plane["nanoseconds"]])
+
+
+def query(results: dict[str, Any]) -> str:
+    """Bytes, error and nanoseconds a point of every contender in the maze, and of the joint distance."""
+    plane, joint = results["plane"], results["joint"]
+    return _nanoseconds(plane, "", list(plane["nanoseconds"])) + (
+        f"\nMedians of calls that take turns in one process, {plane['leaves']} leaves; errors over free points. "
+        f"In 4-D, {joint['leaves']:,} leaves of the joint distance of two robots: "
+        f"{joint['nanoseconds']['PLR'][0]:.1f} ns a point of {plane['points'][-1]:,}.\n"
+    )
+
+
+def _nanoseconds(plane: dict[str, Any], head: str, contenders: list[str]) -> str:
+    sizes = [str(n) for n in plane["points"] if n > 1]
+    rows = [[head, "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
+    for contender in contenders:
+        size = plane["rows"].get(contender.removesuffix(_IN_FLOAT64))
+        cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"] if size else ["", ""]
+        rows.append([contender, *cells, *(f"{plane['nanoseconds'][contender][n][0]:.3g}" for n in sizes)])
+    return markdown(rows, numbers=len(rows[0]) - 1)
+
+
+def table1(results: dict[str, Any]) -> str:
+    """Every row of Table I, ours with the worst of several seeds in brackets."""
+    rows = [
+        {"scene": "the paper's maze", "configuration": "paper", **{key: f"{value}" for key, value in paper.items()}}
+        | {"bytes": f"{paper['bytes']:,}"}
+        for paper in results["paper"]
+    ]
+    for row in results["rows"]:
+        errors = {error: [entry[error] for entry in row["seeds"]] for error in ("max", "mean")}
+        cells = {error: f"{values[0]:.2g} ({max(values):.2g})" for error, values in errors.items()}
+        rows.append({**row, "bytes": f"{row['seeds'][0]['bytes']:,}", **cells})
+    columns = [(name, f"{{{name}}}") for name in ("scene", "method", "configuration", "bytes")]
+    note = f"\nOf seed {results['seeds'][0]}; in brackets the worst of {len(results['seeds'])} seeds.\n"
+    return formatted(rows, *columns, ("max error", "{max}"), ("mean error", "{mean}"), words=3) + note
+
+
+def error_curve(results: dict[str, Any]) -> str:
+    """Mean (and largest) error at three budgets."""
+    budgets = [budget for budget in (2048, 8192, 32768) if budget in results["budgets"]]
+    rows = [["map", "approximation", *(f"{budget:,} bytes" for budget in budgets)]]
+    for name, contenders in results["curves"].items():
+        for contender, entries in contenders.items():
+            at = [entries[results["budgets"].index(budget)] for budget in budgets]
+            rows.append([name, contender, *(f"{entry['mean']:.2g} ({entry['max']:.2g})" for entry in at)])
+    return markdown(rows, numbers=len(budgets)) + "\nMean error, and in brackets the largest, in workspace units.\n"
+
+
+def accuracy(results: dict[str, Any]) -> str:
+    """Mean errors at equal bytes, one row a map and a contender."""
+    maps = results["maps"]
+    budgets = list(dict.fromkeys(row["budget"] for rows in maps.values() for row in rows))
+    table = [["map", "", *(f"{budget:,} bytes" for budget in budgets)]]
+    for name, rows in maps.items():
+        for contender in dict.fromkeys(row["contender"] for row in rows):
+            errors = {row["budget"]: row["free"] for row in rows if row["contender"] == contender}
+            table.append([name, contender, *(mean_and_largest(errors.get(budget)) for budget in budgets)])
+    note = "Mean error, and in brackets the largest, over the free points that it answers; *: not all of them."
+    return markdown(table, numbers=len(budgets)) + f"\n{note}\n"
+
+
+def oracle(results: dict[str, Any]) -> str:
+    """Preparation and queries of the exact oracle beside two libraries."""
+    maps = {name: each for name, each in results["maps"].items() if "skipped" not in each}
+    names = list(dict.fromkeys(chain.from_iterable(each.get("rivals", ()) for each in maps.values())))
+    rows = [
+        ["map", "vertices", "prepare s", "us a point", *(f"{name}: {what}" for name in names for what in ("s", "us"))]
+    ]
+    for name, each in maps.items():
+        batched = each["microseconds_a_point"][max(each["microseconds_a_point"], key=int)]
+        cells = [
+            f"{each['vertices']:,}",
+            f"{each['seconds_workspace'] + each['seconds_prepare']:.2g}",
+            f"{batched:.2g}",
+        ]
+        for rival in (each["rivals"][name] for name in names):
+            if "skipped" in rival:
+                cells += [f"> {results['rival_limit']:g}" if rival.get("over_limit") else "-", "-"]
+            else:
+                cells += [f"{rival['prepare']:.2g}", f"{1e6 * rival['query']:,.0f}"]
+        rows.append([name, *cells])
+    return markdown(rows, numbers=len(rows[0]) - 1) + (
+        "\nOurs in a batch, theirs one point a call, as they offer it; preparing includes the workspace.\n"
+    )
+
+
+def proofs(results: dict[str, Any], oracles: dict[str, Any]) -> str:
+    """Bytes, errors and proofs of the leaf models, map by map, and the bytes of the maps themselves."""
+    sizes = results["sizes"]
+    table = formatted(
+        (row | {"share": row["proven"] / row["largest_distance"]} for row in sizes["rows"]),
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("bytes", "{bytes:,}"), ("mean error", "{mean:.2g}")),
+        *(
+            ("largest found", "{largest_found:.2g}"),
+            ("largest proven", "{proven:.2g}"),
+            ("of distance", "{share:.2%}"),
+        ),
+        *(("exact", "{share_exact:.1%}"), ("s", "{seconds:.2f}")),
+        words=2,
+    )
+    worst = max(row["proven_to_found"] for row in sizes["rows"])
+    corners = {name: each["vertices"] for name, each in oracles["maps"].items() if "vertices" in each}
+    names = dict.fromkeys(row["map"] for row in sizes["rows"] if row["map"] in corners)
+    of_maps = ", ".join(f"{name} {_BYTES_A_CORNER * corners[name]:,}" for name in names)
+    return table + (
+        f"\nMean over {sizes['points']:,} free points; exact: share of them whose error is at most "
+        f"{sizes['exact']:.0e} of the largest distance; seconds from polygons to the certified PLR. The "
+        f"largest error that was found is the largest proven one, to a factor of {worst:.3f}. The maps themselves, "
+        f"as 16-bit corners, take {of_maps} bytes, mostly less than these files: what files "
+        "buy is a query without visibility tests, the proof, and the way home.\n"
+    )
+
+
+def proof_speed(results: dict[str, Any]) -> str:
+    """Seconds of queries and builds of cones beside planes."""
+    queries = results["speed"]["queries"]
+    medians = {(row["leaf"], row["max_leaves"]): row["nanoseconds"][0] for row in queries["rows"]}
+    numbers = [number for leaf, number in medians if leaf == "cone"]
+    rows = [["leaves", *(f"{number:,}" for number in numbers)]]
+    for leaf in ("cone", "plane"):
+        rows.append([f"{leaf}, ns a point", *(f"{medians[leaf, number]:.2f}" for number in numbers)])
+    rows.append(["cone / plane", *(f"{medians['cone', n] / medians['plane', n]:.2f}" for n in numbers)])
+    builds = ", ".join(
+        f"{row['map']} {row['leaf']}s {row['seconds'][0]:.2g} s ({row['leaves']:,} leaves, {row['bytes']:,} bytes)"
+        for row in results["speed"]["builds"]
+    )
+    note = f"{queries['points']:,} points of the {queries['map']}. From workspace to PLR, warm: {builds}."
+    return markdown(rows, numbers=len(numbers)) + f"\n{note}\n"
+
+
+def proof_checks(results: dict[str, Any]) -> str:
+    """What was tried against the proofs, and how often one did not hold."""
+    slivers, groups = results["slivers"], {}
+    for row in results["bounds"]["rows"]:
+        groups.setdefault((row["map"], row["truth"]), []).append(row)
+    groups[f"{slivers['num_maps']} random ones with slivers", "oracle"] = list(slivers["totals"].values())
+    rows = [["map", "truth", "points", "broken bounds"]]
+    for names, group in groups.items():
+        rows.append([*names, *(f"{sum(row[what] for row in group):,}" for what in ("points", "violations"))])
+
+    def searches(kind: str, what: str) -> int:
+        return sum(row[what] for row in results["astar"]["rows"] if kind in row["heuristic"])
+
+    note = (
+        "Points times leaf models, which are cones, planes and continuous, with bounds of every leaf; half of the "
+        "points are uniform, half "
+        "beside walls, corners and borders of cells; brute force shares no code with the package. "
+        "Of points from which no path leads to the goal but to the workspace's tolerance, "
+        f"{sum(row['by_tolerance'] for row in chain.from_iterable(groups.values()))} are beyond the bounds. "
+        f"{len(slivers['refused'])} of {len(slivers['totals']) * slivers['num_maps']} PLRs of random maps could not "
+        f"be built. A* on grids, {searches(', lower', 'problems'):,} searches under proven lower bounds: "
+        f"{searches(', lower', 'not_optimal')} paths that are not optimal; under PLRs themselves "
+        f"{searches(' itself', 'not_optimal')}."
+    )
+    return markdown(rows, numbers=2) + f"\n{note}\n"
+
+
+def trace(results: dict[str, Any]) -> str:
+    """How many ways home arrive, how many are free, and how much longer they are."""
+    table = formatted(
+        (row | {"over": {name: ratio - 1 for name, ratio in row["ratio"].items()}} for row in results["rows"]),
+        *(("map", "{map}"), ("bytes", "{bytes:,}"), ("arrive", "{arrived:.2%}"), ("meet no wall", "{clear:.2%}")),
+        *(("length over exact", "1 + {over[mean]:.1e}"), ("longest", "1 + {over[max]:.1e}")),
+    )
+    return table + (
+        f"\n{results['starts']:,} starts; no deeper inside a wall than {results['depth']:.0e} of the map's width.\n"
+    )
+
+
+def _solved(what: str, rows: list[dict[str, Any]], **shares: str) -> str:
+    """A row a method and size, its tests of all kinds together; shares may be unknown."""
+    table = [[what, "method", "cells or samples", "bytes", "s", "tests", *shares.values()]]
+    for row in rows:
+        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.2g}"]
+        tests = f"{sum(row['tests'][kind] for kind in ('configurations', 'motions', 'boxes')):,}"
+        table.append([row[what], row["method"], *size, tests, *(or_dash(row.get(name), ".2%") for name in shares)])
+    return markdown(table, numbers=4 + len(shares))
+
+
+def solve_plane(results: dict[str, Any]) -> str:
+    """Sizes, seconds, tests, errors and gaps in the plane."""
+    shares = {"mean": "mean error", "largest": "largest", "unanswered": "no answer", "below": "below truth"}
+    shares |= {"gap": "upper - lower", "without_upper": "no upper"}
+    ours = [row for row in results["rows"] if row["method"] == "solve_eikonal"]
+    first = results["first_call"]
+    return _solved("map", results["rows"], **shares) + (
+        f"\nErrors and gaps over the mean distance of the same points, of {results['points']:,} random free ones; "
+        "cells are those solved on, samples of a roadmap. Bounds tested at "
+        f"{ours[0]['points_tested']:,} points a map for each of {len(ours)} PLRs: "
+        f"{sum(row['lower_violated'] for row in ours)} below a lower bound, "
+        f"{sum(row['upper_violated'] for row in ours)} above an upper one. The first call in a process takes "
+        f"{first['first']:.1f} s, a second one {first['second']:.1f} s (maze).\n"
+    )
+
+
+def solve_bodies(results: dict[str, Any]) -> str:
+    """The same of the rectangle and the arm, beside their grids."""
+    shares = {"mean": "mean difference", "largest": "largest", "gap": "upper - lower", "with_upper": "upper bound"}
+    parts = [
+        f"Shares of the mean cost-to-go of what is judged: ours at {results['points']:,} random free configurations "
+        "with a way, roadmaps at their samples. The rectangle's grid has 48 directions in the plane: its ways are up "
+        "to 0.75 % too long in between; grids test configurations and motions as all others do."
+    ]
+    for name, grid in results["grids"].items():
+        sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))
+        parts.append(
+            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; {half} differs by {grid['difference']:.2%}; "
+            f"{grid['reached']:.1%} of free configurations have a way."
+        )
+        of_body = [row for row in results["rows"] if row["body"] == name]
+        roadmaps = [row for row in of_body if row["method"] == "PRM*"]
+        for row in (row for row in of_body if row["method"] != "PRM*"):
+            tests, is_more = _tests_at_equal_error(roadmaps, row["mean"])
+            parts.append(
+                f"PRM* as near to the grid as {row['cells']:,} cells: {'> ' if is_more else ''}{tests:,.0f} tests of "
+                f"configurations and motions, ours {row['tests']['boxes']:,} of boxes and "
+                f"{row['tests']['configurations'] + row['tests']['motions']:,} of those."
+            )
+    return _solved("body", results["rows"], **shares) + f"\n{' '.join(parts)}\n"
+
+
+def _tests_at_equal_error(rows: list[dict[str, Any]], error: float) -> tuple[float, bool]:
+    """Configurations and motions that roadmaps test to err as little, and whether it would take more."""
+    sizes = sorted((row for row in rows if row["mean"] is not None), key=lambda row: -row["mean"])
+    tests = np.array([row["tests"]["configurations"] + row["tests"]["motions"] for row in sizes], float)
+    means = np.array([row["mean"] for row in sizes])
+    found = np.interp(-np.log(error), -np.log(means), np.log(tests))
+    return float(np.exp(found)), bool(means.min() > error)
+
+
+def solve_speed(results: dict[str, Any]) -> str:
+    """Travel times where the speed differs from place to place, beside fast marching."""
+    shares = {"mean": "mean error", "largest": "largest", "gap": "upper - lower", "without_upper": "no upper"}
+    shares |= {"beyond_share": "grid beyond bounds", "beyond_largest": "by at most"}
+    side = results["side"]
+    table = formatted(
+        (row | {name: or_dash(row[name], ".3%") for name in shares} for row in results["rows"]),
+        *(("speed", "{map}"), ("cells", "{cells:,}"), ("bytes", "{bytes:,}"), ("s", "{seconds:.2f}")),
+        *((head, f"{{{name}}}") for name, head in shares.items()),
+        *(("grid: s", "{marching_seconds:.1f}"), ("grid: own error", "{marching_difference:.3%}")),
+    )
+    return table + (
+        f"\nShares of the mean travel time, at {results['points']:,} points; truth: fast marching on {side:,} x "
+        f"{side:,} cells, its own error the mean difference to {side // 2:,} x {side // 2:,}. What is proven is of "
+        "the exact times, not of the grid's.\n"
+    )
+
+
+def solve_cars(results: dict[str, Any]) -> str:
+    """Lengths of cars' paths by closed forms, by PLRs and by tables."""
+    table = formatted(
+        (row | {"share": row["mean"] / row["mean_distance"]} for row in results["rows"]),
+        *(("car", "{car}"), ("method", "{method}"), ("bytes", "{bytes:,}"), ("built in s", "{seconds:.1f}")),
+        *(("mean error", "{mean:.2g}"), ("of distance", "{share:.3%}"), ("largest", "{largest:.2g}")),
+        *((f"ns a pose of {n:,}", f"{{nanoseconds[{at}]:,.3g}}") for at, n in enumerate(results["batches"])),
+        words=2,
+    )
+    return table + (
+        f"\nErrors in turning radii, of 50 x 50 of them and all headings, over {results['poses']:,} random poses. "
+        "Table: float32 at cells of an eighth of a turning radius and 5 degrees, half of the window; planners take "
+        "the nearest cell. PLRs are compiled, in float32; closed forms and tables are NumPy's, in float64.\n"
+    )
+
+
+def solve_nodes(results: dict[str, Any]) -> str:
+    """What heuristics with turns are worth to best-first search."""
+    table = [["heuristic", "built in s", "at the start", "solved", "nodes", "s", "cost"]]
+    for row in results["rows"]:
+        solved = sum(cost is not None for cost in row["cost"])
+        made = [f"{row['built']:.2f}", or_dash(row["at_start"], ".3f"), f"{solved}/{len(row['cost'])}"]
+        runs = [spread(row["nodes"], ",.0f"), spread(row["seconds"], ".3f"), spread(row["cost"], ".3f")]
+        table.append([row["heuristic"], *made, *runs])
+    return markdown(table, numbers=6) + (
+        f"\n`bl_plan` of the tangle, best-first search alone; medians, and in brackets the largest, of "
+        f"{results['starts']} starts. SE(2): {results['max_leaves']:,} cells a rectangle.\n"
+    )
+
+
+def summaries(results: dict[str, Any]) -> str:
+    """Bytes, errors and nanoseconds of every rival on every map."""
+    rows = []
+    for part in results.values():
+        for row in part["rows"]:
+            scale, listed = row["mean"] / row["share"], row.get("published", {})
+            rows.append(
+                {**row, "map": part["map"], "rival": _RIVALS[part["rival"]], "mark": "" if part["compiled"] else "*"}
+                | {error: row[error] / scale for error in ("mean", "largest")}
+                | {"build": f"{row['build']:,.2g}" if row["build"] < 10 else f"{row['build']:,.0f}"}
+                | {f"published_{which}": or_dash(listed.get(which), ".2%") for which in ("mean", "max")}
+            )
+    limits = ", ".join(f"{name} {n:,}" for name, n in MAX_BYTES.items() if name in {row["map"] for row in rows})
+    pairs, slow = (f(row["pairs"] for row in rows) for f in (max, min))
+    table = formatted(
+        rows,
+        *(("map", "{map}"), ("rival", "{rival}"), ("setting", "{setting}"), ("bytes", "{bytes:,}")),
+        *(("mean error", "{mean:.2g}"), ("largest", "{largest:.2g}"), ("below", "{below:.1%}")),
+        *(("above", "{above:.1%}"), ("ns a pair", "{nanoseconds:,.0f}{mark}"), ("s", "{build}")),
+        *(("published: mean", "{published_mean}"), ("largest", "{published_max}")),
+        words=3,
+    )
+    return table + (
+        f"\nAt most so many bytes: {limits}. Errors over the mean distance of the same {pairs:,} random free pairs; "
+        f"below and above: pairs whose answer is wrong by more than {TOLERANCE:.0e} of it. ns a pair: warm, all "
+        f"in one call; *: not compiled as a whole, and judged by the first {slow:,} pairs. s: from workspace to "
+        "file, of all settings that were tried. "
+        "Published: relative errors of the 160 lengths of the arena.\n"
+    )
+
+
+def families(results: dict[str, Any]) -> str:
+    """Seconds and errors of PLRs of a thousand goals, beside those that are built alone."""
+    stack = results["stack"]
+    table = formatted(
+        (
+            row | {"ms": 1e3 * row["seconds"] / row["goals"], "ms_alone": 1e3 * row["cpu_alone"]}
+            for row in results["rows"]
+        ),
+        *(("map", "{map}"), ("goals", "{goals:,}"), ("bytes", "{bytes:,}"), ("seconds", "{seconds:.1f}")),
+        *(("ms a goal", "{ms:.1f}"), ("CPU ms alone", "{ms_alone:.0f}"), ("mean error", "{family[mean]:.2g}")),
+        *(("alone", "{alone[mean]:.2g}"), ("largest", "{family[max]:.2g}"), ("alone", "{alone[max]:.2g}")),
+    )
+    return table + (
+        f"\n{stack['points']:,} pairs of {stack['plrs']:,} PLRs {1e3 * stack['stack']:.1f} ms, points of one "
+        f"{1e3 * stack['one']:.1f} ms: ratio {stack['ratio']:.1f}.\n"
+    )
+
+
+def pair_bounds(results: dict[str, Any]) -> str:
+    """Bounds of pairs: how many are broken, and how wide they are."""
+    return formatted(
+        (row | {"megabytes": row["resident_bytes"] / 1e6} for row in results["rows"]),
+        *(("map", "{map}"), ("bytes", "{bytes:,}"), ("MB in memory", "{megabytes:.2g}")),
+        *(("s to build", "{build_seconds:.2g}"), ("pairs", "{pairs:,}"), ("bounds violated", "{violations:,}")),
+        *(("mean error", "{error:.2g}"), ("largest", "{largest:.2g}"), ("mean gap below", "{gap:.2g}")),
+        *(("above", "{gap_above:.2g}"), ("told above", "{told:.3%}"), ("ns a pair", "{nanoseconds:,.0f}")),
+        ("ns of bounds", "{nanoseconds_of_bounds:,.0f}"),
+    )

@@ -1,0 +1,129 @@
+"""The one runner of all experiments: command line, results file with the record of where it ran, pictures."""
+
+import argparse
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments._tables import as_text
+
+RESULTS = Path(__file__).parent / "results"
+
+_PACKAGES = (
+    *("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib"),
+    *("interpax", "lightgbm", "numba", "ompl", "scikit-fmm"),
+)
+
+Compute = Callable[[int, bool], dict[str, Any]]
+Draw = Callable[[dict[str, Any], Path], list[Path]]
+Renew = Callable[[dict[str, Any], str], dict[str, Any]]
+
+
+class Section(NamedTuple):
+    """A part of an experiment, which is measured and kept by itself; some have pictures."""
+
+    measure: Compute
+    draw: Draw = lambda results, output: []
+
+
+def run(
+    name: str,
+    purpose: str | None,
+    measured: Compute | Mapping[str, Section],
+    draw: Draw = lambda results, output: [],
+    renew: Renew | None = None,
+) -> None:
+    """Run one experiment from the command line: measure, write ``<name>.json``, draw from that file alone.
+
+    Args:
+        name: Name of the script, and of its results file.
+        purpose: What ``--help`` says.
+        measured: Takes the seed and whether this is the smallest setting, and gives results fit for JSON; or sections
+            that do so, each written as soon as it is measured, of which ``--only`` names some.
+        draw: Takes the results as read back and the output folder; gives the pictures it wrote. Sections have theirs.
+        renew: Takes results and the name that ``--only`` has; gives results with that part measured again.
+    """
+    sections = measured if isinstance(measured, Mapping) else None
+    arguments = _arguments(name, purpose, sections, renew)
+    # The smallest setting must never replace results that are committed.
+    fresh = Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke and not arguments.output else RESULTS
+    output = arguments.output or fresh
+
+    def results_so_far() -> Iterator[dict[str, Any]]:
+        if isinstance(measured, Mapping):
+            for section in arguments.only or measured:
+                print(f"== {section}", flush=True)
+                part = measured[section].measure(arguments.seed, arguments.smoke)
+                old = read(output, name)["results"] if (output / f"{name}.json").exists() else {}
+                yield {each: part if each == section else old[each] for each in measured if each in {*old, section}}
+        elif renew is not None and arguments.only is not None:
+            yield renew(read(output, name)["results"], arguments.only)
+        else:
+            yield measured(arguments.seed, arguments.smoke)
+
+    if not arguments.draw:
+        for results in results_so_far():
+            record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
+            print(f"wrote {write(output, name, {**record, 'results': results})}")
+    results = read(output, name)["results"]
+    print(as_text(results, name))
+    drawn = [(draw, results)] if sections is None else [(sections[each].draw, part) for each, part in results.items()]
+    for path in (path for draws, part in drawn for path in draws(part, output)):
+        print(f"wrote {path}")
+
+
+def _arguments(
+    name: str, purpose: str | None, sections: Mapping[str, Section] | None, renew: Renew | None
+) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
+    parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
+    parser.add_argument("--draw", action="store_true", help="measure nothing; draw from the results file")
+    parser.add_argument(
+        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
+    )
+    again = "measure these again, and keep the others as they are"
+    if sections is not None:
+        parser.add_argument("--only", nargs="+", choices=list(sections), help=again)
+    elif renew is not None:
+        parser.add_argument("--only", metavar="PART", help=again)
+    return parser.parse_args()
+
+
+def _environment() -> dict[str, Any]:
+    """Where results come from: versions, device, cores, number types."""
+    import jax
+
+    def version_of(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return "not installed"
+
+    return {
+        "versions": {"python": platform.python_version(), **{package: version_of(package) for package in _PACKAGES}},
+        "system": f"{platform.system()} {platform.machine()}",
+        "device": jax.devices()[0].device_kind,
+        "cores": os.cpu_count(),
+        "dtype": {"oracle": "float64", "points": "float64", "query": str(np.asarray(jax.numpy.zeros(1)).dtype)},
+    }
+
+
+def write(output: Path, name: str, record: dict[str, Any]) -> Path:
+    """Write ``<name>.json`` into a folder, made where missing."""
+    output.mkdir(parents=True, exist_ok=True)
+    path = output / f"{name}.json"
+    path.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def read(output: Path, name: str) -> dict[str, Any]:
+    """The record that :func:`write` wrote."""
+    return json.loads((output / f"{name}.json").read_text(encoding="utf-8"))

@@ -1,0 +1,318 @@
+"""Tables of README files about what distances are used for: planning, paths, placements, files on their way."""
+
+from typing import Any
+
+import numpy as np
+
+from experiments._tables import at_least, formatted, markdown, nodes_of, num_solved, or_dash, spread
+
+_IN_BETWEEN = "four rooms 3", "cross 2", "crowd 25"
+"""Scenes whose smaller and larger siblings say as much; they are in the tables of all results."""
+_SHOWN = 6_144  # bytes; the results have other sizes too
+
+
+def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
+    """Seconds and costs of ``bl_plan``, the paper's seconds, and those of the best of OMPL."""
+    table = [["scene", "paper s", "s", "cost / bound", "best of OMPL s"]]
+    rows = {row["scene"]: row for row in results["rows"] if row["heuristic"] == "lattice"}
+    for total in race["summary"]:
+        if (name := total["scene"]) in _IN_BETWEEN:
+            continue
+        trials = [trial for trial in race["trials"] if trial["scene"] == name]
+        row = rows.get(name) or {
+            "seconds": [trial["ours"]["seconds"] for trial in trials],
+            "cost_over_bound": [trial["ours"]["cost"] / trial["lower_bound"] for trial in trials],
+        }
+        cells = [f"{results['paper'].get(name, {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
+        table.append([name, *cells, spread(row["cost_over_bound"], ".3f"), at_least(total["same_cost"], "best")])
+    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"])
+    return markdown(table, numbers=4) + (
+        f"\nA first path, whatever its length, one of OMPL's finds sooner in {sooner} of {len(race['summary'])} "
+        "scenes.\n"
+    )
+
+
+def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
+    """Table II, one row a scene: the paper's seconds, ours, nodes under PLRs and under less, and the best of OMPL."""
+    head = ["scene", "paper s", "s", "first path s", "cost / bound", "under PLRs: s", "cost / bound", "nodes"]
+    rows = [[*head, "best of OMPL s", "times ours"]]
+    runs = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
+    summaries = {total["scene"]: total["same_cost"] for total in race["summary"]}
+    lattice = [row for row in results["rows"] if row["heuristic"] == "lattice"]
+    for ours in lattice:
+        name, of_plrs = ours["scene"], runs[ours["scene"], "PLR"]
+        best = summaries.get(name)
+        rows.append(
+            [
+                name,
+                f"{results['paper'].get(name, {}).get('plr', '-')}",
+                *(spread(ours[key], ".3f") for key in ("seconds", "first_path_seconds", "cost_over_bound")),
+                *(spread(of_plrs[key], ".3f") for key in ("seconds", "cost_over_bound")),
+                spread(of_plrs["nodes"], ",.0f"),
+                *((at_least(best, "best"), at_least(best, "ratio")) if best else ("-", "-")),
+            ]
+        )
+    none = results["teams_without_heuristic"]
+    return markdown(rows, numbers=len(rows[0]) - 1) + (
+        f"\nMedians, and in brackets the worst, of {len(results['seeds'])} perturbed starts and goals; "
+        f"{sum(map(num_solved, lattice))} of {sum(len(row['seed']) for row in lattice)} were solved. PLRs "
+        f"of {results['plr_bytes']:,} bytes a robot, built before the clock starts; under heuristics "
+        f"{results['starts_under_heuristics']} of the starts. Without one teams get {none['seconds']:g} s and "
+        f"{none['starts']} of the starts. Best of OMPL: seconds to a path that costs no "
+        f"more than ours, medians over {len(race['seeds'])} of the starts; >: mostly none within the limit. "
+        "Bound: the sum of the robots' exact distances, each alone, without turns.\n"
+    )
+
+
+def heuristics(results: dict[str, Any]) -> str:
+    """Nodes under every heuristic, scene by scene."""
+    names = list(dict.fromkeys(row["heuristic"] for row in results["rows"]))
+    rows = [["nodes", *names]]
+    for scene in dict.fromkeys(row["scene"] for row in results["rows"]):
+        rows.append([scene, *(nodes_of(row) for row in results["rows"] if row["scene"] == scene)])
+    return markdown(rows, numbers=len(names))
+
+
+def race(results: dict[str, Any]) -> str:
+    """Our seconds and those of OMPL's best planner, to any path, to 5 % more than ours in the end, and to no more."""
+    marks = {"first_path": "first path", "cost_5_percent_more": "5 % more", "same_cost": "same cost"}
+    rows = [["scene", *(f"{name}: {who}" for name in marks.values() for who in ("ours s", "best s", "times ours"))]]
+    for total in results["summary"]:
+        parts = [total[mark] for mark in marks]
+        cells = [(f"{part['ours']:.3f}", at_least(part, "best"), at_least(part, "ratio")) for part in parts]
+        rows.append([total["scene"], *(text for three in cells for text in three)])
+    limit = results["limit"]
+    return markdown(rows, numbers=9) + (
+        f"\nMedians over {len(results['seeds'])} starts, one trial a planner, limits of {limit['least']:g} to "
+        f"{limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. >: mostly none within the "
+        "limit, and the ratio is that of the limit. Same cost: ours to the end of the call.\n"
+    )
+
+
+def teams(results: dict[str, Any]) -> str:
+    """Teams: the first path, what the call returns, and what half a minute makes of it."""
+    forms = {"first": ".3f", "first_ratio": ".3f", "seconds": ".3f", "ratio": ".4f"}
+    rows = [["team", "robots", "no path", "first path s", "its cost / bound", "s", "cost / bound"]]
+    for section in results.values():
+        limit = section.get("time_limit")
+        for row in section["rows"]:
+            name, largest = (
+                f"{row['scene']}, improved for {limit:g} s" if limit else row["scene"],
+                row.get("largest", {}),
+            )
+            cells = [f"{row['robots']}", f"{row['failures']}/{row['runs']}"]
+            for key, form in forms.items():
+                worst = f" ({largest[key]:{form}})" if largest.get(key) is not None else ""
+                cells.append(or_dash(row[key], form) + worst)
+            rows.append([name, *cells])
+    return markdown(rows, numbers=6) + (
+        "\nMedians where there are several teams, and in brackets the largest; no path: calls that found none. "
+        "Bound: the sum of the robots' exact distances, each alone; of den520d those of points.\n"
+    )
+
+
+def continuity(results: dict[str, Any]) -> str:
+    """The kinds of leaves at equal bytes: error, jumps, and what they cost."""
+    slowest = {row["leaf"]: 0.0 for row in results["rows"]}
+    for row in results["rows"]:
+        slowest[row["leaf"]] = max(slowest[row["leaf"]], row["to_planes"])
+    sizes = sorted({row["budget"] for row in results["rows"]})
+    shown = _SHOWN if _SHOWN in sizes else sizes[-1]
+    table = formatted(
+        (row for row in results["rows"] if row["budget"] == shown),
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("leaves", "{leaves:,}"), ("mean error", "{mean:.2g} ({max:.2g})")),
+        *(("largest jump", "{value_jump:.1g}"), ("of the gradient", "{gradient_jump:.1g}")),
+        *(("ns a point", "{nanoseconds:.1f} ({to_planes:.1f} x)"), ("built in s", "{seconds:.1f}")),
+        words=2,
+    )
+    return table + (
+        f"\nAt {shown:,} bytes. In brackets the largest error, and the multiple of the time of planes, which from "
+        f"{sizes[0]:,} to {sizes[-1]:,} bytes is at most {slowest['continuous']:.1f} for continuous and "
+        f"{slowest['smooth']:.1f} for smooth leaves. Jumps are over faces that one can step across, of the value as "
+        "a share of the largest distance.\n"
+    )
+
+
+def descent(results: dict[str, Any]) -> str:
+    """Where gradients point, where they lead alone, and where descent does."""
+    rows = [row | {"map": each["map"]} for each in results["maps"] for row in each["rows"]]
+    sizes = {row["budget"] for row in rows}
+    shown = _SHOWN if _SHOWN in sizes else max(sizes)
+    table = formatted(
+        (row for row in rows if row["budget"] == shown),
+        *(("map", "{map}"), ("leaf", "{leaf}")),
+        ("angle", "{gradient[angles][0.5]:.2g} ({gradient[angles][0.99]:.2g})"),
+        *(("raw gradient reaches", "{walks[reached]:.1%}"), ("descent reaches", "{reached:.2%}")),
+        *(("crosses a wall", "{crossings}"), ("length / exact", "{ratio[median]:.4f} ({ratio[max]:.4f})")),
+        ("s", "{seconds[median]:.2f}"),
+        words=2,
+    )
+    blind = ", ".join(
+        f"{each['map']} {each['without_field']['reached']:.2%}, {each['without_field']['ratio']['max']:.4f}"
+        for each in results["maps"]
+    )
+    not_finite, zero = (sum(row["gradient"][f"num_{what}"] for row in rows) for what in ("not_finite", "zero"))
+    worst = max(row["finite_differences"] for row in rows)
+    return table + (
+        f"\nFrom {results['starts']:,} random starts, fields of {shown:,} bytes. Angles to the exact direction in "
+        "degrees: median, and in brackets 99 %. Lengths: median, and in brackets the largest. With a field of zeros, "
+        f"starts that reach the goal, and the largest length: {blind}. Of {results['points']:,} free "
+        f"points a field, over all sizes, {not_finite} have no finite gradient and {zero} a zero one outside cells "
+        f"that hold the goal. Inside cells, gradients are finite differences to {worst:.0e} of their length.\n"
+    )
+
+
+def trajectory(results: dict[str, Any]) -> str:
+    """What optimization makes of BL's paths."""
+    table = formatted(
+        (row | {"fine": "yes" if row["valid"] and row["ends_exact"] else "no"} for row in results["rows"]),
+        *(("scene", "{scene}"), ("BL / bound", "{cost_over_bound[before]:.4f}")),
+        *(("optimized / bound", "{cost_over_bound[after]:.4f}"), ("valid, ends exact", "{fine}")),
+        *(("BL s", "{seconds_plan:.2f}"), ("optimized in s", "{seconds:.1f}")),
+    )
+    return table + (
+        "\nBound: the sum of the robots' exact distances, each alone, without turns. Seconds without compilation.\n"
+    )
+
+
+def placement(results: dict[str, Any]) -> str:
+    """What placements cost, and what rivals cost more."""
+
+    def more(row: dict[str, Any]) -> dict[str, str]:
+        rivals = {name: row[name] for name in ("of_points", "of_grid", "straight")}
+        return {name: "-" if cost is None else f"{cost / row['cost'] - 1:+.2%}" for name, cost in rivals.items()}
+
+    table = formatted(
+        (row | more(row) for row in results["rows"]),
+        *(("map", "{map}"), ("facilities for points", "{k} for {n:,}"), ("least", "{objective}")),
+        *(("cost", "{cost:,.5g}"), ("best points", "{of_points}"), ("dense grid", "{of_grid}")),
+        *(("straight lines", "{straight}"), ("s", "{seconds:.2g}")),
+        words=3,
+    )
+    error = max(abs(row["said"] / row["cost"] - 1) for row in results["rows"])
+    return table + (
+        "\nExact costs, and by how much the rivals' are above. Best points: the best demand point of all; of some, "
+        "what exchanges from 8 random choices lead to at best, by a table of all exact distances. Seconds without "
+        f"compilation and without building the pairs. Costs by the pairs are exact to {error:.0e}. Facilities in "
+        f"obstacles: {sum(not row['free'] for row in results['rows'])}.\n"
+    )
+
+
+def refinement(results: dict[str, Any]) -> str:
+    """What losses and penalties make of the planes of one partition."""
+    largest = max(row["budget"] for row in results["rows"])
+    table = formatted(
+        (row for row in results["rows"] if row["scene"] == "maze" and row["budget"] == largest),
+        *(("planes", "{planes}"), ("mean error", "{mean:.2g}"), ("largest", "{max:.2g}")),
+        *(("too long in", "{over:.2%}"), ("too long by at most", "{max_over:.2g}")),
+        ("rms of &#124;grad&#124; - 1", "{eikonal_rms:.2g}"),
+    )
+    return table + (
+        f"\nThe maze, {largest:,} bytes, fitted to {results['training_points']:,} points, measured at "
+        f'{results["test_points"]:,} others. "lowered": the constructed planes less a constant.\n'
+    )
+
+
+def pictures(results: dict[str, Any]) -> str:
+    """From a picture to a file: seconds, vertices, how near the polygons are, errors."""
+    return formatted(
+        results["rows"],
+        *(("picture", "{map}"), ("pixels", "{pixels[1]} x {pixels[0]}"), ("read s", "{seconds_read:.2g}")),
+        *(("vertices", "{vertices:,}"), ("pixels apart", "{hausdorff:.3f}")),
+        ("passages closed", "{closed_passages} of {passages:,}"),
+        *(("build s", "{best[seconds]:.1f}"), ("of processors", "{best[cpu_seconds]:.1f}")),
+        *(("planes alone s", "{plane[seconds]:.1f}"), ("mean error", "{mean_error:.2g} of {mean_distance:.3g}")),
+        words=2,
+    )
+
+
+def wire(results: dict[str, Any]) -> str:
+    """Bytes of progressive files beside one-shot ones of equal error, and what is fetched of a file."""
+    table = formatted(
+        (row | {"ends": ", ".join(f"{mark:,}" for mark in row["marks"])} for row in results["sizes"]["rows"]),
+        *(("leaf", "{leaf}"), ("a part is", "{factor} times its coarser one"), ("parts end at byte", "{ends}")),
+        ("bytes / one-shot", "{ratio:.3f}"),
+        words=3,
+    )
+    fetched = formatted(
+        results["ranges"]["rows"],
+        *(("asked", "{part}"), ("requests", "{requests}"), ("bytes fetched", "{sent:,}"), ("of", "{size:,}")),
+        ("share", "{share:.3f}"),
+    )
+    files = results["prefixes"]["rows"]
+    beyond = [count for row in files for count in row["beyond"].values()]
+    headers = ", ".join(f"{what} {size}" for what, size in results["sizes"]["headers"].items())
+    return f"{table}\n{fetched}" + (
+        f"\nOf {len(beyond)} prefixes of {len(files)} files, of all leaves and 1 to 6 dimensions, {sum(beyond)} of "
+        f"{results['prefixes']['points']:,} answers each are beyond their bounds. Header, domain and checksum: "
+        f"{headers} bytes.\n"
+    )
+
+
+def readers(results: dict[str, Any]) -> str:
+    """What code and numbers take in C, and what a point costs in C and in NumPy."""
+    table = formatted(
+        (row | {"equal": min(row["c_equal"], row["jax_equal"])} for row in results["readers"]["rows"]),
+        *(("PLR", "{plr}"), ("leaves", "{leaves:,}"), ("file", "{bytes:,}"), ("code", "{code:,}")),
+        *(("numbers", "{data:,}"), ("C ns", "{c_nanoseconds:.0f}"), ("NumPy us", "{numpy_microseconds:.1f}")),
+        *(("NumPy, many, ns", "{numpy_batch_nanoseconds:.0f}"), ("equal bits", "{equal:.0%}")),
+    )
+    largest = max(results["query"]["rows"], key=lambda row: row["rows"])
+    return table + (
+        f"\nBytes; code at `-Os` on x86-64. Equal bits: of {results['readers']['points']:,} answers, those of C, "
+        f"NumPy and `plr(x)` that are the same. `plr-jax query` answers {largest['rows']:,} rows of text in "
+        f"{largest['seconds']:.1f} s and {largest['megabytes']:.0f} MB.\n"
+    )
+
+
+def car(results: dict[str, Any]) -> str:
+    """Lengths of Reeds and Shepp's paths in C, beside a table."""
+    return formatted(
+        results["car"]["rows"],
+        *(("Reeds-Shepp in C", "{what}"), ("file", "{file:,}"), ("program", "{bytes:,}")),
+        *(("mean error", "{mean:.2g}"), ("largest", "{largest:.2g}"), ("ns a query", "{nanoseconds:.0f}")),
+        ("s to build", "{seconds:.1f}"),
+    )
+
+
+def edges(results: dict[str, Any]) -> str:
+    """Compiled tests of free space beside Shapely, errors far from the origin, and states that BIT* tests."""
+    table = formatted(
+        (row | {"megabytes": row["bytes"] / 1e6} for row in results["free_space"]["rows"]),
+        *(("map", "{map}"), ("edges", "{edges:,}"), ("MB", "{megabytes:.2f}")),
+        *(("built in s", "{seconds_to_build:.2g}"), ("ns a point", "{nanoseconds:.0f}")),
+        *(("by Shapely", "{nanoseconds_shapely:.0f}"), ("largest error / side", "{largest_error:.1e}")),
+    )
+
+    def of_trials(trials: list[dict[str, Any]]) -> dict[str, Any]:
+        medians = {what: np.median([trial[what] for trial in trials]) for what in ("tested", "seconds")}
+        return {**medians, "arrived": sum(trial["arrived"] for trial in trials), "of": len(trials)}
+
+    search = formatted(
+        (row | of_trials(row["trials"]) for row in results["ompl"]["rows"]),
+        *(("BIT\\* guided by", "{heuristic}"), ("states tested", "{tested:,.0f}"), ("s", "{seconds:.1f}")),
+        ("arrived", "{arrived} of {of}"),
+    )
+    worst = max(row["ratio"] for row in results["utm"]["rows"])
+    note = f"Mean errors in UTM coordinates are at most {worst:.4f} times those at the origin, for all leaves."
+    return f"{table}\n{search}\n{note}\n"
+
+
+def scale(results: dict[str, Any]) -> str:
+    """Who builds a fleet's PLRs, and how often they were killed."""
+    table = formatted(
+        (row | {"file": row["digest"][:8], "equal": "yes" if row["same"] else "no"} for row in results["workers"]),
+        *(("workers", "{kind}"), ("files", "{file}"), ("the same", "{equal}"), ("number", "{workers}")),
+        ("s", "{seconds:.1f}"),
+        words=3,
+    )
+    kills, shares = results["kills"], sorted(row["share"] for row in results["kills"] if row["killed"])
+    cones, planes = (
+        f"{goals:,} goals, files of {size:,} bytes" for goals, size in (results["cones"], results["planes"])
+    )
+    return table + (
+        f"\n{cones} of cones. Then {planes} of planes, by "
+        f"processes that are killed at random moments, {len(shares)} of {len(kills)} before their end, with "
+        f"{', '.join(f'{share:.0%}' for share in shares)} "
+        f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
+    )
