@@ -20,10 +20,6 @@ from experiments._c_headers import CompiledHeader, compiled_header, median_secon
 from experiments._runner import Section, run
 from plr_jax import PLR, Box, Euclidean, ReedsShepp, VisibilityGraph, construct, save, scenes
 
-if __name__ == "__main__":
-    run_sections("portable", "Readers in C and NumPy, tables at the command line, a heuristic of cars.", SECTIONS)
-
-
 # Readers of the format, each leaf model: are answers equal to the bit, how large is the code, how fast is it?
 #
 # Points are uniform in a box 2 % wider than the domain, in 32-bit floats; far from the origin in 64-bit ones.

@@ -26,6 +26,7 @@ FAMILIES = {
     "compare_summaries": ("--only", "maze_straight_line", "maze_polygon"),
     "teams": ("--only", "unseen"),
     "wire": ("--only", "sizes"),
+    "portable": ("--only", "query"),
 }
 
 
