@@ -220,7 +220,7 @@ class FreeSpace:
 def _placed(space: FreeSpace, x: Array) -> Float[Array, "*batch 2"]:
     """Points counted from the origin of the tables."""
     x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    first, rest = space.origin.astype(x.dtype)
+    first, rest = (jnp.broadcast_to(part, x.shape) for part in space.origin.astype(x.dtype))
     return (x - first) - rest
 
 

@@ -95,7 +95,11 @@ def _count_in_sectors(sight: IllegalSteps, p: Cells, q: Cells) -> Int[Array, "n"
     row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
     column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
 
-    table = (rows + 1) * (columns + 1) * (_WAYS * transposed + jnp.where(straight, _IN_ROWS, mirrored))
+    table = (
+        (rows + 1)
+        * (columns + 1)
+        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
+    )
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
     until_last = _between(sight, last, column + aside, last_column)
@@ -240,7 +244,7 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
 def _cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
     """Row and column of the cell of each point, or of some cell, and whether the point is in one."""
     place = jnp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < jnp.asarray(tables.shape))).all(axis=1)
+    inside = ((place >= 0) & (place < jnp.asarray(tables.shape, place.dtype)[None])).all(axis=1)
     return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
 
 
@@ -336,6 +340,7 @@ def _far(tables: GridTables) -> int:
 def _in_steps(tables: GridTables, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
     """Lengths of units in steps, never rounded up; ``inf`` if far, or not inside."""
     whole, rest = jnp.divmod(length, units(tables.connectivity))
-    steps = whole + rest / units(tables.connectivity)
-    steps = jnp.where(rest == 0, whole.astype(steps.dtype), steps * (1 - _ROUNDING))
+    part = rest / units(tables.connectivity)
+    whole = whole.astype(part.dtype)
+    steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
     return jnp.where(inside & (length < _far(tables)), steps, jnp.inf)

@@ -62,7 +62,7 @@ class NearWalls:
     def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
         """Ends of walls among which are those near some entries."""
         first = self.first[leaf, place]
-        along = jnp.arange(self.most, dtype=jnp.uint32)
+        along = jnp.arange(self.most, dtype=jnp.uint32)[None]
         return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
 
 

@@ -15,6 +15,7 @@ from plr_jax.geometry.vectors import left_normal
 from plr_jax.plr.file.bits import BitReader, BitWriter
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
+_OF_CONTACTS = 1 / 16  # times as far do contacts move back
 _COUNT_BITS = 32
 _AT_ONCE = 2**5  # walls of which it is found what they cross
 
@@ -57,7 +58,7 @@ class Outline:
 
     @cached_property
     def stays(self) -> Bool[np.ndarray, "points"]:
-        """Points that stay where they are when walls move back: contacts that no path may squeeze through."""
+        """Points that hardly move when walls move back: contacts that no path may squeeze through."""
         return self._is_contact & (not self.may_squeeze)
 
     @cached_property
@@ -110,8 +111,8 @@ class Outline:
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
 
-        Points at which free space touches itself stay where they are if no path may squeeze through and they would
-        move apart. A wall that the lattice has made a point moves with those beside it.
+        Points at which free space touches itself move a sixteenth as far back if no path may squeeze through: what
+        is beside them is then on both sides. A wall that the lattice has made a point moves with those beside it.
         """
         following, points = self._following, self.positions
         onward = points[following] - points
@@ -123,7 +124,7 @@ class Outline:
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         mitre *= np.minimum(1, _MITRE / np.maximum(length, 1e-12))
         if distance > 0:
-            mitre[self.stays] = 0.0
+            mitre[self.stays] *= _OF_CONTACTS
         return points - distance * mitre
 
     def write(self, body: BitWriter) -> None:

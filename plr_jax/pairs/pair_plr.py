@@ -272,7 +272,7 @@ class PairPLR(HeldFile):
             return x - self._middle
         x = jnp.asarray(x)
         require_resolved(x.dtype, self.tables.unresolved)
-        first, rest = self.tables.middle
+        first, rest = (jnp.broadcast_to(part, x.shape) for part in self.tables.middle)
         return (x - first) - rest
 
     @cached_property
@@ -357,8 +357,9 @@ def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
     """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
-    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > tables.half * (1 + _ENDS))
-    nearest = jnp.where(beyond, jnp.copysign(tables.half, jax.lax.stop_gradient(x)), x)
+    half = jnp.broadcast_to(tables.half, x.shape)
+    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > half * (1 + _ENDS))
+    nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
     return nearest, length_of([(x - nearest)[..., axis] for axis in range(2)])
 
 
@@ -374,7 +375,7 @@ def _checked(
     x, y = jnp.broadcast_arrays(x.astype(jnp.float32), y.astype(jnp.float32))
     shape = x.shape[:-1]
     x, y = x.reshape(-1, 2), y.reshape(-1, 2)
-    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > tables.half * (1 + _ENDS)
+    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > tables.half[None] * (1 + _ENDS)
     answer = jnp.where(beyond.any(axis=1), jnp.inf, 0.0)
     answer = jnp.where(jnp.isnan(x).any(axis=1) | jnp.isnan(y).any(axis=1), jnp.nan, answer)
     x, y = (jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in (x, y))

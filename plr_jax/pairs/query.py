@@ -245,7 +245,7 @@ def _bit(
     place: UInt32[Array, "n"], if_so: Bool[Array, "n"], words: UInt32[Array, "n words"]
 ) -> UInt32[Array, "n words"]:
     """The bit of a place, if so, in words like those."""
-    number = jnp.arange(words.shape[1], dtype=jnp.uint32)
+    number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
     bit = jnp.where(number == (place >> 5)[:, None], jnp.uint32(1) << (place & 31)[:, None], 0)
     return jnp.where(if_so[:, None], bit, 0)
 
@@ -258,11 +258,11 @@ def _smallest(
     Compilers find the place of a minimum slowly, and a minimum fast. So the places stand in the last bits of what the
     values are above a little less than the minimum, where they do not disturb the order of any that differ.
     """
-    columns = np.arange(values.shape[1], dtype=np.uint32)
-    is_done = done[:, columns // 32] & (np.uint32(1) << columns % 32) != 0
+    columns = np.arange(values.shape[1], dtype=np.uint32)[None]
+    is_done = done[:, columns[0] // 32] & (np.uint32(1) << columns % 32) != 0
     values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
     base = _BELOW * jnp.minimum(values.min(axis=1, keepdims=True), _LARGEST) - _TINY
-    mask = np.uint32(2 ** (len(columns) - 1).bit_length() - 1)
+    mask = np.uint32(2 ** (values.shape[1] - 1).bit_length() - 1)
     bits = jax.lax.bitcast_convert_type(jnp.minimum(values - base, _LARGEST), jnp.uint32) & ~mask | columns
     smallest = jax.lax.optimization_barrier(jax.lax.bitcast_convert_type(bits, jnp.float32)).min(axis=1)
     place = jax.lax.bitcast_convert_type(smallest, jnp.uint32) & mask
@@ -297,7 +297,7 @@ def _is_leg_hidden(
     x: Float[Array, "n 2"],
     corner: Float[Array, "n 2"],
 ) -> Bool[Array, "n"]:
-    """Whether a wall, moved back a little, is between points and corners at some places of their leaves' lists."""
+    """Whether an obstacle is between points and corners at some places of their leaves' lists."""
     if tables.near is None:
         return is_hidden(tables, x, corner)
     (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -305,24 +305,35 @@ def _is_leg_hidden(
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
     a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
-    hides = (beside_p * beside_q < 0) & (a_is_left != b_is_left)
-    return jax.lax.optimization_barrier(jnp.where(hides, jnp.float32(0), 1)).min(axis=1) == 0
+    crossed = jnp.where(beside_p * beside_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
+    crossed = jax.lax.optimization_barrier(crossed)
+    return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Whether a wall, moved back a little, is between points."""
+    """Whether an obstacle, whose walls have moved back a little, is between points.
+
+    A line through one goes in across a wall and out across another. Across one way alone goes the line from a point
+    that rounding puts into a wall, or that is in two parts of free space at once where thin walls have moved past one
+    another: such a point sees what is on both sides. Nothing but free space is certain where that must not be.
+    """
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px
 
-    def meets(hidden, walls):
+    def meets(crossed, walls):
+        goes_in, goes_out = crossed
         for ax, ay, bx, by, ex, ey, turn in walls:
             beside_p, beside_q = ex * py - ey * px - turn, ex * qy - ey * qx - turn
             a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            hidden |= (beside_p * beside_q < 0) & (a_is_left != b_is_left)
-        return hidden, None
+            crosses = beside_p * beside_q < 0
+            goes_in |= crosses & (b_is_left & ~a_is_left)
+            goes_out |= crosses & (a_is_left & ~b_is_left)
+        return (goes_in, goes_out), None
 
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), tables.walls)[0]
+    none = jnp.zeros(x.shape[0], bool)
+    goes_in, goes_out = jax.lax.scan(meets, (none, none), tables.walls)[0]
+    return goes_in | goes_out if tables.is_certain else goes_in & goes_out
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -53,6 +53,7 @@ class PairTables:
         rounding: The largest error of distances by way of the corners, from the rounding of points in the file; and
             that of distances by way of the proud corners, which is larger.
         unresolved: Types of points that cannot be answered, see :func:`unresolved_types`.
+        is_certain: Whether what counts as a way is certainly free, see :attr:`in_free_space`.
     """
 
     partition: Tables
@@ -70,12 +71,13 @@ class PairTables:
     proud_corners: Float[Array, "size 2"]
     rounding: Float[Array, "2"]
     unresolved: tuple[str, ...] = field(metadata={"static": True})
+    is_certain: bool = field(default=False, metadata={"static": True})
 
     @property
     def in_free_space(self) -> "PairTables":
         """The same, but what counts as a way is certainly free."""
         x, y = (along[self.listed] for along in self.proud_corners.T)
-        return replace(self, walls=self.proud_walls, near=None, x=x, y=y)
+        return replace(self, walls=self.proud_walls, near=None, x=x, y=y, is_certain=True)
 
 
 def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
@@ -88,7 +90,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     distances = _distances_table(stored, size)
     listed = _listed(stored, rows, count)
     width = float(stored.domain.width.max())
-    corners = _seen_corners(stored, _MARGIN * width)
+    corners = _seen_corners(stored, 1.25 * _MARGIN * width)  # farther than a contact's walls move
     aside = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
     points = np.append(corners - middle, np.full((1, 2), np.inf), axis=0)
     boxes = cells.grown_boxes(domain)

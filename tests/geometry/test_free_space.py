@@ -191,3 +191,10 @@ def test_a_published_map(data_dir):
     found = np.asarray(workspace.clearance(jnp.asarray(x)), np.float64)
     np.testing.assert_allclose(found, workspace.clearance(x), atol=1e-6 * workspace.bounds.width.max())
     assert workspace.is_free(jnp.asarray(x)).all()
+
+
+def test_no_shapes_and_types_are_promoted():
+    tables = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 8), (4, 8)]]).tables
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        np.testing.assert_allclose(tables.clearance(jnp.array([(1.0, 2.0), (5.0, 7.0)])), [1, -1])
+        np.testing.assert_array_equal(tables.is_free(jnp.array([(1.0, 2.0), (5.0, 7.0)])), [True, False])

@@ -476,6 +476,8 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR:
 def _as_points(x: ArrayLike, dim: int) -> np.ndarray:
     """Points as an array of 32-bit or 64-bit floats; masked numbers are NaN."""
     x = as_queries(x)
+    if x.dtype.name == "bfloat16":  # of which NumPy does not know that they are floats
+        x = x.astype(np.float32)
     if x.dtype.kind not in "iubf":
         raise ValueError(f"Points must be real numbers, got an array of {x.dtype}.")
     if x.ndim == 0 or x.shape[-1] != dim:

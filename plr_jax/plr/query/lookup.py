@@ -82,7 +82,8 @@ def waypoints_in_tables(tables: Tables, x: Num[Array, "*batch dim"]) -> Float[Ar
     x = jax.lax.stop_gradient(_in_floats(tables, x))
     outside, answer = outside_domain(tables, x)
     numbers = _numbers(tables, find_row(tables, x), x.dtype)
-    source = tables.frame[Frame.LO].astype(x.dtype) + jnp.stack(tables.leaf.source_of(numbers), axis=-1)
+    source = jnp.stack(tables.leaf.source_of(numbers), axis=-1)
+    source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
     return jnp.where((outside | jnp.isnan(answer))[..., None], jnp.nan, source)
 
 

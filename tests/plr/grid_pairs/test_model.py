@@ -172,3 +172,12 @@ def test_points_far_outside_are_infinitely_far_and_complex_ones_are_refused(room
         np.testing.assert_array_equal(pairs([[1e300, 0], [-1e300, 0], [0, np.inf]], [0, 0]), np.inf)
     with pytest.raises(ValueError, match="real"):
         pairs(jnp.zeros(2, complex), jnp.zeros(2))
+
+
+def test_no_shapes_and_types_are_promoted(rooms):
+    x = jnp.array([(0.5, 0.5), (2.5, 1.5)])
+    pairs = construct_grid_pairs(rooms)
+    expected = np.asarray(pairs(x, x[::-1]))
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        np.testing.assert_array_equal(pairs(x, x[::-1]), expected)
+        np.testing.assert_array_equal(pairs.bounds(x, x[::-1])[0], expected)

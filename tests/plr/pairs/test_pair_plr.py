@@ -399,3 +399,94 @@ def test_walls_too_thin_for_32_bits_are_refused():
     around = VisibilityGraph(with_wall(1e-3), y[0])(x)
     np.testing.assert_allclose(pairs(x, y), around, rtol=1e-6)
     assert pairs.bounds(x, y)[0] <= around
+
+
+BOXES = {
+    "spike": [[(0.4, 0.4), (0.6, 0.4), (0.6, 0.6), (0.4, 0.6)]],
+    "bridge": [[(x, 0.4), (x + 0.2, 0.4), (x + 0.2, 0.6), (x, 0.6)] for x in (0.1, 0.7)],
+}
+
+
+def sliver(kind, thickness):
+    """A wall thinner than sight resolves, glued to a box, or to two."""
+    low, high = 0.5 - thickness / 2, 0.5 + thickness / 2
+    wall = [(0.5, low), (0.5, high), (0.95, 0.5)]
+    if kind == "bridge":
+        wall = [(0.2, low), (0.8, low), (0.8, high), (0.2, high)]
+    return Workspace(((0, 0), (1, 1)), [*BOXES[kind], wall])
+
+
+@pytest.mark.parametrize("kind", BOXES)
+@pytest.mark.parametrize("thickness", [1e-7, 1e-6, 2e-6, 6e-6])
+def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind, thickness):
+    workspace = sliver(kind, thickness)
+    pairs = construct_pairs(workspace, max_bytes=400)
+    along = {"spike": np.linspace(0.62, 0.93, 9), "bridge": np.linspace(0.32, 0.68, 9)}[kind]
+    half = thickness / 2 * ((0.95 - along) / 0.45 if kind == "spike" else np.ones(len(along)))
+    beside = [np.stack([along, 0.5 + side * (half + gap)], 1) for side in (-1, 1) for gap in (1e-6, 3e-6, 1e-4)]
+    goals = np.array([(0.8, 0.9), (0.8, 0.1), (0.5, 0.7), (0.05, 0.5)])
+    x, y = (each.reshape(-1, 2) for each in np.broadcast_arrays(np.concatenate(beside)[:, None], goals))
+    truth = exact(workspace, x, y)
+    lower, upper = pairs.bounds(x, y)
+    assert (lower <= truth).all() and (truth <= upper).all()
+    found, on_one_side = np.asarray(pairs(x, y)), np.abs(x[:, 1] - 0.5) > 5e-5
+    assert (found <= truth + 1e-6).all()  # the distance on the other side of the wall, where that is less
+    np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=1e-6)
+
+
+def test_from_where_an_obstacle_touches_the_bounds_both_sides_are_seen():
+    workspace = Workspace(((0, 0), (1024, 1024)), [[(489, 684), (805, 112), (0, 319)]])
+    pairs = construct_pairs(workspace)
+    x, y = np.array([0.0, 319.0]), np.array([(489.0, 684.0), (805.0, 112.0), (0.0, 700.0), (0.0, 100.0)])
+    truth = VisibilityGraph(workspace, x)(y)
+    np.testing.assert_allclose(truth, np.linalg.norm(y - x, axis=1))
+    np.testing.assert_allclose(pairs(x, y), truth, rtol=1e-6)
+    np.testing.assert_allclose(pairs(y, x), truth, rtol=1e-6)
+    lower, upper = pairs.bounds(x, y)
+    assert (lower <= truth).all() and (truth <= upper).all()
+    across = np.array([(1.0, 700.0)]), np.array([(1.0, 100.0)])  # what touches is no gap
+    np.testing.assert_allclose(pairs(*across), exact(workspace, *across), rtol=1e-6)
+
+
+def touching_workspace(rng):
+    """Triangles on a lattice, of which corners touch walls and bounds, and a sliver across them."""
+    rings = rng.integers(0, 9, (4, 3, 2)) / 8
+    turn = np.linalg.det(rings[:, 1:] - rings[:, :1])
+    start, end = rng.uniform(0.05, 0.95, (2, 2))
+    aside = 10 ** rng.uniform(-7, -3) * np.array([start[1] - end[1], end[0] - start[0]])
+    return Workspace(((0, 0), (1, 1)), [*rings[np.abs(turn) > 1e-9], [start - aside, start + aside, end]])
+
+
+def corners_and_points_of_walls(workspace, rng, count):
+    """Free points: vertices, points on walls, and such as are as near to one as is told from it."""
+    boundary = workspace.boundary
+    edge, share = rng.integers(len(boundary.edges), size=4 * count), rng.uniform(size=(4 * count, 1))
+    on_walls = (boundary.segments[edge] * np.stack([share, 1 - share], axis=1)).sum(axis=1)
+    beside = on_walls + rng.choice([0, 3e-7, 1e-6, 1e-5], (4 * count, 1)) * boundary.normal[edge]
+    beside[: len(boundary.vertices)] = boundary.vertices
+    return rng.permutation(beside[workspace.is_free(beside)])[:count]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])  # of others some have walls that are refused
+def test_points_of_walls_and_contacts_are_answered_and_bounded(seed):
+    rng = np.random.default_rng(seed)
+    workspace = touching_workspace(rng)
+    pairs = construct_pairs(workspace, max_bytes=350)
+    points = corners_and_points_of_walls(workspace, rng, 40)
+    x, y = np.repeat(points[:12], 40, axis=0), np.tile(points, (12, 1))
+    truth = np.maximum(exact(workspace, x, y), exact(workspace, y, x))  # which differ where sight may go either way
+    lower, upper = pairs.bounds(x, y)
+    assert (lower <= truth).all() and (truth <= upper).all()
+    assert np.isfinite(pairs(x, y)[np.isfinite(truth)]).all()
+
+
+def test_no_shapes_and_types_are_promoted(wall):
+    x, y = jnp.array([(2.0, 4.0), (2.0, 9.0)]), jnp.array([(8.0, 4.0), (8.0, 9.0)])
+    plr = wall.to((8.0, 4.0))
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        expected = [2 * math.hypot(2, 4) + 2, 6]
+        np.testing.assert_allclose(wall(x, y), expected, rtol=1e-6)
+        np.testing.assert_allclose(wall(x - 10, y[0], outside="clamp") >= 0, True)
+        lower, upper = wall.bounds(x, y)
+        assert (lower <= np.array(expected)).all() and (upper >= np.array(expected)).all()
+        np.testing.assert_allclose(plr.waypoint(x[:1]), [(4, 8)], atol=1e-5)

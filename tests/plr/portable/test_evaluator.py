@@ -240,3 +240,9 @@ def test_tables_of_one_leaf_ask_nothing():
     f = case("one leaf").numpy()
     assert isinstance(f._table, LeafTable) and f._table.is_flat and len(f._table.table) == 1
     assert not is_far(case("one leaf"))
+
+
+def test_points_of_16_bits_are_those_of_32():
+    plr = case("maze of cones")
+    x = jax.numpy.array([(0.25, 0.75), (0.5, 0.125)], jax.numpy.bfloat16)
+    np.testing.assert_array_equal(plr.numpy()(x), plr.numpy()(np.asarray(x, np.float32)))
