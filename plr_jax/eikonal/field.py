@@ -10,11 +10,10 @@ from jaxtyping import Bool, Float, Int
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.paths import NodePaths
-from plr_jax.eikonal.program import Rescaling, SlopeProgram, rescaling_of
+from plr_jax.eikonal.program import ROUNDING, Rescaling, SlopeProgram
 from plr_jax.plr.partition.cells import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
-_ROUNDING = 1e-9  # share of values and of slopes, many times what their evaluation rounds
 _HALVES = np.array([0.0, 0.5, 1.0])
 
 
@@ -48,10 +47,7 @@ class CostToGoField:
 
     @cached_property
     def _rescaling(self) -> Rescaling:
-        space, mesh = self.program.space, self.mesh
-        control = self._nodal[mesh.open_cells] @ to_bernstein(space.degree, mesh.dim).T
-        factor = (1 + _ROUNDING) * self.program.slopes(self.values).reshape(control.shape).max(axis=1)
-        return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
+        return self.program.rescaling(self.values)
 
     def lower_at(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """The lower bound at points ``t``, from 0 to 1, of cells, but for what is rounded."""
@@ -165,7 +161,7 @@ class CostToGoField:
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
             way = way + (np.abs(costs.pulls) @ beside).max(axis=0)
-        return _ROUNDING * np.abs(self._nodal).max() + way
+        return ROUNDING * np.abs(self._nodal).max() + way
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:

@@ -1,5 +1,7 @@
 """Proven lower bounds of the cost-to-go: the slope program on meshes that are refined where the flow loses most."""
 
+import warnings
+
 import numpy as np
 from jaxtyping import Float, Int, Int8
 from scipy.sparse import csr_array, vstack
@@ -15,7 +17,8 @@ _COARSEST = 1 / 16  # share of the cells that the first mesh has
 _FEWEST = 2  # of these: in one alone, flows to a goal in its middle cancel, and no loss shows
 _SHARE = 0.8  # of the loss, in cells that are refined
 _GROWTH = 1.3, 2.0  # least and most, of the number of cells
-_FIRST, _NEXT, _LAST = 150, 40, 100  # iterations on the first mesh, on those after it, and at the end
+_FIRST, _NEXT = 150, 40  # iterations on the first mesh, and on those after it
+_MOST = 1000  # iterations at the end
 _FACTORED_FIRST = (20, 40, 80)  # before which of these the penalties follow the flow
 _DETOUR = 16  # most by which a loss counts more for the way around that it hides
 _DEEPEST = 13  # splits along an axis, which a query resolves
@@ -83,7 +86,14 @@ class SlopeSolver:
                 iterate = finer.solve(_NEXT, iterate)
             self._through = _kept(self._through, self.mesh, finer.space.mesh)
             self.program, self._iterate = finer, iterate
-        self._iterate = self.program.solve(_NEXT + _LAST, self._iterate, (_NEXT,), tighten_from=_NEXT)
+        loose = self.program.solve(_NEXT, self._iterate)
+        self._iterate, has_converged = self.program.solve_tightly(loose, _MOST)
+        if not has_converged:
+            warnings.warn(
+                f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
+                "ones may be looser than cells allow. Compare those of another max_leaves.",
+                stacklevel=4,
+            )
 
     def likely_mesh(self) -> Mesh:
         """The mesh with mixed cells counted as free if a straight motion through their middle is, else as blocked.
@@ -121,13 +131,15 @@ class SlopeSolver:
         mesh, num_cells, parts = self.mesh, len(self.mesh.state), 2**self.mesh.dim - 1
         if num_cells + parts > self.max_cells:
             return np.zeros(0, np.int64)
-        loss = self._losses()
-        if loss.sum() <= self.tolerance * self.program.weight.sum():
+        assert self._iterate is not None
+        loss, at_goal = self._losses(), loss_at_goal(self.program, self._iterate, self.goal)
+        if max(loss.sum(), at_goal) <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64)
-        order = np.argsort(-loss, kind="stable")
+        is_first = (mesh.open_cells == mesh.locate(self.goal[None])) & (at_goal > loss)
+        order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")
         enough = np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1
         least, most = (int((growth - 1) * num_cells / parts) for growth in _GROWTH)
-        num = min(max(enough, least), most, (self.max_cells - num_cells) // parts, np.count_nonzero(loss))
+        num = min(max(enough, least), most, (self.max_cells - num_cells) // parts, np.count_nonzero(loss + is_first))
         deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= _DEEPEST
         return mesh.open_cells[order[~deepest][: max(num, 0)]]
 
@@ -167,6 +179,22 @@ def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]
     cost = (program.doubt * program.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
     gain = np.where(mesh.state[mesh.open_cells] == CellState.MIXED, 0.0, np.sum(flow * gradient, axis=1))
     return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
+
+
+def loss_at_goal(program: SlopeProgram, iterate: Iterate, goal: Float[np.ndarray, "dim"]) -> float:
+    """The loss in the goal's cell if what arrives at its nodes went straight to the goal.
+
+    Where the goal is within a cell, what arrives on one side may leave on the other: such a flow gains as much as it
+    costs, though values behind the goal are as far below 0 as they should be above.
+    """
+    space, mesh = program.space, program.space.mesh
+    home = int(mesh.locate(goal[None])[0])
+    change = mesh.domain.difference(mesh.domain.width * goal, mesh.domain.width * space.points)
+    values = iterate.values - program.at_goal(iterate.values)
+    excess = program.costs.most(change, np.full(len(change), home)) - values
+    within = np.repeat(mesh.open_cells == home, len(space.lattice))
+    climbed = np.sum((iterate.flow * program.gradients(excess))[:, within], axis=0)
+    return float(program.volume[within] @ climbed + program.weight.sum() * program.at_goal(excess))
 
 
 def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> Iterate:

@@ -15,7 +15,6 @@ References:
     elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +26,7 @@ from pyamg import ruge_stuben_solver
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array
 from scipy.sparse.linalg import cg, splu
 
-from plr_jax.eikonal.elements import FunctionSpace
+from plr_jax.eikonal.elements import FunctionSpace, to_bernstein
 from plr_jax.eikonal.mesh import CellCosts
 
 # Values bent down, level by level, so that slopes that are a little too steep are no longer.
@@ -82,6 +81,7 @@ def rescaling_of(
 
 
 Vectors = Float[np.ndarray, "dim controls"]
+ROUNDING = 1e-9  # share of values and of slopes, many times what their evaluation rounds
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -141,6 +141,8 @@ class SlopeSets:
 _RELAXATION = 1.6
 _LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 1.0  # over the median flow
 _TIGHTEN_EVERY = 10  # iterations, while the last violations are removed
+_GAIN = 1e-4  # share by which values have to rise
+_PATIENCE = 30  # iterations in which they do not, after which they have converged
 _RESIDUAL = 1e-2  # share of that of the iteration before, which conjugate gradients leave
 _MOST_STEPS = 50  # of conjugate gradients
 _COARSEST_GRID = 500  # unknowns of multigrid's smallest equations
@@ -192,7 +194,11 @@ class SlopeProgram:
 
     def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
         """By what slopes at the control points are too steep, below 1 where they are not."""
-        return self.sets.factors((self.gradient @ u).reshape(self.dim, -1))
+        return self.sets.factors(self.gradients(u))
+
+    def gradients(self, u: Float[np.ndarray, "dofs"]) -> Vectors:
+        """The control vectors, in the coordinates of the sets."""
+        return (self.gradient @ u).reshape(self.dim, -1)
 
     def slopes_within(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
         """Mean control vectors of open cells, as motions that climb the steepest."""
@@ -200,7 +206,7 @@ class SlopeProgram:
 
     def mean_gradients(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "open dim"]:
         """Mean control vectors of open cells, in the coordinates of the sets."""
-        return (self.gradient @ u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
+        return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def at_goal(self, u: Float[np.ndarray, "dofs"]) -> float:
         """The value at the goal."""
@@ -210,55 +216,49 @@ class SlopeProgram:
         """No flow, and 0 everywhere."""
         return Iterate(np.zeros(len(self.goal)), np.zeros((self.dim, len(self.volume))))
 
-    def solve(
-        self,
-        num_iterations: int,
-        start: "Iterate",
-        factor_at: Sequence[int] = (),
-        tighten_from: int | float = math.inf,
-    ) -> "Iterate":
-        """So many iterations from a start.
+    def rescaling(self, u: Float[np.ndarray, "dofs"]) -> Rescaling:
+        """That which makes values, 0 at the goal, satisfy the constraints, rounding included."""
+        space, mesh = self.space, self.space.mesh
+        nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
+        control = nodal @ to_bernstein(space.degree, mesh.dim).T
+        factor = (1 + ROUNDING) * self.slopes(u).reshape(control.shape).max(axis=1)
+        return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
+
+    def solve(self, num_iterations: int, start: "Iterate", factor_at: Sequence[int] = ()) -> "Iterate":
+        """So many iterations from a start, enough to tell where the mesh is too coarse.
 
         Args:
             num_iterations: Iterations.
             start: Values and flow to begin with.
             factor_at: Iterations before which the penalties follow the flow, and the matrix is factored anew.
-            tighten_from: The iteration from which bounds are tightened where slopes exceed them, so that the result
-                nearly satisfies them.
         """
-        u, flow = start.values, start.flow
-        load = self.weight - self.weight.sum() * self.goal
-        radius = self.sets.radius
-        penalty = self._penalties(flow if flow.any() else self._potential_flow(load), _LEAST_PENALTY)
-        system = _Poisson(self, penalty)
-        y, g = flow / penalty, (self.gradient @ u).reshape(self.dim, -1)
-        z = self.sets.project(g, radius)
+        state = _Splitting(self, start, _LEAST_PENALTY)
         for iteration in range(num_iterations):
             if iteration in factor_at:
-                flow = penalty * y
-                least = _LEAST_PENALTY if iteration < tighten_from else _LEAST_PENALTY_AT_LAST
-                penalty = self._penalties(flow, least)
-                y, system = flow / penalty, _Poisson(self, penalty)
-            u = system.solve(load, z - y, u)
-            g = (self.gradient @ u).reshape(self.dim, -1)
-            if iteration >= tighten_from and iteration % _TIGHTEN_EVERY == 0:
-                radius = radius * np.minimum(1.0, self.sets.radius / np.maximum(self.sets.lengths(g), _TINY))
-            v = _RELAXATION * g + (1 - _RELAXATION) * z + y
-            z = self.sets.project(v, radius)
-            y = v - z
-        return Iterate(u, penalty * y)
+                state = _Splitting(self, state.iterate, _LEAST_PENALTY)
+            state.step(self.sets.radius)
+        return state.iterate
 
-    def _penalties(self, flow: Flow, least: float) -> Float[np.ndarray, "controls"]:
-        norm = self.sets.costs(flow) / self.sets.radius
-        carried = norm[norm > 0]
-        return np.maximum(norm, least * np.median(carried) if carried.size else 1.0) / self.sets.radius
+    def solve_tightly(self, start: "Iterate", most_iterations: int) -> tuple["Iterate", bool]:
+        """The best values that satisfy the constraints, and whether they had stopped rising before the limit.
 
-    def _potential_flow(self, load: Float[np.ndarray, "dofs"]) -> Flow:
-        """The flow of least squares that carries a load: of the right size, whatever the units."""
-        penalty, nowhere = 1 / self.sets.radius, np.zeros((self.dim, len(self.volume)))
-        return penalty * (self.gradient @ _Poisson(self, penalty).solve(load, nowhere, np.zeros(len(load)))).reshape(
-            self.dim, -1
-        )
+        Where slopes exceed their bounds, these are tightened every few iterations, so that little is lost when the
+        values are made to satisfy them. Tightened too long, they fall again: those that were best count.
+        """
+        state, radius = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), self.sets.radius
+        best, highest, found = start, 0.0, 0
+        for iteration in range(most_iterations):
+            state.step(radius)
+            if iteration % _TIGHTEN_EVERY:
+                continue
+            u = state.u - self.at_goal(state.u)
+            value = float(self.weight @ self.rescaling(u)(u))
+            if value > (1 + _GAIN) * highest:
+                best, highest, found = state.iterate, value, iteration
+            elif iteration >= found + _PATIENCE:
+                return best, True
+            radius = radius * np.minimum(1.0, self.sets.radius / np.maximum(self.sets.lengths(state.g), _TINY))
+        return best, False
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,6 +267,41 @@ class Iterate:
 
     values: Float[np.ndarray, "dofs"]
     flow: Flow
+
+
+class _Splitting:
+    """The alternating direction method of multipliers, with penalties that are as large as the flow it starts from.
+
+    Values ``u`` solve a Poisson equation, ``z`` is the nearest to their gradients ``g`` within the sets, and
+    ``penalty * y`` is the flow.
+    """
+
+    def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
+        self._program, radius = program, program.sets.radius
+        self._load = program.weight - program.weight.sum() * program.goal
+        flow = start.flow
+        if not flow.any():  # that of least squares, of the right size whatever the units
+            potential = _Poisson(program, 1 / radius).solve(
+                self._load, np.zeros_like(flow), np.zeros(len(self._load))
+            )
+            flow = program.gradients(potential) / radius
+        norm = program.sets.costs(flow) / radius
+        carried = norm[norm > 0]
+        self._penalty = np.maximum(norm, least_penalty * np.median(carried) if carried.size else 1.0) / radius
+        self._system = _Poisson(program, self._penalty)
+        self.u, self.g, self._y = start.values, program.gradients(start.values), start.flow / self._penalty
+        self._z = program.sets.project(self.g, radius)
+
+    @property
+    def iterate(self) -> Iterate:
+        return Iterate(self.u, self._penalty * self._y)
+
+    def step(self, radius: Float[np.ndarray, "controls"]) -> None:
+        self.u = self._system.solve(self._load, self._z - self._y, self.u)
+        self.g = self._program.gradients(self.u)
+        v = _RELAXATION * self.g + (1 - _RELAXATION) * self._z + self._y
+        self._z = self._program.sets.project(v, radius)
+        self._y = v - self._z
 
 
 class _Poisson:

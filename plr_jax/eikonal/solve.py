@@ -157,7 +157,8 @@ def solve_eikonal(
     Returns:
         The PLR, of continuous leaves. ``plr(x)`` is finite wherever a cell is connected to the goal's by faces that
         are not proven blocked. Upper bounds are ``inf`` where no path was found. If interrupted (Ctrl-C) once there
-        is a first solution, that of the cells there are, with a ``ConstructionInterrupted`` warning.
+        is a first solution, that of the cells there are, with a ``ConstructionInterrupted`` warning. If the lower
+        bound, which is proven all the same, was still rising when iterations ran out, a ``UserWarning`` says so.
 
     Raises:
         ValueError: If the space is none, the goal is not a free configuration of it, a limit is out of its range or

@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
+from eikonal_helpers import ROOM
 from tqdm import tqdm
 
-from plr_jax import PlaneSpace, Workspace
+from plr_jax import PlaneSpace, Workspace, solve_eikonal
+from plr_jax.eikonal import lower
 from plr_jax.eikonal.lower import SlopeSolver
 from plr_jax.spaces import CellState
 
@@ -34,3 +37,9 @@ def test_walls_too_thin_for_their_cells_are_refined_first():
     lo, hi = mesh.boxes
     at_wall = (lo[:, 0] < 0.523) & (hi[:, 0] > 0.52) & (lo[:, 1] < 0.7)
     assert mesh.widths[at_wall].mean() < 0.3 * mesh.widths[~at_wall].mean()
+
+
+def test_what_has_not_converged_says_so(monkeypatch):
+    monkeypatch.setattr(lower, "_MOST", 11)
+    with pytest.warns(UserWarning, match="has not converged in 11 iterations: the bounds hold"):
+        solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=100)

@@ -133,6 +133,19 @@ def test_bounds_hold_in_an_empty_box_of_any_dimension(dim, periodic):
     assert np.mean(upper - lower) < (0, 0.05, 0.2, 0.7, 2.0)[dim] * distance.mean()
 
 
+@pytest.mark.parametrize("periodic", [False, True])
+def test_bounds_are_close_on_a_line_for_any_number_of_cells(periodic):
+    space, x = BoxSpace(Box([0], [1], [periodic])), np.linspace(0, 1, 1001)[:, None]
+    for max_leaves in range(20, 121, 5):
+        goal = np.array([0.3 + (max_leaves % 3 - 1) * 1e-12])  # rounding decides nothing
+        distance = space.motion_cost.lengths(x, np.tile(goal, (len(x), 1)), space.domain)
+        lower, upper = (
+            np.asarray(bound, float) for bound in solve_eikonal(space, goal, max_leaves=max_leaves).bounds(x)
+        )
+        assert (lower <= distance + 1e-9).all() and (distance <= upper + 1e-9).all()
+        assert np.mean(upper - lower) < (0.01 if periodic else 0.001) * distance.mean()
+
+
 def test_bounds_hold_around_a_box_in_space():
     """Obstacles as high as the domain: the distance is that of the plane and the height, by Pythagoras."""
     plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
