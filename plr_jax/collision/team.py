@@ -25,8 +25,7 @@ from plr_jax.robots.robot import Robot
 #
 # A robot sweeps no more, in one motion, than a circle about the motion's middle whose radius is half the motion's
 # length and the robot's own. Where two such circles are apart, so are the robots; what a rounding error adds to that
-# is
-# well within the tolerance of exact tests.
+# is well within the tolerance of exact tests.
 
 
 _CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache

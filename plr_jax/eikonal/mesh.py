@@ -241,9 +241,8 @@ def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells di
 # What motions cost in the cells of a mesh: bounds over each.
 #
 # In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
-# ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which
-# way a
-# motion goes.
+# ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way
+# a motion goes.
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,8 @@ from plr_jax.eikonal.mesh import CellCosts
 # Values bent down, level by level, so that slopes that are a little too steep are no longer.
 #
 # Wherever a function is steeper than allowed, by a factor ``s``, its values run over some interval. Bending all
-# values
-# by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther from the
-# goal
-# only moves down by what is lost. That is far less than dividing everything by the largest factor.
+# values by a function whose own slope is at most ``1 / s`` on that interval makes it right, and what is farther from
+# the goal only moves down by what is lost. That is far less than dividing everything by the largest factor.
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +71,9 @@ def rescaling_of(
 # How steep a lower bound of the cost-to-go may be: convex sets of gradients, one a control point.
 #
 # Along a motion ``dq``, the cost-to-go falls by no more than the motion costs. So of a lower bound with gradient
-# ``g``,
-# ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and weighted turn,
-# a
-# product of balls; where something pulls, a ball moved along a segment. Gradients are in coordinates in which a step
-# of length 1 within any block of axes costs 1.
+# ``g``, ``-g`` has to be in the set whose support function is the cost: for a length, a ball; for length and weighted
+# turn, a product of balls; where something pulls, a ball moved along a segment. Gradients are in coordinates in which
+# a step of length 1 within any block of axes costs 1.
 
 
 Vectors = Float[np.ndarray, "dim controls"]

@@ -18,8 +18,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 #
 # Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are joined along edges
 # (4-connected), blocked ones at corners too (8-connected). Rings have free space on their left; what is beyond the
-# grid
-# is blocked. Along a ring runs in ``x`` and in ``y`` take turns, so every vertex is a corner.
+# grid is blocked. Along a ring runs in ``x`` and in ``y`` take turns, so every vertex is a corner.
 
 
 _MOST_CORNERS = 2**18
@@ -93,19 +92,14 @@ def _cycles(follower: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n"], Int[n
 # PixelRings with fewer corners, none of which has moved by more than a tolerance, and nothing of which has met.
 #
 # A simplified outline is a chain of links between points of the exact one: its corners, and the middles of the steps
-# of
-# staircases, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within
-# the
-# tolerance of it, and it of that stretch. The longest are taken, one after the other. Links that would meet others,
-# or
-# come near them, or go around another outline, are undone: there the outline is exact, so that what is connected
-# stays
-# so, and what is apart.
+# of staircases, through which an inclined wall is drawn. A link replaces a stretch of outline, all of which is within
+# the tolerance of it, and it of that stretch. The longest are taken, one after the other. Links that would meet
+# others, or come near them, or go around another outline, are undone: there the outline is exact, so that what is
+# connected stays so, and what is apart.
 #
 # References:
-#     H. Imai, M. Iri, "Polygonal approximations of a curve: formulations and algorithms", 1988; the longest link
-#     from a
-#     point, by wedges of directions: J. Sklansky, V. Gonzalez, Pattern Recognition 12, 1980.
+#     H. Imai, M. Iri, "Polygonal approximations of a curve: formulations and algorithms", 1988; the longest link from
+#     a point, by wedges of directions: J. Sklansky, V. Gonzalez, Pattern Recognition 12, 1980.
 
 
 CLEARANCE = 0.25

@@ -22,8 +22,7 @@ from plr_jax.geometry.vectors import pseudo_angle
 # A cone begins at a viewpoint, is bounded by the directions of two vertices, and looks out of a triangle through an
 # edge. If that is a wall, the cone ends there. If not, the corner of the next triangle parts it in two, one for each
 # edge on, unless the corner lies outside. The cones of many viewpoints advance together, so that the cost follows
-# what
-# is seen.
+# what is seen.
 #
 # A corner on a bound, to a tolerance, counts as seen but parts no cone: none is narrower than rounding can tell.
 

@@ -49,10 +49,8 @@ if TYPE_CHECKING:
 # Visibility graphs in files: a zip archive of NumPy arrays, without pickles, that ``np.load`` can read as well.
 #
 # It holds the workspace (bounds, whether to squeeze, free space and obstacles as well-known binary), the goal, and
-# what
-# is costly to find: the visibility polygons of the corners and the edges of the graph. What is read is checked, so
-# that
-# a file can at worst be refused.
+# what is costly to find: the visibility polygons of the corners and the edges of the graph. What is read is checked,
+# so that a file can at worst be refused.
 
 
 _VERSION = 1

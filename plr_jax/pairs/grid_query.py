@@ -19,10 +19,8 @@ from plr_jax.pairs.grid_sectors import FAR, corner_cells, corner_distances, open
 # Whether cells see each other: illegal steps between them, counted by at most four lookups.
 #
 # Between cells of an 8-connected grid that are not in one row or column, diagonal steps tell: if they are all legal,
-# so
-# are the straight ones. They start in a parallelogram, which is a rectangle in the coordinates ``(row, column -
-# row)``,
-# so that sums over rows and slanted columns count them as a summed-area table counts what is in a rectangle.
+# so are the straight ones. They start in a parallelogram, which is a rectangle in the coordinates ``(row, column -
+# row)``, so that sums over rows and slanted columns count them as a summed-area table counts what is in a rectangle.
 #
 # References:
 #     Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.

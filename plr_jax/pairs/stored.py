@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 # Which corners are joined, and the distances between corners over them.
 #
 # Joined are corners between which a shortest path may go straight: they see one another, and the line is tangent to
-# the
-# obstacles at both. This follows from free space, so an outline tells it of itself, but for what its lattice rounds.
+# the obstacles at both. This follows from free space, so an outline tells it of itself, but for what its lattice
+# rounds.
 
 
 _AT_ONCE = 2**21  # distances

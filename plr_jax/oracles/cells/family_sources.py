@@ -21,10 +21,8 @@ from plr_jax.oracles.cells.sight import Sight, Walls
 # Numbers for the sources of many goals, so that cells which differ between goals by a constant have the same ones.
 #
 # Which source is best in a piece, and how far others are from it, depends on the differences of the sources'
-# distances
-# alone. Behind a corner they are the same for all goals that are reached by way of it. So the sources of each cell
-# are
-# counted from the least of them, and a source and its distance from there are known by one number.
+# distances alone. Behind a corner they are the same for all goals that are reached by way of it. So the sources of
+# each cell are counted from the least of them, and a source and its distance from there are known by one number.
 
 
 _NO_TURN = -1

@@ -19,10 +19,8 @@ from plr_jax.geometry.convex_pieces import Pieces
 # Bounds of how much the distance is above what a leaf holds, over all free points of a piece of it.
 #
 # The distance is nowhere above the cone of a source that all of the piece sees, and nowhere below the least cone of
-# the
-# sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and the
-# way
-# there, which is free.
+# the sources that any of it may use. Where no source is seen by all, it is at most that of the piece's center, and
+# the way there, which is free.
 
 
 @runtime_checkable

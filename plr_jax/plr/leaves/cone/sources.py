@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 #
 # is linear in the source, the offset and the rest. That gives a start; Gauss-Newton steps on the distance itself
 # follow. The square also admits ``distance = offset - |x - source|``: where the solution is that one, or its source
-# is
-# too far, the slope of a plane gives a second start, a source far away against it.
+# is too far, the slope of a plane gives a second start, a source far away against it.
 
 
 _STEPS = 6

@@ -226,12 +226,10 @@ def _disagreement(group: Int[np.ndarray, "nodes"], agreement: _Agreement, most: 
 # What a leaf's function is made of: corner values (order 0), or corner values and derivatives (order 1).
 #
 # Order 0 interpolates the values at a cell's corners multilinearly. Order 1 adds cubic Hermite interpolation, as in
-# the
-# element of Bogner, Fox and Schmit (1965): its derivatives at a corner are means over the leaves tied there of those
-# of
-# the multilinear functions, so they follow from the same values. A hanging corner takes value and derivatives from
-# the
-# cubic of the leaf it hangs on; half a cubic is the cubic of its own end points, so nothing jumps there either.
+# the element of Bogner, Fox and Schmit (1965): its derivatives at a corner are means over the leaves tied there of
+# those of the multilinear functions, so they follow from the same values. A hanging corner takes value and
+# derivatives from the cubic of the leaf it hangs on; half a cubic is the cubic of its own end points, so nothing
+# jumps there either.
 
 
 POWERS = (2, 4)  # of t along each axis, by order of continuity
