@@ -101,10 +101,10 @@ class Certificate:
 
     def write(self, body: BitWriter) -> None:
         """Append it to a file."""
-        has_classes = self.proof is Proof.CLASSES and self.codes is not None
-        body.write_floats(np.array([-self.scale if has_classes else self.scale]))
-        if has_classes:
-            write_classes(body, self.codes)
+        classes = self.codes if self.proof is Proof.CLASSES else None
+        body.write_floats(np.array([self.scale if classes is None else -self.scale]))
+        if classes is not None:
+            write_classes(body, classes)
         elif self.codes is not None:
             body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
 

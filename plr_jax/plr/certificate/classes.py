@@ -38,7 +38,8 @@ def in_classes(
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
 
     highest = np.zeros((2, number), codes.dtype)
-    np.maximum.at(highest, (slice(None), rank_of), codes)
+    for of_rank, of_leaf in zip(highest, codes, strict=True):
+        np.maximum.at(of_rank, rank_of, of_leaf)
     of_class = np.stack([of_ranges(each, np.maximum) for each in highest])
     width = of_ranges(np.bincount(rank_of, volume), np.add) * code_factor[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
