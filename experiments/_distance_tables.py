@@ -17,10 +17,6 @@ _SHORT_CONTENDERS = {
     "network, 16-bit": "network, 16-bit",
 }
 _IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
-_SHORT_QUERIES = (
-    *("PLR", "map_coordinates", "network", f"SciPy RegularGridInterpolator{_IN_FLOAT64}"),
-    "Numba loop, all cores",
-)
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
 _RIVALS = {
     "ours": "construct_pairs",
@@ -53,26 +49,20 @@ def rivals(results: dict[str, Any]) -> str:
     return markdown(table, numbers=len(maps))
 
 
-def speed(results: dict[str, Any]) -> str:
-    """Nanoseconds a point in the plane, beside bytes and error."""
-    plane = results["plane"]
-    return _nanoseconds(plane, "query", [name for name in _SHORT_QUERIES if name in plane["nanoseconds"]])
-
-
 def query(results: dict[str, Any]) -> str:
     """Bytes, error and nanoseconds a point of every contender in the maze, and of the joint distance."""
     plane, joint = results["plane"], results["joint"]
-    return _nanoseconds(plane, "", list(plane["nanoseconds"])) + (
+    return _nanoseconds(plane) + (
         f"\nMedians of calls that take turns in one process, {plane['leaves']} leaves; errors over free points. "
         f"In 4-D, {joint['leaves']:,} leaves of the joint distance of two robots: "
         f"{joint['nanoseconds']['PLR'][0]:.1f} ns a point of {plane['points'][-1]:,}.\n"
     )
 
 
-def _nanoseconds(plane: dict[str, Any], head: str, contenders: list[str]) -> str:
+def _nanoseconds(plane: dict[str, Any]) -> str:
     sizes = [str(n) for n in plane["points"] if n > 1]
-    rows = [[head, "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
-    for contender in contenders:
+    rows = [["", "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
+    for contender in plane["nanoseconds"]:
         size = plane["rows"].get(contender.removesuffix(_IN_FLOAT64))
         cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"] if size else ["", ""]
         rows.append([contender, *cells, *(f"{plane['nanoseconds'][contender][n][0]:.3g}" for n in sizes)])

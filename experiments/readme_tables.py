@@ -72,7 +72,6 @@ def require_valid(where: str, results: Any) -> None:
 # Of each table what renders it, and the results that it is made of: a file, or a section of one.
 TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "rivals": (distances.rivals, "benchmark.accuracy"),
-    "speed": (distances.speed, "benchmark.query"),
     "planning": (uses.planning, "table2", "race"),
     "table1": (distances.table1, "table1"),
     "error_curve": (distances.error_curve, "error_curve"),

@@ -1,0 +1,486 @@
+"""Damaged and malicious files: every reader refuses them by name, at once, and in little memory, or reads them.
+
+Valid files are mutated: bits flipped, bytes inserted, deleted and repeated, ends cut off, numbers replaced by extreme
+ones, lists by deep ones. A PLR file gets checksums that fit again, or its reader would look no further.
+A reader may read what comes of it, or raise a ``ValueError`` or an ``OSError`` with the file's name in it. It fails
+by any other exception, by more than a second of computing, and by a process that grows by more than 100 MB.
+Files that a reader failed at are kept.
+
+``python tests/hostile_files.py`` reads 20,000 files a reader, for hours.
+"""
+
+import argparse
+import io
+import json
+import multiprocessing
+import re
+import resource
+import struct
+import tempfile
+import time
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from socketserver import BaseRequestHandler, ThreadingTCPServer
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import plr_jax
+from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.stored import Stored
+from plr_jax.plr.file.container import Header
+from plr_jax.plr.partition.cells import Cells, levels_of
+
+_GRID = """type octile
+height 8
+width 12
+map
+@@@@@@@@@@@@
+@....TT....@
+@.GG.TT.SS.@
+@....@@....@
+@..........@
+@.@@....W..@
+@.@@...WW..@
+@@@@@@@@@@@@
+"""
+_QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
+_DBCBS = """
+environment:
+  max: [6, 4.5]
+  min: [0, 0]
+  obstacles:
+  - {center: [3, 1], size: [1, 2], type: box}
+robots:
+- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
+- type: unicycle_first_order_0
+  start: [5, 3, 3.14]
+  goal: [1.0, 3e0, 0]
+"""
+_TRAJECTORIES = """
+result:
+- states:
+  - [0, 1, 2.5, 9]
+  - [3, 4, 5, 9]
+  actions:
+  - [1.0e-3, 2]
+- states: [[6, 7, 8, 9]]
+"""
+_CRC = struct.Struct("<I")
+_SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
+_POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
+
+
+_GEOJSON = {
+    "type": "FeatureCollection",
+    "bbox": [-1, -1, 9, 9],
+    "features": [
+        {
+            "type": "Feature",
+            "properties": None,
+            "geometry": {"type": "Polygon", "coordinates": [[*_SQUARE, _SQUARE[0]]]},
+        }
+    ],
+}
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader, and valid files to mutate.
+
+    Attributes:
+        read: Takes a path.
+        suffix: How the names of its files end.
+        valid: Makes the files' contents.
+        repaired: Takes a mutated file; gives one whose checksum is right.
+    """
+
+    read: Callable[[Path], Any]
+    suffix: str
+    valid: Callable[[], list[bytes]]
+    repaired: Callable[[bytes], bytes] | None = None
+
+
+def _scene_files() -> list[bytes]:
+    rings = [_SQUARE, [[5, 5], [6, 5], [6, 6]]]
+    holed = Workspace.from_polygons([{"outer": [[-1, -1], [9, -1], [9, 9], [-1, 9]], "holes": rings}])
+    robots = [DiscRobot(0.25), RectangleRobot(0.7, 0.1), PointRobot()]
+    starts, goals = [(8, 8, 0), (7, 1, 1), (1, 8, 0)], [(8, 0, 0), (6, 2, 2), (5, 8, 0)]
+    team = Problem(holed, robots, starts, goals, rotation_weight=0.3)
+    with tempfile.TemporaryDirectory() as folder:
+        path, files = Path(folder, "scene.json"), []
+        for problem in (scenes.maze(), scenes.tangle(), team):
+            scenes.save(problem, path)
+            files += [path.read_bytes()]
+    return files
+
+
+def _solution_files() -> list[bytes]:
+    problem = scenes.single_door()
+    solved = plr_jax.bl_plan(problem)
+    unsolved = plr_jax.bl_plan(problem, options=plr_jax.BLOptions(max_expansions=1))
+    with tempfile.TemporaryDirectory() as folder:
+        path, files = Path(folder, "solution.json"), []
+        for solution in (solved, unsolved):
+            solution.save(path)
+            files += [path.read_bytes()]
+    return files
+
+
+def _plr_files() -> list[bytes]:
+    def distance(x: Any) -> Any:
+        return np.where((x[:, 0] > 0.4) & (x[:, -1] < 0.3), np.inf, np.linalg.norm(x - 0.7, axis=1))
+
+    kinds = [
+        (2, {"leaf": "plane", "max_leaves": 20}),  # of floats
+        (3, {"leaf": "plane", "max_bytes": 300}),  # of integers
+        (2, {"leaf": "continuous", "max_leaves": 20}),
+        (1, {"leaf": "smooth", "max_leaves": 10}),
+    ]
+    plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
+    turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
+    plrs += [plr_jax.progressive([plrs[2], plrs[0]]).with_label("room"), construct(*turned, max_leaves=6)]
+    return [plr.to_bytes() for plr in plrs]
+
+
+def _pairs_files() -> list[bytes]:
+    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
+    data, many = pairs.to_bytes(), _many_corners(8192)
+    return [data, *(data[:mark] for mark in pairs.file_marks), *(many[:mark] for mark in Header.read(many).marks)]
+
+
+def _many_corners(count: int) -> bytes:
+    """Pairs of a corridor with so many corners in a byte or so each, whose tables take a gigabyte."""
+    x = np.arange(count // 2)
+    points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
+    outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
+    tree, corner, joined = levels_of(Cells.root(2))[0], np.arange(count), np.zeros((0, 2), np.int64)
+    return Stored(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0, 0.0).to_bytes()
+
+
+def _picture_files() -> list[bytes]:
+    gray = np.full((12, 16), 255, np.uint8)
+    gray[3:5, 4:] = gray[8:, 6] = 0
+    files = []
+    for mode, kind in (("L", "PNG"), ("RGBA", "PNG"), ("P", "GIF"), ("1", "PPM"), ("L", "PPM"), ("RGB", "BMP")):
+        buffer = io.BytesIO()
+        Image.fromarray(gray).convert(mode).save(buffer, format=kind)
+        files.append(buffer.getvalue())
+    return files
+
+
+def _with_checksums(data: bytes) -> bytes:
+    """A picture, of whose chunks the checksums are right if it is a PNG."""
+    result, rest = data[:8], data[8:]
+    if result != b"\x89PNG\r\n\x1a\n":
+        return data
+    while len(rest) >= 12:
+        size = min(int.from_bytes(rest[:4], "big"), len(rest) - 12)
+        chunk, rest = rest[4 : 8 + size], rest[12 + size :]
+        result += struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return result
+
+
+def _with_checksum(data: bytes) -> bytes:
+    """A PLR file whose layers have checksums that are right, as far as its header says where they end."""
+    try:
+        header = Header.read(data)
+    except ValueError:
+        return data
+    start, crc = len(header.data), zlib.crc32(header.data)
+    for end in (*(mark for mark in header.marks if mark < len(data)), len(data)):
+        crc = zlib.crc32(data[start : max(start, end - _CRC.size)], crc)
+        if start + _CRC.size <= end:
+            data = data[: end - _CRC.size] + _CRC.pack(crc) + data[end:]
+        start = end
+    return data
+
+
+_MAP_SERVER = """
+image: room.pgm
+resolution: 0.05
+origin: [-1.5, 2.0, 0.25]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def _read_map_server(path: Path) -> Workspace:
+    """The map, beside whose file there is its picture."""
+    path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 4 + b"\0") * 4)
+    return scenes.read_map_server(path)
+
+
+class _Answers(BaseRequestHandler):
+    """Sends the file that is asked for as it is: it is an answer with its status and headers."""
+
+    def handle(self) -> None:
+        request = self.request.recv(1 << 16)
+        self.request.sendall(Path(request.split()[1].decode()).read_bytes())
+
+
+@cache
+def _server() -> str:
+    """The address of a server of such answers on this machine."""
+    server = ThreadingTCPServer(("127.0.0.1", 0), _Answers)
+    server.daemon_threads = True
+    Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://127.0.0.1:{server.server_address[1]}"
+
+
+def _read_answer(path: Path) -> Any:
+    return plr_jax.open_url(f"{_server()}{path}", timeout=2.0)
+
+
+def _answer_files() -> list[bytes]:
+    data = _plr_files()[4]
+    heads = [
+        f"200 OK\r\nContent-Length: {len(data)}\r\n",
+        f'206 Partial Content\r\nContent-Range: bytes 0-{len(data) - 1}/{len(data)}\r\nETag: "1"\r\n',
+        "200 OK\r\nContent-Type: application/octet-stream\r\n",
+    ]
+    answers = [f"HTTP/1.1 {head}Connection: close\r\n\r\n".encode() + data for head in heads]
+    chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\nConnection: close\r\n\r\n"
+    return [*answers, chunked + f"{len(data):x}\r\n".encode() + data + b"\r\n0\r\n\r\n"]
+
+
+READERS = {
+    "scene": Reader(scenes.load, ".json", _scene_files),
+    "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
+    "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
+    "db-CBS": Reader(scenes.read_dbcbs, ".yaml", lambda: [_DBCBS.encode()]),
+    "trajectories": Reader(scenes.read_trajectories, ".yaml", lambda: [_TRAJECTORIES.encode()]),
+    "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
+    "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
+    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
+    "map_server": Reader(_read_map_server, ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
+    "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
+    "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
+    "HTTP": Reader(_read_answer, ".http", _answer_files),
+}
+
+_NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
+_BRACKETS = re.compile(rb"\[[^][]*\]|\{[^{}]*\}")
+_EXTREMES = [
+    *("0", "-1", "1", "2147483648", "4294967295", "9223372036854775808", "1e308", "-1e308", "1e-308", "1e999", "0.5"),
+    *("nan", ".nan", "NaN", "Infinity", ".inf", "true", "null", '"1"', "1" * 400, "1" * 5000, "1e155", "1e15"),
+    *("[]", "{}", '""', "[1]", "[[[[1]]]]", "*a", "&a 1", "!!binary 1", "<<", "2001-01-01", "0x_", "\ufeff", "\0"),
+    *("[" * 40 + "]" * 40, "[" * 5000, "- " * 100 + "1", '{"a":' * 2000),
+]
+_PATTERNS = [
+    *(struct.pack("<I", value) for value in (0, 1, 2**16, 2**31, 2**32 - 1)),
+    *(struct.pack("<f", value) for value in (np.nan, np.inf, -1.0, 1e-45, 3e38)),
+    *(struct.pack("<d", value) for value in (np.nan, np.inf, -1.0, 5e-324, 1e308, 1e15)),
+    *(bytes([value]) * length for value in (0, 255, 170) for length in (1, 8, 64)),
+]
+
+
+def mutated(data: bytes, rng: np.random.Generator, text: bool) -> bytes:
+    """A file's bytes after one to four mutations."""
+    for _ in range(int(rng.choice([1, 1, 1, 2, 3, 4]))):
+        kinds = (_flip, _insert, _delete, _repeat, _cut, *((_replace_token,) * 5 if text else (_overwrite,) * 2))
+        data = kinds[rng.integers(len(kinds))](data, rng)
+    return data
+
+
+def _flip(data: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + bytes(byte ^ 1 << rng.integers(8) for byte in data[at : at + 1]) + data[at + 1 :]
+
+
+def _insert(data: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + rng.bytes(int(rng.integers(1, 9))) + data[at:]
+
+
+def _delete(data: bytes, rng: np.random.Generator) -> bytes:
+    first, last = _slice(data, rng)
+    return data[:first] + data[last:]
+
+
+def _repeat(data: bytes, rng: np.random.Generator) -> bytes:
+    first, last = _slice(data, rng)
+    return data[:last] + data[first:last] * int(rng.choice([1, 2, 30])) + data[last:]
+
+
+def _cut(data: bytes, rng: np.random.Generator) -> bytes:
+    return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.3 else data
+
+
+def _overwrite(data: bytes, rng: np.random.Generator) -> bytes:
+    at, pattern = int(rng.integers(len(data) + 1)), _PATTERNS[rng.integers(len(_PATTERNS))]
+    return data[:at] + pattern + data[at + len(pattern) :]
+
+
+def _replace_token(data: bytes, rng: np.random.Generator) -> bytes:
+    """A number or an innermost list or mapping gives way to something extreme."""
+    tokens = list((_NUMBER if rng.random() < 0.8 else _BRACKETS).finditer(data))
+    if not tokens:
+        return data
+    token = tokens[rng.integers(len(tokens))]
+    return data[: token.start()] + _EXTREMES[rng.integers(len(_EXTREMES))].encode() + data[token.end() :]
+
+
+def _slice(data: bytes, rng: np.random.Generator) -> tuple[int, int]:
+    first = int(rng.integers(len(data) + 1))
+    return first, first + int(rng.choice([1, 4, 40, 400]))
+
+
+def hostile(reader: Reader, valid: list[bytes], seed: int, number: int) -> bytes:
+    """The mutated file of a number; the same for the same seed."""
+    rng = np.random.default_rng([seed, number])
+    data = mutated(valid[rng.integers(len(valid))], rng, reader.repaired is None)
+    return reader.repaired(data) if reader.repaired and rng.random() < 0.95 else data
+
+
+# What becomes of them.
+
+
+MOST_SECONDS, MOST_GROWTH = 1.0, 100e6
+_HANGS = 60.0  # seconds after which a reader is ended
+_ADDRESS_SPACE = 8 * 2**30  # beyond what is in use: the net under a reader that asks for all there is
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a file.
+
+    Attributes:
+        kind: "read" or "refused"; else how the reader failed.
+        message: What it said.
+        seconds: Of computing.
+        growth: Bytes by which the process grew beyond its largest size so far.
+    """
+
+    kind: str
+    message: str = ""
+    seconds: float = 0.0
+    growth: float = 0.0
+
+    @property
+    def failed(self) -> bool:
+        """Whether the reader did what it must not."""
+        return self.kind not in ("read", "refused")
+
+
+def attempt(reader: Reader, path: Path) -> Outcome:
+    """Read a file. Only time and memory are left for the caller to judge."""
+    began, before = time.process_time(), _peak()
+    kind, message = "read", ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            reader.read(path)
+    except (ValueError, OSError) as error:
+        kind, message = "refused" if str(path) in str(error) else "error without the file's name", repr(error)
+    except Exception as error:
+        kind, message = type(error).__name__, repr(error)
+    return Outcome(kind, message[:300], time.process_time() - began, _peak() - before)
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+
+
+def _judged(outcome: Outcome) -> Outcome:
+    for kind, over in (("too slow", outcome.seconds > MOST_SECONDS), ("too large", outcome.growth > MOST_GROWTH)):
+        if over and not outcome.failed:
+            return Outcome(kind, outcome.message, outcome.seconds, outcome.growth)
+    return outcome
+
+
+def _work(results: Connection, folder: Path, trials: list[tuple[str, int]], seed: int) -> None:
+    """Read the files of all trials one after the other, until one has made the process too large to go on with."""
+    valid = {name: READERS[name].valid() for name in dict.fromkeys(name for name, _ in trials)}
+    for name, files in valid.items():  # so that what is loaded but once is there
+        for data in files:
+            if (outcome := _attempt(name, data, folder, "valid")).kind != "read":
+                raise RuntimeError(f"A valid file of {name} is not read: {outcome.message}")
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
+    results.send(None)
+    for name, number in trials:
+        outcome = _judged(_attempt(name, hostile(READERS[name], valid[name], seed, number), folder, str(number)))
+        results.send(outcome)
+        if outcome.growth > MOST_GROWTH:
+            return
+
+
+def _attempt(name: str, data: bytes, folder: Path, stem: str) -> Outcome:
+    reader = READERS[name]
+    path = folder / f"{name}_{stem}{reader.suffix}"
+    path.write_bytes(data)
+    outcome = attempt(reader, path)
+    if not _judged(outcome).failed:
+        path.unlink()
+    return outcome
+
+
+def outcomes(folder: Path, trials: list[tuple[str, int]], seed: int) -> Iterator[tuple[str, int, Outcome]]:
+    """What becomes of each trial's file, in a process of its own that is replaced where a reader ends it or hangs."""
+    context = multiprocessing.get_context("spawn")
+    while trials:
+        ours, theirs = context.Pipe(duplex=False)
+        process = context.Process(target=_work, args=(theirs, folder, trials, seed))
+        process.start()
+        theirs.close()
+        ours.recv()  # ready
+        done = 0
+        try:
+            while done < len(trials):
+                outcome = ours.recv() if ours.poll(_HANGS) else Outcome("hangs")
+                yield *trials[done], outcome
+                done += 1
+                if outcome.kind == "hangs":
+                    break
+        except EOFError:
+            process.join()
+            if process.exitcode:
+                yield *trials[done], Outcome(f"ends the process ({process.exitcode})")
+                done += 1
+        process.kill()
+        process.join()
+        trials = trials[done:]
+
+
+def compute(seed: int, num_mutations: int, folder: Path) -> dict[str, Any]:
+    trials = [(name, number) for name in READERS for number in range(num_mutations)]
+    rows: dict[str, dict[str, Any]] = {
+        name: {"outcomes": Counter(), "most_seconds": 0.0, "most_growth": 0.0, "failures": []} for name in READERS
+    }
+    for name, number, outcome in outcomes(folder, trials, seed):
+        row = rows[name]
+        row["outcomes"][outcome.kind] += 1
+        row["most_seconds"] = max(row["most_seconds"], outcome.seconds)
+        row["most_growth"] = max(row["most_growth"], outcome.growth)
+        if outcome.failed:
+            row["failures"].append({"number": number, "kind": outcome.kind, "message": outcome.message})
+    return {"mutations": num_mutations, "readers": rows}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mutations", type=int, default=20_000, help="files a reader")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
+    for name, row in compute(arguments.seed, arguments.mutations, kept)["readers"].items():
+        seconds, growth = row["most_seconds"], row["most_growth"] / 1e6
+        print(f"{name}: {dict(row['outcomes'])}, at most {seconds:.2f} s and {growth:.0f} MB; {row['failures']}")
+    print(f"files that a reader failed at are in {kept}")
+
+
+if __name__ == "__main__":
+    main()
