@@ -46,7 +46,7 @@ PLANNER_LAYERS = [
     ["lattice"],
     ["bl", "lacam", "replanning", "smoothing"],
     ["searches"],
-    ["bl_plan"],
+    ["driver"],
 ]
 # What each may import, where that is less than all before it.
 PLR_IMPORTS = {

@@ -76,7 +76,7 @@ def test_commands_write_what_they_say(folder):
 
 
 def test_api_pages_tell_all_public_names(folder):
-    for module in (plr_jax, plr_jax.metrics, plr_jax.plot, plr_jax.plr, plr_jax.scenes):
+    for module in (plr_jax, plr_jax.metrics, plr_jax.pairs, plr_jax.plot, plr_jax.plr, plr_jax.scenes):
         page = (folder / "site" / f"{module.__name__.replace('.', '/')}.html").read_text()
         for name in module.__all__:
             public = getattr(module, name)

@@ -1,4 +1,4 @@
-from .construct_pairs import construct_pairs as construct_pairs
+from .construct import construct_pairs as construct_pairs
 from .grid_pairs import GridDistance as GridDistance
 from .grid_pairs import GridPairs as GridPairs
 from .grid_pairs import construct_grid_pairs as construct_grid_pairs

@@ -8,4 +8,4 @@ from plr_jax.planners._solution import Solution as Solution
 from plr_jax.planners._solution import Stats as Stats
 from plr_jax.planners._solution import Status as Status
 from plr_jax.planners.bl.options import BLOptions as BLOptions
-from plr_jax.planners.bl_plan import bl_plan as bl_plan
+from plr_jax.planners.driver import bl_plan as bl_plan

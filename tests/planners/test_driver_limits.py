@@ -5,8 +5,7 @@ import pytest
 from planner_helpers import exact, hallway, planned
 
 from plr_jax import BLOptions, bl_plan, scenes, validate
-from plr_jax.planners import Status, straight_line, sum_of_distances, zero
-from plr_jax.planners import bl_plan as driver
+from plr_jax.planners import Status, driver, straight_line, sum_of_distances, zero
 from plr_jax.planners.lacam import PIBT
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plr_jax.planners.bl_plan import until_arrival
+from plr_jax.planners.driver import until_arrival
 
 
 @pytest.mark.parametrize(

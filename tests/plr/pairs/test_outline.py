@@ -6,7 +6,7 @@ import shapely
 from piece_helpers import TEN, WORKSPACES, box
 
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.construct_pairs import lattice_step, outline_of
+from plr_jax.pairs.construct import lattice_step, outline_of
 from plr_jax.pairs.outline import read_outline
 from plr_jax.plr.file.bits import BitReader, BitWriter
 

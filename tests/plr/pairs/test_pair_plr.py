@@ -201,7 +201,7 @@ def test_points_beside_walls_see_nothing_behind_contacts():
 
 
 def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
-    monkeypatch.setattr("plr_jax.pairs.construct_pairs.DEFAULT_MAX_BYTES", 50)
+    monkeypatch.setattr("plr_jax.pairs.construct.DEFAULT_MAX_BYTES", 50)
     with pytest.raises(ValueError, match="max_bytes=50"):
         construct_pairs(MAZE)
 

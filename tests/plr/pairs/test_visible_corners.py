@@ -7,7 +7,7 @@ from piece_helpers import TEN, WORKSPACES, box
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.construct_pairs import grow_lists
+from plr_jax.pairs.construct import grow_lists
 from plr_jax.pairs.visible_corners import visible_corners
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.limits import check_limits
