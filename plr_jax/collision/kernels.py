@@ -1,4 +1,4 @@
-"""The fast kernels: for boxes about their reference points, given by half their sides, and for boxes and points."""
+"""The kernels that judge whether bodies are apart: boxes, boxes and points, and convex bodies of any kind."""
 
 from typing import TypeAlias
 

@@ -1,4 +1,4 @@
-"""Collision of a whole team along simultaneous straight motions: with the workspace, and of each two robots.
+"""Collision of a team along simultaneous straight motions: with the workspace, of each two robots, far ones told first.
 
 Along a path, only robots near one another are tested exactly, those of one kind in one batch.
 """

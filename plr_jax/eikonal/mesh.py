@@ -1,4 +1,4 @@
-"""The mesh of a configuration space: dyadic cells, halved along all axes at once, that are free, blocked or mixed."""
+"""The mesh of a configuration space: dyadic cells, free, blocked or mixed, and what motions cost there."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Convex pieces of a region in the plane, many at once: cut by lines along the axes, measured.
+"""Convex pieces of a region in the plane, many at once: cut, measured, and how cones differ over them.
 
 All of them stand in one array, coordinate by coordinate, a piece a row, its corners counterclockwise. A piece of
 fewer corners than rows have room for repeats its last one.

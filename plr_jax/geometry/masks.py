@@ -1,4 +1,4 @@
-"""The free pixels of a grid as polygons with holes, placed in the plane."""
+"""The free pixels of a grid as polygons with holes: traced exactly, simplified within a tolerance, placed."""
 
 import math
 from dataclasses import dataclass

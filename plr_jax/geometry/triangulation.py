@@ -1,4 +1,4 @@
-"""Constrained Delaunay triangulation of a region between its walls, with the triangles on both sides of each edge.
+"""Constrained Delaunay triangulation of a region between its walls, and which triangle holds a point.
 
 The Delaunay triangulation of the vertices (GEOS) lacks the walls that it crosses. Each is put in by taking out the
 triangles it crosses and filling the two polygons that are left, all decided in integers, that is, exactly.

@@ -1,4 +1,4 @@
-"""Visibility polygons of many viewpoints, as one sorted table that answers "does v see x?" by bisection.
+"""What viewpoints see: their visibility polygons, found triangle by triangle, and one sorted table of them all.
 
 Around a viewpoint the same edge is nearest within an interval of directions, so a visibility polygon is a sorted list
 of directions with the nearest edge after each.

@@ -1,4 +1,4 @@
-"""What straight motions of a configuration space cost where the cost differs from place to place."""
+"""What straight motions of a configuration space cost, and directions to try, where cost differs from place to place."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Words: paths of a car that turns as sharply as it can or not at all, spelled in turns and straight lines.
+"""Cars, of Dubins and of Reeds and Shepp: words of turns as sharp as they can be and of straight lines.
 
 Lengths are in turning radii, so that a turn is as long as its angle, and poses are relative: that of the goal is
 ``(0, 0, 0)``. A path to it from ``(x, y, heading)``, driven from its end to its beginning, leads from ``(0, 0, 0)``

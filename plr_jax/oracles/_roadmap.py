@@ -1,4 +1,4 @@
-"""Probabilistic roadmaps (PRM*): near-optimal distances in any dimension."""
+"""Probabilistic roadmaps (PRM*): near-optimal distances in any dimension, and the parts they are made of."""
 
 import math
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Exact shortest-path distance among polygons in the plane."""
+"""Exact shortest-path distance among polygons in the plane, and the files that hold it."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""Distances of pairs, in JAX: the open length if the cells see each other, else the least sum over their corners.
+"""Distances of pairs of cells, in JAX: the open length if they see each other, else the least sum over corners.
 
 Cells have from none to dozens of corners, and a pair takes the product of two such numbers. So pairs are sorted by
 how many blocks of corners their cells have, and taken in chunks of pairs of about as many.

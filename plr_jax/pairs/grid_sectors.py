@@ -1,4 +1,4 @@
-"""Which cells each corner of a grid sees: scans of the sectors around it, all corners at once.
+"""Which cells each corner of a grid sees, by scans of the sectors around it, and the distances between corners.
 
 Cells of a sector of a corner are numbered by the steps to them: ``ahead`` along the rows of a view of the grid, and
 ``aside``, to the next row, which on 8-connected grids is a diagonal step. A sector is a quadrant or an octant; views

@@ -1,4 +1,4 @@
-"""PairPLR: the distance between any two points of a planar workspace, from one file."""
+"""PairPLR: the distance between any two points of a planar workspace, from one file, or to one goal."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a search may still do, and the memory that counts against it."""
+"""What a search may still do, and the best that it has found."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Search over joint configurations one step apart, under constraints that grow as they are needed (LaCAM)."""
+"""LaCAM: search over joint configurations one step apart, under constraints that grow, by PIBT's steps of a team."""
 
 import math
 from collections import deque

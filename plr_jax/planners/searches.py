@@ -1,4 +1,4 @@
-"""Two searches on the same lattices, which take turns."""
+"""The lattices of a team that have one step, and the two searches that take turns on them."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A coarser PLR of a PLR, with bounds that are proven from the two alone."""
+"""Coarser PLRs of a PLR, with bounds proven from the two alone, and files that begin with them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

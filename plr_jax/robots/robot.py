@@ -1,4 +1,4 @@
-"""What a robot is to the rest of the library: a convex body as data. Each shape is one class in a file of its own."""
+"""What a robot is to the rest of the library: a convex body as data, placed and moved by configurations."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

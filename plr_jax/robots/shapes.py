@@ -1,4 +1,4 @@
-"""A point."""
+"""The shapes of robots: a point, a disc, a rectangle, a convex polygon."""
 
 from dataclasses import dataclass
 from functools import cached_property

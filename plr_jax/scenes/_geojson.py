@@ -1,4 +1,4 @@
-"""Reader of GeoJSON: polygons that are obstacles, or free space."""
+"""Readers of polygons in JSON: GeoJSON, and outer rings with holes."""
 
 import math
 import os

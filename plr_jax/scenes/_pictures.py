@@ -1,4 +1,4 @@
-"""Reader of maps that are pictures: light is free, dark is not."""
+"""Readers of maps that are pictures, where light is free, alone or beside the YAML of ROS's ``map_server``."""
 
 import errno
 import math

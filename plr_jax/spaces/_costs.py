@@ -1,4 +1,4 @@
-"""Costs of motions that differ from place to place, and how they are bounded over boxes."""
+"""Costs of motions that differ from place to place or with the way they go, and how they are bounded over boxes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

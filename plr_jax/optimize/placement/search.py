@@ -1,4 +1,4 @@
-"""Where descent starts: facilities at demand points, drawn far from one another, and exchanged while that is cheaper.
+"""The search for facilities without gradients: where descent starts, its steps in free space, and the last ones.
 
 Draws are those of k-means++, by distances and not their squares: a point is drawn with a probability in proportion to
 what it costs under the points drawn before, or, for the largest cost, is the costliest. Then one facility at a time

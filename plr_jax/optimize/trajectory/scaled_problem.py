@@ -1,4 +1,4 @@
-"""Gradient descent on the way points of many paths at once, compiled once for each family of shapes.
+"""Gradient descent on the way points of many paths at once, compiled once a family of shapes.
 
 What is minimized over a path's inner rows: its length; a penalty on clearance below a margin, all along the motions;
 another on a makespan above the longest allowed; and, if asked for, how unevenly the rows follow one another. Up to

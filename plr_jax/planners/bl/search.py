@@ -1,4 +1,4 @@
-"""Best-first search over joint configurations that claims every cell of the joint space once."""
+"""Best-first search over joint configurations that claims every cell once, its children and its heuristic table."""
 
 import heapq
 import math

@@ -1,4 +1,4 @@
-"""The lattices of a team: joint configurations, joint motions, and which of them collide."""
+"""The lattices of a team: the motions of each kind of robot as edges, joint motions, and which of them collide."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

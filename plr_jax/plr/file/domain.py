@@ -1,4 +1,4 @@
-"""The domain as a file keeps it: whole multiples of a power of ten, or 64-bit floats where those are longer.
+"""The domain and its folding as a file keeps them: multiples of a power of ten, or 64-bit floats where those are longer.
 
 Most maps have corners of few decimals. As bytes, with numbers as in ``fields.py``:
 

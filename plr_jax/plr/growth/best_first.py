@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper, in rounds, for models whose leaves are fitted one by one.
+"""Algorithm 1 of the paper, in rounds, for models whose leaves are fitted one by one; and its rules.
 
 The leaf of the largest priority is split first, as with a priority queue, but no leaf waits for its turn: each
 round splits all leaves that are sure enough to be split, and the splits beyond the budget are taken back at the

@@ -1,4 +1,4 @@
-"""Dyadic cells: the nodes of a binary space partition that halves one axis at a time."""
+"""Dyadic cells: the nodes of a binary space partition that halves one axis at a time; and their tree."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property

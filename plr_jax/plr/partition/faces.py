@@ -1,4 +1,4 @@
-"""Which leaves share faces, and between which corners a split put another."""
+"""Which leaves touch: faces, corners that hang on them, the largest contact, pairs of leaves of two trees."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The compiled queries of tables, and the points that they are given: checked, and placed before they are rounded."""
+"""The compiled queries of tables, of one PLR or of a team's, and the points that they are given."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
