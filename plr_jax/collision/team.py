@@ -1,4 +1,4 @@
-"""Collision of a team along simultaneous straight motions: with the workspace, of each two robots, far ones told first.
+"""Collision of a team along simultaneous straight motions: with the workspace, of each two robots.
 
 Along a path, only robots near one another are tested exactly, those of one kind in one batch.
 """

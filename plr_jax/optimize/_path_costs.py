@@ -1,4 +1,4 @@
-"""What straight motions of a configuration space cost, and directions to try, where cost differs from place to place."""
+"""What straight motions of a configuration space cost where that differs from place to place, and which to try."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The domain and its folding as a file keeps them: multiples of a power of ten, or 64-bit floats where those are longer.
+"""The domain and its folding as a file keeps them: multiples of a power of ten, or 64-bit floats.
 
 Most maps have corners of few decimals. As bytes, with numbers as in ``fields.py``:
 
