@@ -211,27 +211,8 @@ class LinearLeafModel(LeafModel, Protocol):
     """Leaves whose functions are linear in their coefficients.
 
     In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
-    ``basis(u) @ coefficients``. A model that names this class as its base says no more of values and mean planes.
+    ``basis(u) @ coefficients``.
     """
-
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, one a point."""
-        return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
-
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf."""
-        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
@@ -308,6 +289,17 @@ def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
             "leaf='cone', or follow it with descend."
         )
     return leaf
+
+
+def linear_values(
+    model: LinearLeafModel,
+    lo: Float[np.ndarray, "n dim"],
+    hi: Float[np.ndarray, "n dim"],
+    coefficients: Float[np.ndarray, "n terms"],
+    x: Float[np.ndarray, "n dim"],
+) -> Float[np.ndarray, "n"]:
+    """What :meth:`LeafModel.values` is of a linear model."""
+    return np.sum(model.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
 
 def linear_mean_planes(

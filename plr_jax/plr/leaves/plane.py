@@ -18,10 +18,11 @@ from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
     Functions,
-    LinearLeafModel,
     Parameters,
     Rules,
     largest_coordinates,
+    linear_mean_planes,
+    linear_values,
     rounded_down,
 )
 from plr_jax.plr.partition.cells import Cells, levels_of
@@ -183,7 +184,7 @@ _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from 
 
 
 @dataclass(frozen=True)
-class Plane(LinearLeafModel):
+class Plane:
     """Planes, which may jump from leaf to leaf. Coefficients: value at a leaf's center, half-differences.
 
     Args:
@@ -279,6 +280,25 @@ class Plane(LinearLeafModel):
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return linear_values(self, lo, hi, coefficients, x)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]

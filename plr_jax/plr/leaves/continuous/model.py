@@ -14,10 +14,11 @@ from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
     Functions,
-    LinearLeafModel,
     Parameters,
     Rules,
     largest_coordinates,
+    linear_mean_planes,
+    linear_values,
     rounded_down,
 )
 from plr_jax.plr.leaves.continuous.codec import (
@@ -48,7 +49,7 @@ _MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
 
 
 @dataclass(frozen=True)
-class Continuous(LinearLeafModel):
+class Continuous:
     """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
 
     A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
@@ -135,6 +136,25 @@ class Continuous(LinearLeafModel):
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
         return design(self.order, (u + 1) / 2)
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return linear_values(self, lo, hi, coefficients, x)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
