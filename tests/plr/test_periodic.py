@@ -16,7 +16,7 @@ from plr_jax.plr import PLR, certify, construct, from_bytes, refine, sample_face
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import encode
 from plr_jax.plr._location import leaf_of
-from plr_jax.plr.certificate.certificate import Certificate
+from plr_jax.plr.certificate.certificate import Certificate, Proof
 
 PI = np.pi
 PERIOD = np.array([2 * PI, 0.0])
@@ -220,7 +220,7 @@ def test_values_in_leaves_are_asked_for_the_nearest_image(plr):
 def test_bounds_are_wrapped_too():
     contents = random_contents(3, 2, "plane", periodic=(True, True))
     codes = np.random.default_rng(0).integers(0, 256, (2, len(contents.cells))).astype(np.uint8)
-    plr = plr_of_leaves(replace(contents, certificate=Certificate(0.5, *codes)))
+    plr = plr_of_leaves(replace(contents, certificate=Certificate(0.5, codes, Proof.OPEN_LEAVES)))
     x = inside(plr.domain, 200)
     np.testing.assert_allclose(plr.bounds(x + 2 * plr.domain.width), plr.bounds(x), atol=1e-4)
     np.testing.assert_allclose(plr.lower(x - plr.domain.width), plr.lower(x), atol=1e-4)
