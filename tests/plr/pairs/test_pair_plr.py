@@ -417,7 +417,7 @@ def sliver(kind, thickness):
 
 
 @pytest.mark.parametrize("kind", BOXES)
-@pytest.mark.parametrize("thickness", [1e-7, 1e-6, 2e-6, 6e-6])
+@pytest.mark.parametrize("thickness", [1e-7, 2e-6])
 def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind, thickness):
     workspace = sliver(kind, thickness)
     pairs = construct_pairs(workspace, max_bytes=400)
