@@ -236,7 +236,9 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     """Distance in units of each corner from a cell by way of the corners at which the cell is taut."""
     every = jnp.arange(len(tables.places), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
-    return _least_around(tables, cells, lambda corners: _between_query(tables, every[:, None], corners), every.shape)
+    return _least_around(
+        tables, cells, lambda corners: _lengths_between(tables, every[:, None], corners), every.shape
+    )
 
 
 def _cells_of(tables: GridTables, x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
@@ -271,7 +273,7 @@ def _around_corners_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Arr
 
     def to_other_cell(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
         def to(others: Int32[Array, "n 4"]) -> Int32[Array, "n 4 4"]:
-            return _between_query(tables, corners[:, :, None], others[:, None])
+            return _lengths_between(tables, corners[:, :, None], others[:, None])
 
         return _least_around(tables, q, to, corners.shape)
 
@@ -319,7 +321,7 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int
     return first, tables.first_block[cell + 1] - first
 
 
-def _between_query(tables: GridTables, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
+def _lengths_between(tables: GridTables, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
     """Distances in units between corners."""
     high, low = jnp.maximum(a, b), jnp.minimum(a, b)
     return _gather(tables.between, (high * (high + 1) >> 1) + low).astype(jnp.int32)

@@ -221,7 +221,7 @@ InWay = Bool[np.ndarray, "robots"]
 _LONGEST = 32  # steps that one shortcut spans at most
 _STRIDES = (16, 4, 1)  # between motions that are tested one batch after the other
 _LEAST_SAVING = 1e-4  # share of its length that a shortcut saves at least
-_GAIN_SHORTCUTS = 1e-3  # share of the cost below which another round is not worth its time
+_LEAST_ROUND_GAIN = 1e-3  # share of the cost below which another round is not worth its time
 
 
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
@@ -238,7 +238,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
             if not hopeful[i]:
                 continue
             try:
-                rows, in_way[i] = _shortened_shortcuts(problem, traffic, i, test, spans)
+                rows, in_way[i] = _with_shortcuts(problem, traffic, i, test, spans)
             except TimeoutError:
                 return traffic.path
             hopeful[i] = len(rows) < len(path)
@@ -246,7 +246,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
                 traffic.move(i, _along(traffic.path[:, i], rows))
                 hopeful |= in_way[:, i]
         before, cost = cost, path_cost(problem, traffic.path)
-        if before - cost <= _GAIN_SHORTCUTS * before:
+        if before - cost <= _LEAST_ROUND_GAIN * before:
             return traffic.path
 
 
@@ -263,7 +263,7 @@ def _spans(steps: int) -> tuple[Rows, Rows]:
     return begin, begin + 1 + place
 
 
-def _shortened_shortcuts(
+def _with_shortcuts(
     problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows]
 ) -> tuple[list[int], InWay]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.

@@ -134,7 +134,7 @@ def _squares(x: Facilities, y: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k
 _MOST_SITES = 256
 _MOST_DRAWS = 4  # a start
 _POWER = 8  # of costs of which the largest counts
-_LEAST_GAIN_SEEDING = 1e-6  # of the cost, by an exchange
+_LEAST_EXCHANGE_GAIN = 1e-6  # of the cost, by an exchange
 
 
 def starts(
@@ -236,7 +236,7 @@ def _exchanged(terms: Float[np.ndarray, "sites n"], chosen: Int[np.ndarray, "k"]
     while True:
         totals = _totals_after_exchange(terms, chosen)
         site, place = np.unravel_index(np.argmin(totals), totals.shape)
-        if not totals[site, place] < (1 - _LEAST_GAIN_SEEDING) * total:
+        if not totals[site, place] < (1 - _LEAST_EXCHANGE_GAIN) * total:
             return chosen
         chosen[place], total = site, totals[site, place]
 

@@ -105,7 +105,7 @@ _EARLY = 3e-4  # share of it by which paths aim to end before, so that they do n
 _PIECES = 2  # of a motion in which something turns, each taken for a chord
 _SMOOTHING = 1e-6  # length below which a motion costs less than its length, so that it has a gradient at rest
 
-PathScaledProblem = Float[Array, "rows robots dof"]
+TracedPath = Float[Array, "rows robots dof"]
 
 
 class ScaledProblem(NamedTuple):
@@ -177,7 +177,7 @@ def moves_of(
 
 def _advanced(
     problem: ScaledProblem,
-    path: PathScaledProblem,
+    path: TracedPath,
     longest: Float[Array, ""],
     aims: Aims,
     descent: DescentState,
@@ -198,9 +198,7 @@ def _advanced(
     return jax.lax.scan(step, descent, progress)
 
 
-def _moves(
-    problem: ScaledProblem, path: PathScaledProblem, weights: Float[Array, "hats robots dof"]
-) -> PathScaledProblem:
+def _moves(problem: ScaledProblem, path: TracedPath, weights: Float[Array, "hats robots dof"]) -> TracedPath:
     unit = jnp.ones(path.shape[1:]).at[:, 2:].set(1 / problem.lever[:, None])
     return jnp.tensordot(jnp.asarray(_hats(len(path))), weights, 1) * unit
 
@@ -212,7 +210,7 @@ def _adam() -> Any:
 
 
 def _loss(
-    problem: ScaledProblem, path: PathScaledProblem, longest: Float[Array, ""], aims: Aims, progress: Float[Array, ""]
+    problem: ScaledProblem, path: TracedPath, longest: Float[Array, ""], aims: Aims, progress: Float[Array, ""]
 ) -> Float[Array, ""]:
     margin = aims.margin * (1 + _WIDENING * 1e-3**progress)
     penalty = sum(_hinge(margin - clearance, margin / 2).sum() for clearance in _clearances(problem, path))
@@ -227,7 +225,7 @@ def _loss(
     return loss + _STEEPNESS * (1 - guide) * penalty + _GUIDE * guide * _lag(problem, path, aims.distance_fns)
 
 
-def _costs(problem: ScaledProblem, path: PathScaledProblem) -> Float[Array, "motions robots"]:
+def _costs(problem: ScaledProblem, path: TracedPath) -> Float[Array, "motions robots"]:
     """Cost of each robot's motions."""
     change = jnp.diff(path, axis=0)
     cost = jnp.sqrt((change[..., :2] ** 2).sum(axis=-1) + _SMOOTHING**2)
@@ -249,7 +247,7 @@ def _overtime(costs: Float[Array, "motions robots"], longest: Float[Array, ""]) 
     return _hinge(costs.max(axis=1).sum() - (longest - early), early)
 
 
-def _clearances(problem: ScaledProblem, path: PathScaledProblem) -> tuple[Float[Array, "..."], ...]:
+def _clearances(problem: ScaledProblem, path: TracedPath) -> tuple[Float[Array, "..."], ...]:
     if problem.outlines.all_round:
         return round_clearances(problem.walls, problem.outlines, path[:-1, :, :2], path[1:, :, :2])
     share = jnp.arange(_PIECES + 1)[:, None, None, None] / _PIECES
@@ -257,7 +255,7 @@ def _clearances(problem: ScaledProblem, path: PathScaledProblem) -> tuple[Float[
     return convex_clearances(problem.walls, problem.outlines, times[:-1], times[1:])
 
 
-def _lag(problem: ScaledProblem, path: PathScaledProblem, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
+def _lag(problem: ScaledProblem, path: TracedPath, distance_fns: tuple[Any, ...]) -> Float[Array, ""]:
     """How far each robot's cost-to-go is from falling evenly from start to goal, summed over the rows."""
     share, lag = jnp.linspace(1.0, 0.0, len(path)), jnp.zeros(())
     for i, fn in enumerate(distance_fns):

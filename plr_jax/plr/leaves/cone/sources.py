@@ -233,11 +233,11 @@ def fit_families(cones: Cones, samples: Sequence[Samples], parents: Int[np.ndarr
     count, dim = point.shape
     used = np.append(np.repeat(in_family, dim), is_root & in_family)
     for _ in range(_STEPS):
-        here = _with_offsets_families(point, root_offset, parents, chains)
+        here = _cones_by_parents(point, root_offset, parents, chains)
         step = _step(here, samples, parents, chains, used)
         point = point - step[: count * dim].reshape(count, dim)
         root_offset = root_offset - step[count * dim :]
-    return _with_offsets_families(point, root_offset, parents, chains)
+    return _cones_by_parents(point, root_offset, parents, chains)
 
 
 def _chains(parents: Int[np.ndarray, "sources"]) -> "csr_array":
@@ -252,7 +252,7 @@ def _chains(parents: Int[np.ndarray, "sources"]) -> "csr_array":
     return chains
 
 
-def _with_offsets_families(
+def _cones_by_parents(
     point: Float[np.ndarray, "sources dim"],
     root_offset: Float[np.ndarray, "sources"],
     parents: Int[np.ndarray, "sources"],
