@@ -75,7 +75,14 @@ class MotionTest:
         Raises:
             TimeoutError: If the deadline passes first.
         """
-        _check(self.robot, q0, q1)
+        dof = (2, 3)[self.robot.dof - 2 :]
+        for name, q in (("q0", q0), ("q1", q1)):
+            if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
+                raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
+            if not np.isfinite(q).all():
+                raise ValueError(f"{name} must be finite.")
+        if len(q0) != len(q1):
+            raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
         free = np.empty(len(q0), dtype=bool)
         for begin in range(0, len(q0), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
@@ -253,14 +260,3 @@ def _flat_bodies(edges: Float[np.ndarray, "n 2 2"]) -> MovingBodies:
     center, rest = edges.mean(axis=1), np.zeros(len(edges))
     size = (edges - center[:, None]).transpose(2, 1, 0)
     return MovingBodies(size, center[:, 0], center[:, 1], rest, rest, rest, rest)
-
-
-def _check(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> None:
-    dof = (2, 3)[robot.dof - 2 :]
-    for name, q in (("q0", q0), ("q1", q1)):
-        if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
-            raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
-        if not np.isfinite(q).all():
-            raise ValueError(f"{name} must be finite.")
-    if len(q0) != len(q1):
-        raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")

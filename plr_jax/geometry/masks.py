@@ -372,7 +372,12 @@ def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | in
         tolerance: How far, in pixels, its outline may be from theirs, and theirs from it.
     """
     outlines = pixel_rings(free)
-    component = _components(free, outlines)
+    # The number of the connected free pixels on the left of each ring.
+    begin = outlines.points[outlines.start[:-1]].astype(int)
+    ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    column, row = (begin + (ahead + left - 1) // 2).T
+    component = _labels(free)[row, column]
     rings = simplified(outlines, tolerance)
     loops, ring = _simple_loops(rings)
     component = component[ring]
@@ -408,15 +413,6 @@ def _labels(
 
     found: Any = scipy.ndimage.label(pixels, structure)
     return found[0]
-
-
-def _components(free: Bool[np.ndarray, "rows columns"], rings: PixelRings) -> Int[np.ndarray, "rings"]:
-    """The number of the connected free pixels on the left of each ring."""
-    begin = rings.points[rings.start[:-1]].astype(int)
-    ahead = np.sign(rings.points[rings.start[:-1] + 1].astype(int) - begin)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    column, row = (begin + (ahead + left - 1) // 2).T
-    return _labels(free)[row, column]
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:

@@ -64,29 +64,6 @@ class Locator:
         return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
 
 
-def locator_of(triangles: Float[np.ndarray, "triangles 3 2"], tolerance: float) -> Locator:
-    """A grid over triangles, which stand counterclockwise, of about as many cells.
-
-    A triangle also counts for the cells that it meets but for the tolerance.
-    """
-    lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    side = np.sqrt(np.prod(hi - lo) / len(triangles))
-    count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
-    width = (hi - lo) / count
-    corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
-    cells: Any = shapely.box(*(corner - tolerance).T, *(corner + width + tolerance).T)
-    polygons: Any = shapely.polygons(triangles)
-    cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
-    order = np.argsort(cell, kind="stable")
-    first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
-    normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
-    offset = (normal * triangles).sum(axis=2, keepdims=True)
-    shape = int(count[0]), int(count[1])
-    return Locator(
-        lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
-    )
-
-
 _BITS = 46
 """Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
 
@@ -120,7 +97,26 @@ class Triangulation:
     @cached_property
     def locator(self) -> Locator:
         """Which triangle holds a point."""
-        return locator_of(self.triangles, self.tolerance)
+        # A grid over triangles, which stand counterclockwise, of about as many cells.
+        #
+        # A triangle also counts for the cells that it meets but for the tolerance.
+        triangles = self.triangles
+        lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        side = np.sqrt(np.prod(hi - lo) / len(triangles))
+        count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
+        width = (hi - lo) / count
+        corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
+        cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
+        polygons: Any = shapely.polygons(triangles)
+        cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
+        order = np.argsort(cell, kind="stable")
+        first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
+        normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
+        offset = (normal * triangles).sum(axis=2, keepdims=True)
+        shape = int(count[0]), int(count[1])
+        return Locator(
+            lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
+        )
 
     @property
     def num_bytes(self) -> int:
@@ -154,7 +150,15 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     triangles = _delaunay(vertices)
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
-        triangles = _with_edges(_in_integers(vertices), triangles, crossed)
+        # The triangulation after edges are put in one by one.
+        #
+        # References:
+        # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
+        mesh = _Mesh(_in_integers(vertices), triangles)
+        for start, end in crossed.tolist():
+            if (start, end) not in mesh.apex:
+                mesh.insert(start, end)
+        triangles = np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
         if len(_crossed(triangles, boundary.edges, len(vertices))):
             raise ValueError("Walls of the region cross one another.")
     return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
@@ -200,21 +204,6 @@ def _in_integers(vertices: Float[np.ndarray, "n 2"]) -> list[tuple[int, int]]:
     offset = vertices - vertices.min(axis=0)
     unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
     return [(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()]
-
-
-def _with_edges(
-    points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"]
-) -> Int[np.ndarray, "triangles 3"]:
-    """The triangulation after edges are put in one by one.
-
-    References:
-        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
-    """
-    mesh = _Mesh(points, triangles)
-    for start, end in edges.tolist():
-        if (start, end) not in mesh.apex:
-            mesh.insert(start, end)
-    return np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
 
 
 class _Mesh:

@@ -103,7 +103,12 @@ def read_visibility(path: Path) -> tuple[Workspace, Float[np.ndarray, "2"], Corn
         arrays = _arrays(path)
         if arrays["version"] != _VERSION:
             raise ValueError(f"it is of version {arrays['version']}, this release reads version {_VERSION}")
-        workspace = _workspace(arrays)
+        free: Any
+        free, obstacles = (shapely.from_wkb(arrays[name].tobytes()) for name in ("free_space", "obstacles"))
+        polygons = as_polygons("Obstacle", obstacles)
+        if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
+            raise ValueError("its free space is no valid polygon")
+        workspace = Workspace.restored(Box(*arrays["bounds"]), polygons, bool(arrays["squeeze"]), free)
         return workspace, arrays["goal"], _corners(arrays, workspace)
     except (ValueError, EOFError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
         raise ValueError(f"{path} cannot be read as a visibility graph: {error}.") from error
@@ -145,15 +150,6 @@ def _array(
     if array.size != np.prod(found, dtype=object) or (kind == "f" and not np.isfinite(array).all()):
         raise ValueError(f"{name} is incomplete or has numbers that are not finite")
     return array.reshape(found)
-
-
-def _workspace(arrays: dict[str, Shaped[np.ndarray, "..."]]) -> Workspace:
-    free: Any
-    free, obstacles = (shapely.from_wkb(arrays[name].tobytes()) for name in ("free_space", "obstacles"))
-    polygons = as_polygons("Obstacle", obstacles)
-    if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
-        raise ValueError("its free space is no valid polygon")
-    return Workspace.restored(Box(*arrays["bounds"]), polygons, bool(arrays["squeeze"]), free)
 
 
 def _corners(arrays: dict[str, Shaped[np.ndarray, "..."]], workspace: Workspace) -> CornerVisibility:

@@ -76,23 +76,20 @@ class Improvement:
         except TimeoutError:
             return state
         with suppress(TimeoutError):  # whenever that strikes, the table's paths are free of collisions
-            self._replan(table)
+            with self.incumbent.phase("replan"):
+                replan_each(table)
+            self._offer(table.state)
+            rng = np.random.default_rng(0)
+            while not self._is_enough and not self.budget.exceeded():
+                before = table.cost.sum()
+                with self.incumbent.phase("replan"):
+                    replan_neighborhoods(table, len(self.problem.robots), rng)
+                self._offer(table.state)
+                if before - table.cost.sum() <= _GAIN * before:
+                    break
         self._offer(table.state)
         table.held.release()
         return until_arrival(table.state)
-
-    def _replan(self, table: ReservationTable) -> None:
-        with self.incumbent.phase("replan"):
-            replan_each(table)
-        self._offer(table.state)
-        rng = np.random.default_rng(0)
-        while not self._is_enough and not self.budget.exceeded():
-            before = table.cost.sum()
-            with self.incumbent.phase("replan"):
-                replan_neighborhoods(table, len(self.problem.robots), rng)
-            self._offer(table.state)
-            if before - table.cost.sum() <= _GAIN * before:
-                break
 
     def _shorten(self, state: State) -> None:
         """Shorten a path, and offer each version, until one is good enough."""

@@ -275,7 +275,20 @@ class LaCAM:
                 return limit
             node = self.open[-1]
             if node.constraints:
-                self._take_step(node)
+                # One more step of the team, under the node's next constraints.
+                constraints = node.constraints.popleft()
+                moves = self.moves(node.state)
+                self.num_idle += 1
+                self.budget.num_expansions += 1
+                self.budget.num_children_scored += sum(map(len, moves.child))
+                if len(constraints) < len(node.order):
+                    robot = node.order[len(constraints)]
+                    node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
+                    self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+                primitives = PIBT(moves).find(node.order, constraints)
+                if primitives is not None:
+                    self.budget.num_children_valid += 1
+                    self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
                     progress.update()
             else:
@@ -297,22 +310,6 @@ class LaCAM:
     def state(self) -> State:
         """All nodes, in the order of their making."""
         return np.array([node.state for node in self.nodes.values()])
-
-    def _take_step(self, node: Node) -> None:
-        """One more step of the team, under the node's next constraints."""
-        constraints = node.constraints.popleft()
-        moves = self.moves(node.state)
-        self.num_idle += 1
-        self.budget.num_expansions += 1
-        self.budget.num_children_scored += sum(map(len, moves.child))
-        if len(constraints) < len(node.order):
-            robot = node.order[len(constraints)]
-            node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
-            self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
-        primitives = PIBT(moves).find(node.order, constraints)
-        if primitives is not None:
-            self.budget.num_children_valid += 1
-            self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
 
     def _add(self, state: Int[np.ndarray, "robots"], parent: Node | None) -> None:
         """Put a state on top, as a new node if it is not known."""

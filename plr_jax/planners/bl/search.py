@@ -311,16 +311,13 @@ class BestFirstSearch:
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(alike), size):
                 some = alike[begin : begin + size]
-                self._hold_products(len(some) * width, most)
+                # Count the widest products so far as held: they may be as wide again.
+                num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
+                self.held.add(max(0, num_bytes - self.most_products))
+                self.most_products = max(self.most_products, num_bytes)
                 self._find_successors(some, width)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
-
-    def _hold_products(self, num: int, num_primitives: int) -> None:
-        """Count the widest products so far as held: they may be as wide again."""
-        num_bytes = num * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * num_primitives)
-        self.held.add(max(0, num_bytes - self.most_products))
-        self.most_products = max(self.most_products, num_bytes)
 
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""

@@ -235,7 +235,16 @@ def _kept(recipe: _Recipe) -> Motions:
 
 
 def _motions(recipe: _Recipe) -> Motions:
-    grid = _grid(recipe.workspace, recipe.robot, recipe.step)
+    # Cells no larger than a step; headings are centered on the axes, along which hallways lie most often.
+    lo, width = recipe.workspace.bounds.lo, recipe.workspace.bounds.width
+    shape = np.maximum(1, np.ceil(width / recipe.step - _ROUNDING)).astype(int)
+    side = width / shape
+    if recipe.robot.dof == 3:
+        turn = min(recipe.step / recipe.robot.circumscribed_radius, _WIDEST_TURN)
+        quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
+        shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
+        lo = np.append(lo, -side[2] / 2)
+    grid = Grid(lo, tuple(shape.tolist()), side)
     test = motion_test(recipe.workspace, recipe.robot, recipe.deadline)
     dof, q = len(grid.shape), grid.centers()
     offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
@@ -248,19 +257,6 @@ def _motions(recipe: _Recipe) -> Motions:
     for cells in _chunks(grid, recipe.deadline):
         motions.connect(np.arange(cells.start, cells.stop), recipe.deadline)
     return motions
-
-
-def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
-    """Cells no larger than a step; headings are centered on the axes, along which hallways lie most often."""
-    lo, width = workspace.bounds.lo, workspace.bounds.width
-    shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
-    side = width / shape
-    if robot.dof == 3:
-        turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
-        quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
-        shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
-        lo = np.append(lo, -side[2] / 2)
-    return Grid(lo, tuple(shape.tolist()), side)
 
 
 def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
