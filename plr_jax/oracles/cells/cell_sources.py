@@ -262,6 +262,8 @@ def _settled(found: Found, changed: Bool[np.ndarray, "pieces"]) -> Found:
     by_all, by_center = found.by_all.copy(), found.by_all | ~changed[found.piece]
     by_all[open_], by_center[open_] = seen & alike, seen
     keep[open_[alike & ~seen]] = False
+    # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those that it had.
+    keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
     found = replace(found, piece=found.piece[keep], source=found.source[keep], by_all=by_all[keep])
     return undominated(found, changed, by_center[keep])
 
