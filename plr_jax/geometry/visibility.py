@@ -270,7 +270,7 @@ class VisibilityTable:
         cx, cy = self.cut[v].T
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
-        seen = self._in_front(row, x)
+        seen = self._in_front(row, v, x)
         rest = np.flatnonzero(~seen)
         if rest.size:
             distance = np.hypot(dx[rest], dy[rest])
@@ -292,27 +292,27 @@ class VisibilityTable:
         before, after = np.maximum(row - 1, self.first[v]), np.minimum(row + 1, self.first[v + 1] - 1)
         for neighbor, gap in ((before, key - self.key[row]), (after, self.key[after] - key)):
             near = np.flatnonzero((gap <= slack) & (neighbor != row))
-            if near.size:
-                seen[near] |= self._seen_in(neighbor[near], v[near], x[near], distance[near])
+            seen[near] |= self._in_front(neighbor[near], v[near], x[near])
         return seen
 
-    def _seen_in(
-        self,
-        row: Int[np.ndarray, "n"],
-        v: Int[np.ndarray, "n"],
-        x: Float[np.ndarray, "n 2"],
-        distance: Float[np.ndarray, "n"],
+    def _in_front(
+        self, row: Int[np.ndarray, "n"], v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]
     ) -> Bool[np.ndarray, "n"]:
-        """Whether points beside an interval are in front of its edge, and not on the edge's line beyond its ends."""
-        ends = self.boundary.segments[self.edge[row]]
-        farthest = np.linalg.norm(ends - self.points[v][:, None], axis=-1).max(axis=1)
-        return self._in_front(row, x) & (distance <= farthest + self.tolerance)
-
-    def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are in front of the edges of intervals, and not on their lines beyond where they end."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
-        return (height >= -self.tolerance) & (edge >= 0)
+        seen = (height >= -self.tolerance) & (edge >= 0)
+        on_line = np.flatnonzero(seen & (height <= self.tolerance))
+        if on_line.size:
+            x, view, ends = x[on_line], self.points[v[on_line]], self.boundary.segments[edge[on_line]]
+            along = ends[:, 1] - ends[:, 0]
+            along /= np.linalg.norm(along, axis=1, keepdims=True)
+            distance = np.linalg.norm(x - view, axis=1) - self.tolerance
+            for end, outward in ((ends[:, 0], -along), (ends[:, 1], along)):
+                is_beyond = ((x - end) * outward).sum(axis=1) > self.tolerance
+                seen[on_line[is_beyond & (distance > np.linalg.norm(end - view, axis=1))]] = False
+        return seen
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
