@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
+from plr_jax.plr.query.folded import FoldedWindow, radius
 from plr_jax.plr.query.frame import Frame, Outside, require_resolved
-from plr_jax.plr.query.pages import index_in_block, shift_right
-from plr_jax.plr.query.picked import Picked, gather
+from plr_jax.plr.query.pages import index_in_block
+from plr_jax.plr.query.primitives import Picked, gather, rounded, shift_right
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.query.trie import Trie
 

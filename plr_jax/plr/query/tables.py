@@ -52,7 +52,7 @@ from plr_jax.plr.query.pages import (
     leaves_of_slots,
     pack_blocks,
 )
-from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.primitives import Picked
 from plr_jax.plr.query.trie import Trie
 
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
