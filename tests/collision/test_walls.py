@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shapes
 
 from plr_jax.collision.walls import MotionTest
@@ -122,15 +120,6 @@ def test_a_bar_that_does_not_turn_by_the_hull_that_it_sweeps():
     np.testing.assert_array_equal(MotionTest(ROOM, BAR)(q0, q1), expected)
 
 
-def test_many_motions_are_answered_row_by_row():
-    rng = np.random.default_rng(7)
-    q0, q1 = random_motions(rng, 40_000, 4.0, 0.5, 0.5)
-    test = MotionTest(ROOM, BAR)
-    whole, picked = test(q0, q1), slice(15_000, 40_000, 501)
-    np.testing.assert_array_equal(whole[picked], test(q0[picked], q1[picked]))
-    assert test(q0[:0], q1[:0]).shape == (0,)
-
-
 @pytest.mark.parametrize(
     ("robot", "q0", "q1", "message"),
     [
@@ -143,15 +132,3 @@ def test_many_motions_are_answered_row_by_row():
 def test_what_is_no_motion_is_refused(robot, q0, q1, message):
     with pytest.raises(ValueError, match=message):
         MotionTest(ROOM, robot)(q0, q1)
-
-
-pose = st.tuples(st.floats(-0.5, 4.5), st.floats(-0.5, 4.5), st.floats(-4, 4))
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.floats(0.05, 1.5), st.floats(0.05, 0.5), pose, pose)
-def test_a_rectangle_is_never_passed_where_samples_collide(length, width, q0, q1):
-    robot = RectangleRobot(length, width)
-    if is_free(robot, q0, q1):
-        bodies = shapes(robot, along(np.array([q0]), np.array([q1]), 65))
-        assert shapely.covers(ROOM.free_space.buffer(1e-7), bodies).all()

@@ -295,13 +295,6 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(hall,
     assert (descent.lengths >= shortest - 1e-9).all()
 
 
-def test_many_points_are_searched_in_parts(monkeypatch):
-    monkeypatch.setattr("plr_jax.geometry.first_visible._CHUNK", 64)
-    goal, starts = (8, 2), DOOR.sample_free(300, 0)
-    exact = VisibilityGraph(DOOR, goal)
-    np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), rtol=1e-12)
-
-
 # --- costs that are not lengths ---------------------------------------------------------------------------
 
 
