@@ -91,6 +91,7 @@ SOLVED = {
     "a perturbed door": (scenes.perturbed(DOOR, 0), {}),
     "perturbed rooms": (scenes.perturbed(scenes.four_rooms(3), 1), {}),
     "a perturbed cross": (scenes.perturbed(scenes.cross(2), 2), {}),
+    "a crowd": (scenes.crowd(40, seed=3), {}),
     "a bay narrower than a cell of the first lattice": (
         Problem(BAY, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]), {}),
     "a disc that is small in a large map": (
@@ -266,12 +267,6 @@ def test_expansions_are_never_more_than_asked_for(max_expansions):
     solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
     assert solution.status is Status.EXPANSION_LIMIT
     assert solution.stats.num_expansions == int(max_expansions)
-
-
-def test_lattices_count_as_memory():
-    for max_memory, begun in ((4000, False), (1_500_000, True)):
-        solution = bl_plan(DOOR, zero(), BLOptions(max_memory=max_memory, cell_size=1e-3, step=0.5))
-        assert (solution.stats.num_nodes > 0) is begun
 
 
 def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():

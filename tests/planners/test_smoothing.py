@@ -7,7 +7,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_helpers import ROOM, exact, heuristic_table, joint_lattice_of, search_budget
+from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_of, search_budget
 
 from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
@@ -18,12 +18,6 @@ from plr_jax.planners.smoothing import _cheapest, _groups, halved, shorten, shor
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
 POINT = Problem(ROOM, [PointRobot()], [(1, 5)], [(9, 5)])
 BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])
-MIXED = Problem(
-    ROOM,
-    [DiscRobot(0.4), RectangleRobot(1.2, 0.4), PointRobot()],
-    [(1, 1, 5), (1, 8, 0), (5, 1, 0)],
-    [(9, 1, 5), (9, 8, 1), (5, 5, 0)],
-)
 
 
 def checked(problem, path, shorten, *options, deadline=np.inf):

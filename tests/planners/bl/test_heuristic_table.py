@@ -2,19 +2,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from planner_helpers import ROOM, heuristic_table, joint_lattice_of
+from planner_helpers import MIXED, heuristic_table, joint_lattice_of
 
-from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, bl_plan, scenes, validate
+from plr_jax import BLOptions, bl_plan, scenes, validate
 from plr_jax.planners import straight_line, zero
 from plr_jax.planners.bl.search import best_successors
 
 DOOR = scenes.single_door()
-MIXED = Problem(
-    ROOM,
-    [DiscRobot(0.4), RectangleRobot(2, 1), PointRobot()],
-    [(1, 1, 5), (2, 8, 0), (5, 5, 0)],
-    [(9, 5, 5), (8, 8, 3), (1, 5, 2)],
-)
 
 
 class Separable(NamedTuple):

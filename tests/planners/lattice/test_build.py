@@ -234,6 +234,8 @@ def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
         np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
         np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
         graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
+        of_others = set(range(lattice.table.num_cells, len(lattice.q))) - {lattice.start, lattice.goal}
+        assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
         expected = motions_at_ends(problem, robot, lattice, step)
         found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
         for motion, is_free in expected.items():

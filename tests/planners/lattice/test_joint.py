@@ -7,18 +7,12 @@ import numpy as np
 import pytest
 import shapely
 from planner_helpers import FOUR_NEIGHBORS, graph_of, joint_lattice_of, nudged_team
+from team_helpers import MIXED
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners.lattice.build import PRIMITIVES
 from plr_jax.planners.lattice.joint import kinds_of
 
-WALLS = Workspace(((0, 0), (6, 5)), [shapely.box(2, 0, 2.3, 3), [(4, 2.1), (5, 3), (4.2, 4)]])
-MIXED = Problem(
-    WALLS,
-    [DiscRobot(0.3), RectangleRobot(0.9, 0.4), DiscRobot(0.3), PointRobot()],
-    [(0.5, 0.6, 0), (1.0, 3.7, 0.4), (5.5, 0.6, 0), (3.1, 1.0, 0)],
-    [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0)],
-)
 NUDGED = {"nudged discs": nudged_team(DiscRobot(0.15)), "nudged bars": nudged_team(RectangleRobot(0.4, 0.1))}
 
 
@@ -28,15 +22,6 @@ def random_boxes(seed):
     return Workspace(
         ((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)]
     )
-
-
-def test_kinds_are_the_robots_that_share_a_table():
-    joint = joint_lattice_of(MIXED, 0.6)
-    assert [kind.members.tolist() for kind in kinds_of(joint)] == [[0, 2], [1], [3]]
-    for kind in kinds_of(joint):
-        for row, i in enumerate(kind.members.tolist()):
-            lattice = joint.lattices[i]
-            assert kind.table is lattice.table and kind.ends.node[row].tolist() == [lattice.start, lattice.goal]
 
 
 @pytest.mark.parametrize(
@@ -103,7 +88,7 @@ def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
 def test_costs_to_come_mirror_costs_to_go():
     # Motions here cost as much one way as the other; a table of swapped ends has the same costs, backward.
     there = MIXED
-    back = Problem(WALLS, MIXED.robots, MIXED.goals, MIXED.starts)
+    back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
     for kind, mirrored in zip(
         kinds_of(joint_lattice_of(there, 0.5)), kinds_of(joint_lattice_of(back, 0.5)), strict=True
     ):
