@@ -56,13 +56,6 @@ def test_bounds_are_walls_that_may_be_touched():
         assert not is_free(robot, (-5, 1, 0), (9, 1, 0))
 
 
-def test_within_an_obstacle_nothing_is_free():
-    block = Workspace(((0, 0), (10, 10)), [box(2, 2, 9, 9)])
-    for robot in ROBOTS:
-        assert not is_free(robot, (5, 5, 0), (5.1, 5, 0), block)
-        assert not is_free(robot, (2.6, 5, 0), (2.6, 5, 0), block)
-
-
 def test_a_body_whose_reference_point_is_a_corner_is_not_free_on_the_wrong_side_of_a_wall():
     wedge, block = PolygonRobot([(0, 0), (1, 0), (0, 1)]), Workspace(((0, 0), (10, 10)), [box(2, 2, 9, 9)])
     for heading, free in ((0.0, False), (UP, True), (2 * UP, True), (3 * UP, False)):

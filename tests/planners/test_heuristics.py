@@ -33,7 +33,6 @@ from plr_jax import (
     validate,
     zero,
 )
-from plr_jax._types import DimensionedFn, SeparableHeuristic, StackableDistanceFn
 from plr_jax.planners._heuristics import estimates
 
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
@@ -98,13 +97,6 @@ def test_terms_sum_to_the_heuristic(seed):
     q = np.random.default_rng(seed).uniform(-7, 17, (9, 2, 3))
     for heuristic in (zero(), straight_line(MIXED), sum_of_distances([Euclidean((1, 2)), Euclidean((3, 4, 5))])):
         assert np.array_equal(heuristic(q), heuristic.per_robot(q).sum(axis=1))
-
-
-def test_distances_of_the_inflated_workspace_are_no_shorter_than_straight_lines():
-    problem = scenes.four_rooms(2)
-    q = np.stack([problem.workspace.inflate(0.4).sample_free(500, seed) for seed in range(2)], axis=1)
-    exact = sum_of_distances(robot_distance_fns(problem))
-    assert (exact.per_robot(q) >= straight_line(problem).per_robot(q) - 1e-9).all()
 
 
 def test_a_function_without_dim_is_asked_once_and_sees_all_coordinates():
@@ -176,21 +168,6 @@ def test_distance_functions_see_few_batch_sizes():
         expected = np.stack([np.hypot(*q[:n, 0].T), taxicab(q[:n, 1])], axis=1)
         assert np.allclose(heuristic.per_robot(q[:n]), expected, rtol=1e-6)
     assert sizes == [1, 2, 4, 8, 16, 32, 512, 1024, 4096]
-
-
-def test_what_functions_may_offer_is_told_by_protocols(plrs):
-    oracle = Euclidean((1, 2))
-    for value, offers in (
-        (plrs[0], (True, True, False)),
-        (oracle, (False, True, False)),
-        (taxicab, (False, False, False)),
-        *(
-            (heuristic, (False, False, True))
-            for heuristic in (zero(), straight_line(DISCS), sum_of_distances([oracle]))
-        ),
-    ):
-        protocols = (StackableDistanceFn, DimensionedFn, SeparableHeuristic)
-        assert tuple(isinstance(value, each) for each in protocols) == offers
 
 
 # Refusals, and what has no estimate

@@ -50,12 +50,6 @@ def test_scenes_of_the_paper(problem, heuristic):
     assert solution.stats.history[-1][1] == pytest.approx(solution.cost)
 
 
-def test_a_goal_in_sight_but_out_of_the_neighborhood_takes_samples():
-    solution = sba_star_plan(ALONE, straight_line(ALONE))
-    assert len(solution.path) > 5 and solution.cost < 1.5 * solution.lower_bound
-    assert np.linalg.norm(np.diff(solution.path[:, 0], axis=0), axis=1).max() <= 1 + 1e-12
-
-
 def test_the_seed_decides():
     problem = scenes.single_door()
     first, again, other = (sba_star_plan(problem, straight_line(problem), seed=seed) for seed in (3, 3, 4))

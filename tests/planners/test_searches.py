@@ -40,12 +40,7 @@ def test_robots_with_both_ends_in_one_cell_are_of_one_kind(problem):
 # Steps that no other test takes, as motions are kept for the next problem in a workspace.
 @pytest.mark.parametrize(
     ("problem", "step"),
-    [
-        (nudged_discs(8), 0.21),
-        (nudged_discs(15), 1.9),
-        (NUDGED_BARS, 0.31),
-        (MIXED, 0.39),
-    ],
+    [(nudged_discs(8), 0.21), (nudged_discs(15), 1.9), (NUDGED_BARS, 0.31), (MIXED, 0.39)],
     ids=["nudged discs", "coarse", "nudged bars", "mixed"],
 )
 def test_lattices_take_as_many_bytes_as_they_say(problem, step):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, makespan, scenes
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, makespan, scenes
 from plr_jax._problem import motion_costs
 from plr_jax.planners import Solution, Stats, Status
 from plr_jax.planners import _solution as module
@@ -19,11 +19,7 @@ from plr_jax.planners._solution import save_solution, solution_of, straight_line
 
 ROOM = Workspace(((0, 0), (10, 10)))
 PROBLEM = Problem(
-    ROOM,
-    [DiscRobot(0.5), RectangleRobot(2, 1)],
-    [(1, 1, 7), (5, 5, 3.0)],
-    [(4, 5, 7), (5, 8, -3.0)],
-    2.0,
+    ROOM, [DiscRobot(0.5), RectangleRobot(2, 1)], [(1, 1, 7), (5, 5, 3.0)], [(4, 5, 7), (5, 8, -3.0)], 2.0
 )
 TURN = 2 * np.pi - 6  # from heading 3 to -3 by the shorter way
 PATH = np.array(
@@ -182,15 +178,6 @@ def test_a_solution_survives_the_file_to_the_bit(solution, tmp_path_factory):
     assert again.samples.shape == ((0, 0, 0) if solution.path is None else (0, 2, 3))
     again.save(str(folder / "b.json"))
     assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
-
-
-def test_a_planner_s_solution_survives_the_file(tmp_path):
-    solution = bl_plan(scenes.single_door())
-    solution.save(tmp_path / "a.json")
-    again = Solution.load(tmp_path / "a.json")
-    assert_same(again, solution)
-    times = np.linspace(-1, solution.makespan + 1, 50)
-    np.testing.assert_array_equal(again.path_at(times), solution.path_at(times))
 
 
 def test_the_file_is_json_as_the_standard_has_it(tmp_path):

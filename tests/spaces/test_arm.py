@@ -104,14 +104,6 @@ def test_links_that_are_no_neighbors_keep_off_one_another():
     assert states(small, ((-9, -0.1, -0.1), (9, 0.1, 0.1))) == [FREE]
 
 
-def test_motions_turn_every_joint_the_shorter_way():
-    wall = Workspace(OPEN.bounds, [rectangle(1, -0.5, 2, 0.5)])
-    arm = PlanarArm(wall, [3], (0, 0))
-    assert arm.are_free([[2.0]], [[-2.0]])[0] and arm.are_free([[-2.0]], [[2.0 + 4 * np.pi]])[0]
-    assert not arm.are_free([[1.0]], [[-1.0]])[0]
-    assert arm.are_free([[np.pi / 2]], [[-np.pi / 2]])[0]  # half a turn upward, away from the wall
-
-
 @pytest.mark.parametrize(
     ("seed", "joints", "width", "own"),
     [(0, 1, 0, 0), (0, 2, 0, 0), (1, 2, 0.1, 0), (0, 3, 0.05, 0), (1, 3, 0.1, 1), (2, 2, 0.08, 0)],

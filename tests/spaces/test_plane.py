@@ -13,14 +13,7 @@ from space_helpers import (
     states,
 )
 
-from plr_jax import (
-    CellState,
-    DiscRobot,
-    PlaneSpace,
-    Problem,
-    Workspace,
-    validate,
-)
+from plr_jax import CellState, DiscRobot, PlaneSpace, Workspace
 
 BLOCKED, FREE, MIXED = CellState
 DISC = DiscRobot(0.25)
@@ -84,21 +77,6 @@ def test_samples_agree_with_what_is_proven(seed, robot):
     assert (state[share > 1 - 1e-12] != BLOCKED).all()
     assert (state[(share > 1e-6) & (share < 0.99)] == MIXED).all()
     assert (state[shapely.distance(boxes, free) > 0.005 * 0.2] == BLOCKED).all()
-
-
-@pytest.mark.parametrize("robot", [POINT, DISC])
-def test_motions_are_those_that_validate_accepts(robot):
-    workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
-    space = PlaneSpace(workspace, robot)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(0.3, (3.7, 2.7), (200, 2))
-    q = q[space.is_free(q)]
-    q0, q1 = q[: len(q) // 2], q[len(q) // 2 : 2 * (len(q) // 2)]
-    problems = [Problem(workspace, [space.robot], [a], [b]) for a, b in zip(q0, q1, strict=True)]
-    expected = [validate(p, np.stack([p.starts, p.goals])).valid for p in problems]
-    free = space.are_free(q0, q1)
-    assert free.tolist() == expected
-    assert 0 < free.sum() < len(free)
 
 
 @pytest.mark.parametrize("robot", [POINT, DiscRobot(0.2)])

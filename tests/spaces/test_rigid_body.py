@@ -15,14 +15,7 @@ from space_helpers import (
     states,
 )
 
-from plr_jax import (
-    CellState,
-    Problem,
-    RectangleRobot,
-    RigidBodySpace,
-    Workspace,
-    validate,
-)
+from plr_jax import CellState, RectangleRobot, RigidBodySpace, Workspace
 
 BLOCKED, FREE, MIXED = CellState
 STADIUM = AnyShape(((-0.1, 0.0), (0.5, 0.0)), rounding=0.1)
@@ -55,9 +48,9 @@ AHEAD = rectangle(1, 0.5, 2, 2.5)
         ([AHEAD, AHEAD + np.array([1, 0])], [(1.6, 1.2, -ANY, 2.4, 1.8, ANY)], [BLOCKED]),
         ([rectangle(2, 0, 2 + 1e-6, 3)],
          [(1.98, 1, -0.05, 2.02, 1.04, 0.05), (1.5, 1, 1.5, 1.55, 1.1, 1.6), (1, 1, -ANY, 3, 2, ANY)],
-         [BLOCKED, FREE, MIXED]),
+         [BLOCKED, FREE, MIXED])
     ],
-    ids=range(7),
+    ids=range(7)
 )  # fmt: skip
 def test_boxes_of_a_bar_drawn_by_hand(obstacles, boxes, expected):
     assert states(RigidBodySpace(Workspace(BOUNDS, obstacles), BAR), *boxes) == expected
@@ -122,27 +115,6 @@ def test_motions_are_free_where_their_samples_are(body):
     q0, q1 = random_motions(np.random.default_rng(5), 400, 3, 0.3, 2)
     proven, sampled = check_motions(space, twin(workspace, robot), q0, q1, 129)
     assert (sampled & ~proven).sum() <= 2 and proven.sum() >= 5
-
-
-def test_motions_are_those_that_validate_accepts():
-    workspace = random_workspace(2)
-    space = RigidBodySpace(workspace, BAR)
-    q0, q1 = random_motions(np.random.default_rng(2), 300, 3, 0.4, 1)
-    ends = space.is_free(q0) & space.is_free(q1)
-    q0, q1 = q0[ends], q1[ends]
-    problems = [problem for ab in zip(q0, q1, strict=True) if (problem := connected(workspace, *ab))]
-    expected = [validate(p, np.stack([p.starts, p.goals])).valid for p in problems]
-    starts, goals = (np.concatenate(rows) for rows in zip(*((p.starts, p.goals) for p in problems), strict=True))
-    assert space.are_free(starts, goals).tolist() == expected
-    assert len(set(expected)) == 2
-
-
-def connected(workspace, q0, q1):
-    """The problem, unless it has no solution."""
-    try:
-        return Problem(workspace, [BAR], [q0], [q1])
-    except ValueError:
-        return None
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -143,25 +143,6 @@ def test_costs_are_lengths_and_weighted_turns():
     np.testing.assert_allclose(lattice.cost[lattice.start], expected, rtol=1e-12)
 
 
-# Headings
-
-
-def test_headings_are_periodic():
-    problem = Problem(ROOM, [BAR], [(5.25, 5.25, 0.4)], [(1, 1, 0)])
-    lattice = lattice_of(problem, 0.5)
-    left, right = (1 + PRIMITIVES.index((0, 0, turn)) for turn in (1, -1))
-    for primitive, back in ((left, right), (right, left)):
-        nodes = [lattice.start]
-        while True:
-            assert np.isfinite(lattice.cost[nodes[-1], primitive])
-            assert lattice.child[lattice.child[nodes[-1], primitive], back] == nodes[-1]
-            nodes.append(int(lattice.child[nodes[-1], primitive]))
-            if nodes[-1] == lattice.start:
-                break
-        turned = sum(lattice.cost[node, primitive] for node in nodes[:-1]) / BAR.circumscribed_radius
-        assert turned == pytest.approx(2 * np.pi) and len(nodes) > 4
-
-
 # Reaching the goal
 
 
@@ -253,22 +234,3 @@ def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
 
 
 # Teams
-
-
-def test_equal_robots_share_motions_and_have_their_own_ends():
-    problem = Problem(
-        WALLS, [DiscRobot(0.4)] * 2 + [PointRobot()], [(0.7, 0.6), (0.9, 4), (1.5, 2)], [(5, 1), (3, 1), (3, 3)]
-    )
-    first, second, third = build_lattices(problem, 0.5, PRIMITIVES)
-    for lattice, start, goal in zip((first, second, third), problem.starts, problem.goals, strict=True):
-        np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
-    assert first.table is second.table and first.table is not third.table
-    for lattice, robot, start, goal in zip(
-        (first, second, third), problem.robots, problem.starts, problem.goals, strict=True
-    ):
-        twin = lattice_of(Problem(WALLS, [robot], [start], [goal]), 0.5)
-        costs = [
-            nx.single_source_dijkstra_path_length(graph_of(each), each.start, weight="cost")
-            for each in (lattice, twin)
-        ]
-        assert costs[0][lattice.goal] == costs[1][twin.goal] and len(costs[0]) == len(costs[1])
