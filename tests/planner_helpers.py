@@ -7,7 +7,6 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import along, shapes
 
 from plr_jax import (
     BLOptions,
@@ -134,17 +133,6 @@ def apart(joint, state, primitive):
     return clear
 
 
-def free_states(joint, num, seed):
-    """Random joint configurations in which no two robots overlap, some of them close together."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < num:
-        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
-        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
-            found.append(state[0])
-    return np.array(found, dtype=np.int32)
-
-
 def reachable(joint):
     """All joint configurations that joint motions reach, one after the other."""
     start = tuple(lattice.start for lattice in joint.lattices)
@@ -161,21 +149,3 @@ def reachable(joint):
                 reached.add(child)
                 newest.append(child)
     return reached
-
-
-def deepest_overlap(workspace, robot, q0, q1):
-    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
-    q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
-    box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    beyond = box.buffer(10, join_style="mitre").difference(box)
-    num_samples, region = 201, shapely.union_all([*workspace.obstacles, beyond])
-    bodies = shapes(robot, along(q0, q1, num_samples))
-    if isinstance(robot, RectangleRobot):
-        overlap = shapely.intersection(bodies, region)
-        depth = np.where(shapely.area(overlap) > 0, shapely.area(overlap) / robot.length, 0.0)
-        depth = np.where(depth > 0, depth, -shapely.distance(bodies, region))
-    else:
-        inside = shapely.distance(bodies, shapely.boundary(region))
-        distance = shapely.distance(bodies, region)
-        depth = robot.rounding - np.where(distance > 0, distance, -inside)
-    return depth.reshape(-1, num_samples).max(axis=1)

@@ -2,13 +2,24 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import TIGHT, TIGHT_TEAM, apart, free_states, heuristic_table, joint_lattice_of
+from planner_helpers import TIGHT, TIGHT_TEAM, apart, heuristic_table, joint_lattice_of
 
 from plr_jax import DiscRobot, Problem, scenes
 from plr_jax.planners import straight_line
 from plr_jax.planners.bl.search import best_successors
 
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
+
+
+def free_states(joint, num, seed):
+    """Random joint configurations in which no two robots overlap, some of them close together."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < num:
+        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
+        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
+            found.append(state[0])
+    return np.array(found, dtype=np.int32)
 
 
 def terms_of(joint):
