@@ -60,7 +60,7 @@ def descended(field, space, starts, goal, **options):
     assert len(descent) == len(descent.paths) == len(descent.status) == len(starts)
     for path, start, status, length in zip(descent.paths, starts, descent.status, descent.lengths, strict=True):
         if status != REACHED:
-            assert path.shape == (0, space.dof) and length == math.inf
+            assert path.shape == (0, space.domain.dim) and length == math.inf
             continue
         np.testing.assert_array_equal(path[[0, -1]], [start, goal])
         legs = space.domain.difference(path[1:], path[:-1])
@@ -70,7 +70,7 @@ def descended(field, space, starts, goal, **options):
             assert len(legs) == 0 or shapely.covers(free, shapely.linestrings(path))
         else:
             samples = path[:-1, None] + np.linspace(0, 1, 200)[:, None] * legs[:, None]
-            assert space.is_free(samples.reshape(-1, space.dof)).all()
+            assert space.is_free(samples.reshape(-1, space.domain.dim)).all()
     np.testing.assert_array_equal(descent.reached, descent.status == REACHED)
     np.testing.assert_array_equal(descent.counts, [len(path) for path in descent.paths])
     if options.get("cost_map") is None:
@@ -299,7 +299,7 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(hall,
 
 
 class Slow:
-    """Motions cost more where x is in a range, up to some y, but for edges of it that the goal's side has."""
+    """Motions within a box cost more."""
 
     def __init__(self, lo, hi, factor):
         self.lo, self.hi, self.factor = np.array(lo), np.array(hi), factor

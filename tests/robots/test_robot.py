@@ -33,7 +33,7 @@ def test_a_team_has_headings_if_any_robot_has_corners():
 
 
 def turn(a, b):
-    return float(shorter_turn(np.array([a]), np.array([b]))[0])
+    return float(shorter_turn(np.array([a], float), np.array([b], float))[0])
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,11 @@ SPACES = {  # and what their domains and costs are
 @pytest.mark.parametrize(("space", "domain", "blocks"), SPACES.values(), ids=SPACES)
 def test_what_all_spaces_have_in_common(space, domain, blocks):
     assert isinstance(space, ConfigurationSpace) and isinstance(space, FreeTest)
-    assert space.domain == domain and space.motion_cost == MotionCost(blocks) and space.dof == domain.dim
-    none = np.zeros((0, space.dof))
+    assert space.domain == domain and space.motion_cost == MotionCost(blocks)
+    none = np.zeros((0, domain.dim))
     assert space.classify(none, none).shape == space.is_free(none).shape == space.are_free(none, none).shape == (0,)
     # What is not finite is not free.
-    q = np.zeros((3, space.dof))
+    q = np.zeros((3, domain.dim))
     q[1, 0], q[2, -1] = np.nan, np.inf
     assert space.is_free(q).tolist() == [True, False, False]
     assert space.are_free(q[[0] * 3], q).tolist() == [True, False, False]
