@@ -75,7 +75,7 @@ def test_moves_are_those_of_each_robot_best_first(name, seed):
             assert (np.diff(scores) >= 0).all()
 
 
-@pytest.mark.parametrize("name", TEAMS)
+@pytest.mark.parametrize("name", ["crowd", "mixed"])  # rooms keep robots apart
 def test_collisions_are_those_of_each_two_motions(name):
     joint, moves_of = team_of(*TEAMS[name])
     robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
