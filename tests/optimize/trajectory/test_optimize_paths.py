@@ -19,7 +19,9 @@ from plr_jax import (
     construct,
     makespan,
     path_cost,
+    robot_distance_fns,
     scenes,
+    sum_of_distances,
     validate,
 )
 from plr_jax.optimize import OptimizationInterrupted, optimize_paths
@@ -151,7 +153,7 @@ def test_a_valid_path_stays_valid_and_becomes_no_costlier(seed, steps):
 def test_a_team_takes_more_time_only_if_it_may():
     """Three discs change rooms; if time costs nothing, they wait for one another at the doors."""
     problem = scenes.four_rooms(3)
-    path = bl_plan(problem).path
+    path = bl_plan(problem, sum_of_distances(robot_distance_fns(problem))).path
     kept, some, free = (
         optimized(problem, path, num_retimings=7, num_iterations=300, makespan_factor=factor)
         for factor in (1, 1.05, np.inf)
