@@ -76,13 +76,14 @@ def test_infeasible_problems_are_refused_before_planning(data_dir):
         Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])
 
 
+CROWD = scenes.crowd(40, seed=3)
 BAY = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
 TINY = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
 SOLVED = {
     "a perturbed door": (scenes.perturbed(DOOR, 0), {}),
     "perturbed rooms": (scenes.perturbed(scenes.four_rooms(3), 1), {}),
     "a perturbed cross": (scenes.perturbed(scenes.cross(2), 2), {}),
-    "a crowd": (scenes.crowd(40, seed=3), {"searchers": ("lacam",), "step": 0.4}),
+    "a crowd": (CROWD, {"heuristic": straight_line(CROWD), "step": 0.4}),
     "a bay narrower than a cell of the first lattice": (
         Problem(BAY, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]), {}),
     "a disc that is small in a large map": (
