@@ -5,10 +5,37 @@ import time
 import networkx as nx
 import numpy as np
 import pytest
-from reservation_helpers import TEAMS, blocked_from_scratch, table_of
+from planner_helpers import search_budget
+from team_helpers import TEAMS, search_of, team_of
 
+from plr_jax import validate
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners.replanning import num_bytes_of_table, replan_each, replan_neighborhoods, replan_together
+from plr_jax.planners import Status
+from plr_jax.planners._budget import HeldMemory
+from plr_jax.planners.replanning import (
+    Conflicts,
+    ReservationTable,
+    num_bytes_of_table,
+    replan_each,
+    replan_neighborhoods,
+    replan_together,
+)
+
+
+def table_of(name, waiting=6, seconds=60.0):
+    problem, step = TEAMS[name]
+    search = search_of(problem, step)
+    assert search.run(10_000) is Status.SOLVED
+    state = np.concatenate([search.branch, np.repeat(search.branch[-1:], waiting, axis=0)])
+    kinds, costs_to_go, tolerance = search.moves.kinds, search.moves.heuristic, problem.workspace.tolerance
+    return search.joint, ReservationTable(kinds, costs_to_go, state, tolerance, search_budget(seconds=seconds))
+
+
+def assert_blocked_as_from_scratch(table):
+    budget = search_budget()
+    fresh = ReservationTable(table.kinds, table.costs_to_go, table.state, table.conflicts.tolerance, budget)
+    for blocked, expected in zip(table.blocked, fresh.blocked, strict=True):
+        np.testing.assert_array_equal(blocked, expected)
 
 
 def cheapest_by_networkx(joint, table, i):
@@ -74,12 +101,43 @@ def test_after_the_deadline_paths_stay_as_they_are():
     replan_neighborhoods(table, 5, np.random.default_rng(0))
     assert not replan_together(table, [0, 1, 2])
     np.testing.assert_array_equal(table.state, state)
-    for blocked, fresh in zip(table.blocked, blocked_from_scratch(table), strict=True):
-        np.testing.assert_array_equal(blocked, fresh)
+    assert_blocked_as_from_scratch(table)
 
 
-def test_apart_is_what_the_joint_motion_test_says():
-    joint, table = table_of("mixed")
-    replan_each(table)
-    q = joint.configurations(table.state)
-    assert joint.test(q[:-1], q[1:]).all()
+@pytest.mark.parametrize("name", TEAMS)
+def test_conflicts_are_those_of_each_two_motions(name):
+    problem, step = TEAMS[name]
+    _, moves = team_of(problem, step)
+    held, rng = HeldMemory(search_budget()), np.random.default_rng(0)
+    conflicts = Conflicts(moves.kinds, problem.workspace.tolerance, held)
+    for a, ours in enumerate(moves.kinds):
+        for b, others in enumerate(moves.kinds):
+            edges = rng.integers(ours.edges.num_edges, size=5)
+            every = np.arange(others.edges.num_edges)
+            for edge, found in zip(edges.tolist(), conflicts.of(a, edges, b), strict=True):
+                q0, q1 = (ours.table.q[[node[edge]] * len(every)] for node in (ours.edges.begin, ours.edges.end))
+                p0, p1 = (others.table.q[node[every]] for node in (others.edges.begin, others.edges.end))
+                free = motions_apart(ours.robot, q0, q1, others.robot, p0, p1, problem.workspace.tolerance)
+                assert sorted(found.tolist()) == np.flatnonzero(~free).tolist()
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
+    joint, table = table_of(name)
+    rng, costs = np.random.default_rng(0), [table.cost.sum()]
+
+    def together(table):
+        before = table.cost.sum()
+        gained = replan_together(table, rng.permutation(min(table.num_robots, 4)).tolist())
+        assert gained == (table.cost.sum() < before * (1 - 1e-9))
+
+    for change in (replan_each, *[together] * 6, lambda table: replan_neighborhoods(table, 8, rng)):
+        change(table)
+        costs.append(table.cost.sum())
+        report = validate(joint.problem, joint.configurations(table.state))
+        assert report.valid and report.cost == pytest.approx(costs[-1])
+        q = joint.configurations(table.state)
+        assert joint.test(q[:-1], q[1:]).all()
+        assert (table.cost >= table.least * (1 - 1e-9)).all()
+        assert_blocked_as_from_scratch(table)
+    assert costs[0] > costs[1] and (np.diff(costs) <= 1e-9 * costs[0]).all()
