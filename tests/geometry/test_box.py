@@ -49,10 +49,7 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
         (lambda: Box(0.0, 1.0), r"Box lo must be one point of shape \(dim,\), got shape \(\)"),
         (lambda: Box("a", "b"), "Box lo must be numbers"),
         (lambda: Box.of(((0, 0),)), "The box must be a Box or its corners"),
-        (lambda: Box.of(3.0), "The box must be a Box or its corners"),
         (lambda: Box.of(None), "The box must be a Box or its corners"),
-        (lambda: Box.of("ab"), "Box lo must be numbers"),
-        (lambda: Box.of(((0, 0), (1, 0))), "positive width"),
         *(
             (lambda periodic=periodic: Box(*UNIT, periodic=periodic), "Box periodic must be")
             for periodic in (True, (True,), (True, False, True), "no", ((True, False),), (1, 0), (True, None))

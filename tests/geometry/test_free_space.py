@@ -1,4 +1,4 @@
-"""Free space as tables, beside Shapely and a search of all edges."""
+"""Free space as tables, beside what a workspace answers of NumPy's points, and Shapely."""
 
 import jax
 import jax.numpy as jnp
@@ -56,13 +56,6 @@ def some_points(workspace, n=2000):
     return exact_in_32_bits(np.concatenate([anywhere, beside, normal, vertices]))
 
 
-def by_all_edges(workspace, x):
-    """Signed distance by Shapely, one point and one edge at a time."""
-    lines = shapely.linestrings(workspace.boundary.segments)
-    distance = shapely.distance(shapely.points(x)[:, None], lines).min(axis=1)
-    return np.where(shapely.intersects_xy(workspace.free_space, *x.T), distance, -distance)
-
-
 def are_sides_apart(workspace, x):
     """Whether behind the nearest point of a wall there is the other side of it, and not yet what is behind that."""
     ways = shapely.shortest_line(shapely.points(x), workspace.free_space.boundary)
@@ -73,7 +66,7 @@ def are_sides_apart(workspace, x):
 
 
 @pytest.mark.parametrize("build", WORKSPACES.values(), ids=WORKSPACES)
-def test_clearance_is_that_of_shapely_and_of_all_edges_its_gradient_that_by_steps(build):
+def test_clearance_is_that_of_the_workspace_its_gradient_that_by_steps(build):
     workspace = build()
     x, tables, width = some_points(workspace), workspace.tables, workspace.bounds.width.max()
     found, gradient, is_free = (np.asarray(answer) for answer in answers(tables, x))
@@ -82,7 +75,6 @@ def test_clearance_is_that_of_shapely_and_of_all_edges_its_gradient_that_by_step
     np.testing.assert_allclose(found[apart], expected[apart], atol=close)
     np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=close)
     assert apart[: len(x) // 3].mean() > 0.9  # of those anywhere: to some of them a tip is nearest
-    np.testing.assert_allclose(found[apart][::20], by_all_edges(workspace, x[apart][::20]), atol=close)
 
     assert isinstance(tables, FreeSpace) and 0 < is_free.sum() < len(x)
     assert is_free[apart & workspace.is_free(x)].all()

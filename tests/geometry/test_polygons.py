@@ -13,13 +13,10 @@ FAR, FARTHER = shapely.box(5, 0, 6, 1), shapely.box(8, 0, 9, 1)
     ("ring", "message"),
     [
         (np.array([[1.0, 1], [2, 2], [2, 1], [1, 2]]), "P is not a simple polygon.*Self-intersection"),
-        (np.array([[1.0, 1], [2, 2]]), "P has 2 distinct vertices"),
         (1e155 * np.array(SQUARE), "P has coordinates beyond 1e\\+100"),
         (np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
         (np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P has coordinates that are not finite"),
-        (np.array([[1.0, 1], [np.inf, 2], [2, 1]]), "P has coordinates that are not finite"),
-        (np.ones((3, 3)), r"P must have shape \(n, 2\)"),
         ((1, 2), r"P must have shape \(n, 2\), got \(2,\). One ring alone goes into a list"),
         (shapely.LineString([[1, 1], [2, 2]]), "P must be a polygon, got a LineString"),
         ("ring", r"P must be numbers"),
