@@ -39,8 +39,8 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tabl
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
-from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
-from plr_jax.oracles.cells.sight import GoalCones, Sight, Walls
+from plr_jax.oracles.cells.family_sources import FamilySources, SharedCells
+from plr_jax.oracles.cells.sight import GoalCones, Sight
 
 if TYPE_CHECKING:
     import networkx
@@ -313,8 +313,7 @@ class VisibilityGraph:
             The pieces of free space in the box from which the goal can be reached, and their sources.
         """
         shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
-        cones, walls = GoalCones.of(self.sources, self._turns), Walls(self.workspace.boundary)
-        sight = Sight(cones, shadows, self._turns, walls)
+        sight = Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
         return visible_sources(sight, self._regions, domain)
 
     @property
@@ -333,14 +332,13 @@ class VisibilityGraph:
         shared: SharedCells, fns: Sequence["VisibilityGraph"]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
         """The distinct sources of these boxes for some of the family, their keys, and which ones are each one's."""
-        return shared.of_goals([fn._goal_distances for fn in fns])
-
-    @property
-    def _goal_distances(self) -> GoalDistances:
-        corner, turns = self._turns.vertex - 1, self._turns
-        opens = self._corners.corners.walls[0, corner]
-        side = (turns.normal[1] == turned_left(opens)).all(axis=1)
-        return GoalDistances(self._goal_table, corner, side.astype(np.int64), turns.distance)
+        goals = []
+        for fn in fns:
+            corner, turns = fn._turns.vertex - 1, fn._turns
+            # Paths come around the wall that opens a corner's sector, or around the one that closes it.
+            side = (turns.normal[1] == turned_left(fn._corners.corners.walls[0, corner])).all(axis=1)
+            goals.append((fn._goal_table, 2 * corner + side, turns.distance))
+        return shared.of_goals(goals)
 
     def to_networkx(self) -> "networkx.Graph":
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
