@@ -118,10 +118,7 @@ def _unit_of_pseudo_angle(angle: Float[np.ndarray, "n"], cut: Float[np.ndarray, 
 
 
 def _distance_along(
-    table: VisibilityTable,
-    view: Int[np.ndarray, "n"],
-    unit: Float[np.ndarray, "n 2"],
-    edge: Int[np.ndarray, "n"],
+    table: VisibilityTable, view: Int[np.ndarray, "n"], unit: Float[np.ndarray, "n 2"], edge: Int[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"]:
     """Distance from each viewpoint to an edge's line along a direction; 0 where it does not look."""
     normal, offset = table.boundary.normal[edge], table.boundary.offset[edge]
