@@ -128,7 +128,11 @@ class Box:
             if column.size and not (lo <= column.min() and column.max() < hi):
                 wrapped = x.copy() if wrapped is x else wrapped
                 outside = np.isfinite(column) & ((column < lo) | (column >= hi))
-                wrapped[outside, axis] = _wrapped_coordinates(column[outside], lo, hi)
+                column, period = column[outside], hi - lo
+                above = np.mod(np.fmod(column, period) - lo, period)
+                rounding = 2 * np.spacing(np.maximum(np.abs(column), max(abs(lo), abs(hi))))
+                is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
+                wrapped[outside, axis] = np.where(is_at_seam, lo, lo + above)
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
@@ -274,11 +278,3 @@ def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:
     if len(axes) != dim:
         raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
     return tuple(as_bool("Each of Box periodic", axis) for axis in axes)
-
-
-def _wrapped_coordinates(x: Float[np.ndarray, "n"], lo: float, hi: float) -> Float[np.ndarray, "n"]:
-    period = hi - lo
-    above = np.mod(np.fmod(x, period) - lo, period)
-    rounding = 2 * np.spacing(np.maximum(np.abs(x), max(abs(lo), abs(hi))))
-    is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
-    return np.where(is_at_seam, lo, lo + above)

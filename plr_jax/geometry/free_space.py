@@ -65,7 +65,8 @@ def near_edges(segments: Segments, corner: Float[np.ndarray, "2"], side: float, 
         place = 2 * place[owner] + np.tile([[0, 0], [1, 0], [0, 1], [1, 1]], (splits.sum(), 1))
         half = side * (0.5 ** (depth + 2) + _MARGIN)
         center = corner + side * (place + 0.5) * 0.5 ** (depth + 1)
-        first, edge = _nearest_of_cells(segments, center, half, *run_members(first, owner), edge)
+        member, cell = run_members(first, owner)
+        first, edge = _nearest_of_cells(segments, center, half, cell, edge[member])
     depths, places, counts, edges = (np.concatenate(column) for column in zip(*done, strict=True))
     return NearEdges(depths, places, np.concatenate([[0], np.cumsum(counts)]), edges)
 
@@ -74,16 +75,15 @@ def _nearest_of_cells(
     segments: Segments,
     center: Float[np.ndarray, "cells 2"],
     half: float,
-    member: Int[np.ndarray, "pairs"],
     cell: Int[np.ndarray, "pairs"],
-    edge: Int[np.ndarray, "entries"],
+    edge: Int[np.ndarray, "pairs"],
 ) -> tuple[Int[np.ndarray, "cells+1"], Int[np.ndarray, "kept"]]:
     """Lists of the edges that can be the nearest in cells of one size, of those that are candidates of each."""
     first = np.searchsorted(cell, np.arange(len(center) + 1))
     counts, kept = [], []
     for part in parts(np.diff(first), _AT_ONCE):
         begin, pairs = first[part.start], slice(first[part.start], first[part.stop])
-        candidates, of_cell = edge[member[pairs]], cell[pairs]
+        candidates, of_cell = edge[pairs], cell[pairs]
         least, most = _distances(segments[candidates] - center[of_cell, None], half)
         reach = np.minimum.reduceat(most, first[part] - begin)
         is_near = least <= reach[of_cell - part.start]
