@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import mixed, runs
@@ -20,7 +19,7 @@ from plr_jax.geometry.convex_pieces import (
     convex_pieces,
 )
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
-from plr_jax.geometry.shadows import Shadows, shadows_of
+from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 from plr_jax.geometry.workspace import Workspace
@@ -39,24 +38,21 @@ GoalTurns: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "turns"], Float[np
 class SharedCells:
     """Boxes of a workspace, their free convex pieces, and which corners see them: the same for all goals.
 
-    Pairs, of a piece and a corner around which paths bend on one side, stand piece by piece.
+    Attributes:
+        corners: All corners.
+        cells: The boxes. Their sources are kinds: corners, and the sides on which paths bend around them.
+        radius: How far any point of each piece is from its center at most.
+        length: How far the corner of each pair is from the center of its piece.
+        by_center: Whether the center sees it.
+        step: In such steps distances beyond the least are kept.
     """
 
     corners: CornerVisibility
-    turns: TurnPoints
-    walls: shapely.STRtree
-    domain: Box
-    num_cells: int
-    cell: Int[np.ndarray, "pieces"]
-    pieces: Pieces
-    origin: Int[np.ndarray, "pieces"]
-    center: Float[np.ndarray, "pieces 2"]
+    cells: "FamilySources"
     radius: Float[np.ndarray, "pieces"]
-    piece: Int[np.ndarray, "pairs"]
-    kind: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]
-    by_center: Bool[np.ndarray, "pairs"]
     length: Float[np.ndarray, "pairs"]
+    by_center: Bool[np.ndarray, "pairs"]
+    step: float
 
     @staticmethod
     def of(
@@ -67,85 +63,81 @@ class SharedCells:
         hi: Float[np.ndarray, "cells 2"],
     ) -> "SharedCells":
         """Those of some boxes in a domain."""
-        walls, (pieces, cell, origin) = (
-            workspace.edge_tree,
-            clip_to_boxes(convex_pieces(workspace.free_space), lo, hi),
-        )
-        pieces, origin, stays, _ = filled(cell, pieces, origin, walls, (lo, hi))
+        points, step = corners.corners.points, _STEP * float(domain.width.max())
+        cones, turns = SharedCones(points, 2 * len(points), step), _turns_by_side(corners.corners)
+        sight = Sight(cones, shadows_of(corners.table), turns, workspace.edge_tree)
+        pieces, cell, origin = clip_to_boxes(convex_pieces(workspace.free_space), lo, hi)
+        pieces, origin, stays, _ = filled(cell, pieces, origin, sight.walls, (lo, hi))
         cell, pieces, origin = cell[stays], pieces[:, stays], origin[stays]
-        center = centers(pieces)
+        center, bounds = centers(pieces), _seen_boxes(corners.table)
         radius = np.sqrt(np.square(pieces - center.T[:, :, None]).sum(axis=0).max(axis=1))
-        turns, shadows, bounds = (
-            _turns_by_side(corners.corners),
-            shadows_of(corners.table),
-            _seen_boxes(corners.table),
-        )
-        parts, step = [np.zeros((4, 0), np.int64)], max(1, _AT_ONCE // max(1, len(corners.corners.points)))
-        for begin in range(0, len(cell), step):
-            part = slice(begin, begin + step)
-            piece, *found = _pairs_of_pieces(pieces[:, part], center[part], shadows, bounds, turns)
+        parts, at_once = [np.zeros((4, 0), np.int64)], max(1, _AT_ONCE // max(1, len(points)))
+        for begin in range(0, len(cell), at_once):
+            part = slice(begin, begin + at_once)
+            piece, *found = _pairs_of_pieces(pieces[:, part], center[part], sight, bounds)
             parts.append(np.stack([begin + piece, *found]))
         piece, kind, by_all, by_center = np.concatenate(parts, axis=1)
-        length = np.linalg.norm(center[piece] - corners.corners.points[kind >> 1], axis=1)
-        of_pieces, of_pairs = (cell, pieces, origin, center, radius), (piece, kind, by_all > 0, by_center > 0, length)
-        return SharedCells(corners, turns, walls, domain, len(lo), *of_pieces, *of_pairs)
+        length = np.linalg.norm(center[piece] - points[kind >> 1], axis=1)
+        unknown = np.full(len(cell), np.inf), np.zeros(len(cell), np.int64)
+        of_pieces = cell, pieces, origin, center, *unknown
+        cells = FamilySources(sight, len(lo), *of_pieces, piece, kind, by_all > 0)
+        return SharedCells(corners, cells, radius, length, by_center > 0, step)
 
     def of_goals(
         self, goals: Sequence[GoalTurns]
     ) -> tuple["FamilySources", UInt64[np.ndarray, "distinct"], Int[np.ndarray, "goals cells"]]:
         """The distinct cells of all goals, their keys, and which one each cell of each goal is, -1 if it has none."""
-        table = joined_tables([self.corners.table, *(table for table, _, _ in goals)])
-        cones = SharedCones(table.points, len(self.turns.points), _STEP * float(self.domain.width.max()))
-        sight = Sight(cones, shadows_of(table), self.turns, self.walls)
+        cells, table = self.cells, joined_tables([self.corners.table, *(table for table, _, _ in goals)])
+        cones = SharedCones(table.points, len(cells.sight.turns.points), self.step)
+        sight = replace(cells.sight, cones=cones, shadows=shadows_of(table))
         # First all cells of all goals: each goal's one after the other, and the pairs of these by piece and kind.
         of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight)
         order = np.lexsort((kind, piece, of_goal))
-        row, piece = np.unique(of_goal[order] * len(self.cell) + piece[order], return_inverse=True)
-        number, row = np.divmod(row, len(self.cell))
-        node, cell = np.unique(number * self.num_cells + self.cell[row], return_inverse=True)
+        row, piece = np.unique(of_goal[order] * len(cells.cell) + piece[order], return_inverse=True)
+        number, row = np.divmod(row, len(cells.cell))
+        node, cell = np.unique(number * cells.num_cells + cells.cell[row], return_inverse=True)
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
         source = cones.numbers(kind[order], distance[order] - least[cell[piece]])
-        unknown = np.full(len(row), np.inf), np.zeros(len(row), np.int64)
-        of_pieces = self.pieces[:, row], self.origin[row], self.center[row], *unknown
-        found = FamilySources(sight, len(node), cell, *of_pieces, piece, source, by_all[order])
+        found = replace(cells._of_pieces(row), sight=sight, num_cells=len(node), cell=cell)
+        found = replace(found, piece=piece, source=source, by_all=by_all[order])
         # Then those that differ by more than a constant.
-        box = mixed(node % self.num_cells)
+        box = mixed(node % cells.num_cells)
         first, index = _distinct(found.keys(box))
         by_center = by_center[order][np.isin(cell[piece], first)]
         found = found.of_cells(first)
         found = undominated(found, np.ones(len(found.cell), bool), by_center).counted_from_least()
-        result = np.full(len(goals) * self.num_cells, -1)
+        result = np.full(len(goals) * cells.num_cells, -1)
         result[node] = np.where(np.diff(found.first_piece)[index] > 0, index, -1)
-        return found, found.keys(box[first]), result.reshape(len(goals), self.num_cells)
+        return found, found.keys(box[first]), result.reshape(len(goals), cells.num_cells)
 
     def _pairs(self, goals: Sequence[GoalTurns], sight: Sight) -> tuple[np.ndarray, ...]:
         """Goal, piece, kind, distance, and whether all of it or its center is seen, of all pairs that may matter."""
-        columns, table, num_kinds = [], sight.shadows.table, len(self.turns.points)
-        (lowest, highest), (lo, hi) = (self.pieces.min(axis=2).T, self.pieces.max(axis=2).T), _seen_boxes(table)
-        first = np.flatnonzero(np.append(True, np.diff(self.piece) > 0)[: len(self.piece)])
-        of_first, radius = self.piece[first], self.radius[self.piece]
+        cells, table, columns = self.cells, sight.shadows.table, []
+        (lowest, highest), (lo, hi) = (cells.pieces.min(axis=2).T, cells.pieces.max(axis=2).T), _seen_boxes(table)
+        first, num_corners = np.unique(cells.piece, return_index=True)[1], len(self.corners.corners.points)
+        of_first, radius = cells.piece[first], self.radius[cells.piece]
         for number, (_, kinds, distances) in enumerate(goals):
-            view = num_kinds // 2 + number
+            view = num_corners + number
             near = np.flatnonzero(((lowest <= hi[view]) & (highest >= lo[view])).all(axis=1))
-            by_center, alike = sight.shadows.see(np.full(len(near), view), self.pieces[:, near], self.center[near])
+            by_center, alike = sight.shadows.see(np.full(len(near), view), cells.pieces[:, near], cells.center[near])
             some = by_center | ~alike
             near, by_center, by_all = near[some], by_center[some], (by_center & alike)[some]
             goal, kind, none = np.full(len(near), number), np.full(len(near), 2 * view), np.zeros(len(near))
             columns.append((goal, near, kind, none, by_all, by_center))
             # Of corners those by which the way to some point of the piece may be shorter than another one is to all.
-            most = np.full(len(self.cell), np.inf)
-            beyond = np.linalg.norm(self.center[near] - table.points[view], axis=1) + self.radius[near]
+            most = np.full(len(cells.cell), np.inf)
+            beyond = np.linalg.norm(cells.center[near] - table.points[view], axis=1) + self.radius[near]
             most[near[by_all]] = beyond[by_all]
-            distance = np.full(num_kinds, np.inf)
+            distance = np.full(2 * num_corners, np.inf)
             distance[kinds] = distances
-            distance = distance[self.kind]
+            distance = distance[cells.source]
             way = distance + self.length
             if len(first):
-                farthest = np.minimum.reduceat(np.where(self.by_all, way + radius, np.inf), first)
+                farthest = np.minimum.reduceat(np.where(cells.by_all, way + radius, np.inf), first)
                 most[of_first] = np.minimum(most[of_first], farthest)
-            near = np.flatnonzero((way - radius <= most[self.piece] + sight.tolerance) & np.isfinite(way))
-            of_pairs = self.piece, self.kind, distance, self.by_all, self.by_center
+            near = np.flatnonzero((way - radius <= most[cells.piece] + sight.tolerance) & np.isfinite(way))
+            of_pairs = cells.piece, cells.source, distance, cells.by_all, self.by_center
             columns.append((np.full(len(near), number), *(column[near] for column in of_pairs)))
         return tuple(np.concatenate(column) for column in zip(*columns, strict=True))
 
@@ -224,10 +216,10 @@ def _seen_boxes(table: VisibilityTable) -> tuple[Float[np.ndarray, "views 2"], F
 
 
 def _pairs_of_pieces(
-    pieces: Pieces, center: Float[np.ndarray, "pieces 2"], shadows: Shadows, bounds: Bounds, turns: TurnPoints
+    pieces: Pieces, center: Float[np.ndarray, "pieces 2"], sight: Sight, bounds: Bounds
 ) -> tuple[np.ndarray, ...]:
     """Pieces, kinds of turns that are seen from some of each, and whether from all, and from its center."""
-    lo, hi = bounds
+    (lo, hi), turns = bounds, sight.turns
     near = np.ones((pieces.shape[1], len(lo)), bool)
     for along, low, high in zip(pieces, lo.T, hi.T, strict=True):
         near &= (along.min(axis=1)[:, None] <= high) & (along.max(axis=1)[:, None] >= low)
@@ -237,7 +229,7 @@ def _pairs_of_pieces(
         height = np.max(pieces[0][:, :, None] * normal[:, 0] + pieces[1][:, :, None] * normal[:, 1], axis=1)
         kinds.append(near & (height >= (normal * points).sum(axis=1) - turns.slack))
     piece, view = np.nonzero(kinds[0] | kinds[1])
-    seen, alike = shadows.see(view, pieces[:, piece], center[piece])
+    seen, alike = sight.shadows.see(view, pieces[:, piece], center[piece])
     some = seen | ~alike
     piece, view, seen, by_all = piece[some], view[some], seen[some], (seen & alike)[some]
     sides = np.stack([kinds[0][piece, view], kinds[1][piece, view]], axis=1)
