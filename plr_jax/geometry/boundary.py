@@ -224,7 +224,8 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
         require_time(deadline, "the obstacles were grown")
-        collars = list(shapely.polygons(strips[begin : begin + _COLLARS]))
+        collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
+        collars = collars.tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
             rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])

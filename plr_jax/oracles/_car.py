@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -55,20 +55,14 @@ class _Car(ABC):
 
     goal: Pose
     radius: float
+    is_lower_bound: ClassVar[bool] = True
+    """True: obstacles make no path shorter."""
+    dim: ClassVar[int] = 3
+    """Number of coordinates of a pose: 3."""
 
     def __init__(self, goal: ArrayLike, radius: float | int):
         goal = as_finite_point("The goal pose", goal, 3)
         vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: obstacles make no path shorter."""
-        return True
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a pose: 3."""
-        return 3
 
     @property
     def radial_part(self) -> RadialPart:

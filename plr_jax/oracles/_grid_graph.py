@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,6 +48,8 @@ class GridGraph:
     free: Bool[np.ndarray, "rows columns"]
     connectivity: int
     goal: Float[np.ndarray, "2"] | None
+    dim: ClassVar[int] = 2
+    """Number of coordinates of a point."""
 
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
@@ -58,11 +61,6 @@ class GridGraph:
     def __repr__(self) -> str:
         rows, columns = self.free.shape
         return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a point."""
-        return 2
 
     def with_goal(self, goal: ArrayLike) -> "GridGraph":
         """The same grid with another goal.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import shapely
@@ -79,7 +79,7 @@ def write_visibility(
     geometries = [np.frombuffer(shapely.to_wkb(each), np.uint8) for each in geometries]
     bounds = np.stack([workspace.bounds.lo, workspace.bounds.hi])
     of_corners = table.cut, table.first, table.key, table.edge, corners.edges
-    values = _VERSION, bounds, workspace.squeeze, *geometries, goal, *of_corners
+    values: Any = _VERSION, bounds, workspace.squeeze, *geometries, goal, *of_corners
     np.savez(file, **dict(zip(_ARRAYS, values, strict=True)))
     write_atomically(path, file.getvalue())
 
@@ -193,6 +193,10 @@ class VisibilityGraph:
     _turns: TurnPoints
     _goal_edges: Int[np.ndarray, "edges 2"]
     _pairs: PairDistances
+    is_lower_bound: ClassVar[bool] = True
+    """True: no path of a robot whose reference point keeps to its free space is shorter."""
+    dim: ClassVar[int] = 2
+    """Number of coordinates of a point: 2."""
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
@@ -254,16 +258,6 @@ class VisibilityGraph:
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: no path of a robot whose reference point keeps to its free space is shorter."""
-        return True
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a point: 2."""
-        return 2
 
     @property
     def num_bytes(self) -> int:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import shapely
@@ -102,23 +102,23 @@ class VisibleSources:
         """The order of sources in which the first of equals is taken."""
         return self.sight.cones.kind[source]
 
-    def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
+    def of_cells(self: Found, cells: Int[np.ndarray, "some"]) -> Found:
         """The same of some of the cells, in another order perhaps, and perhaps repeated."""
         rows, cell = run_members(self.first_piece, cells)
         return replace(self._of_pieces(rows), num_cells=len(cells), cell=cell)
 
-    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
+    def pieces_as_cells(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         """Those of some pieces, each a cell of its own."""
         return replace(self._of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
-    def _of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
+    def _of_pieces(self: Found, rows: Int[np.ndarray, "some"]) -> Found:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = run_members(self.first_pair, rows)
         columns = {name: getattr(self, name)[rows] for name in ("cell", "origin", "center", "distance", "best")}
         return replace(self._of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
-    def _of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
+    def _of_pairs(self: Found, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Found:
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def parts(
@@ -128,13 +128,13 @@ class VisibleSources:
         return settled_cells(*self.cut(parent, axis, is_upper, lo, hi), lo, hi)
 
     def cut(
-        self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
-    ) -> tuple[Self, Bool[np.ndarray, "some"]]:
+        self: Found, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
+    ) -> tuple[Found, Bool[np.ndarray, "some"]]:
         """Parts of the cells with the pairs of these, before anything is asked of them, and which pieces were cut."""
         pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
         return replace(self._of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
 
-    def append(self, *others: Self) -> Self:
+    def append(self: Found, *others: Found) -> Found:
         """Of these cells followed by others."""
         several = (self, *others)
         columns = {

@@ -93,14 +93,16 @@ class SharedCells:
         # First all cells of all goals: each goal's one after the other, and the pairs of these by piece and kind.
         of_goal, piece, kind, distance, by_all, by_center = self._pairs(goals, sight)
         order = np.lexsort((kind, piece, of_goal))
-        row, piece = np.unique(of_goal[order] * len(cells.cell) + piece[order], return_inverse=True)
+        row, piece = _numbered((of_goal * len(cells.cell) + piece)[order])
         number, row = np.divmod(row, len(cells.cell))
-        node, cell = np.unique(number * cells.num_cells + cells.cell[row], return_inverse=True)
+        node, cell = _numbered(number * cells.num_cells + cells.cell[row])
         least = np.full(len(node), np.inf)
         np.minimum.at(least, cell[piece], distance[order])
         source = cones.numbers(kind[order], distance[order] - least[cell[piece]])
-        found = replace(cells._of_pieces(row), sight=sight, num_cells=len(node), cell=cell)
-        found = replace(found, piece=piece, source=source, by_all=by_all[order])
+        columns = {name: getattr(cells, name)[row] for name in ("origin", "center", "distance", "best")}
+        columns |= {"cell": cell, "pieces": cells.pieces[:, row]}
+        of_pairs = {"piece": piece, "source": source, "by_all": by_all[order]}
+        found = replace(cells, sight=sight, num_cells=len(node), **columns, **of_pairs)
         # Then those that differ by more than a constant.
         box = mixed(node % cells.num_cells)
         first, index = _distinct(found.keys(box))
@@ -186,6 +188,12 @@ class FamilySources(VisibleSources):
             rows = np.flatnonzero(beyond > 0)
             column[rows] = cones.numbers(cones.kind[column[rows]], distances[column[rows]] - beyond[rows])
         return replace(self, source=source, best=best, distance=distance)
+
+
+def _numbered(keys: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
+    """Of ascending numbers the distinct ones, and which of these each is."""
+    new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
+    return keys[new], np.cumsum(new) - 1
 
 
 def _distinct(keys: UInt64[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "distinct"], Int[np.ndarray, "n"]]:
