@@ -47,7 +47,12 @@ class Box:
                 f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
                 f"on axis {axis}."
             )
-        vars(self).update(lo=lo, hi=hi, periodic=_checked_periodic(periodic, lo.size))
+        axes = (False,) * lo.size if periodic is None else periodic
+        axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
+        if len(axes) != lo.size:
+            raise ValueError(f"Box periodic must be {lo.size} bools, one an axis, got {shortened(periodic)}.")
+        periodic = tuple(as_bool("Each of Box periodic", axis) for axis in axes)
+        vars(self).update(lo=lo, hi=hi, periodic=periodic)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
@@ -269,12 +274,3 @@ class Slice:
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers
         return points
-
-
-def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:
-    if periodic is None:
-        return (False,) * dim
-    axes = tuple(periodic) if isinstance(periodic, Iterable) else (periodic,)
-    if len(axes) != dim:
-        raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
-    return tuple(as_bool("Each of Box periodic", axis) for axis in axes)

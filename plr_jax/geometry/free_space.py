@@ -99,9 +99,7 @@ def _distances(
     (ax, ay), (bx, by) = segments[:, 0].T, segments[:, 1].T
     dx, dy = bx - ax, by - ay
     corners = [distance_to_segment(ax - x, ay - y, dx, dy) for x in (-half, half) for y in (-half, half)]
-    ends = [
-        np.hypot(np.maximum(np.abs(x) - half, 0), np.maximum(np.abs(y) - half, 0)) for x, y in ((ax, ay), (bx, by))
-    ]
+    ends = np.hypot(*np.maximum(np.abs(segments) - half, 0).T)
     meets = np.abs(ax * dy - ay * dx) <= half * (np.abs(dx) + np.abs(dy))
     for a, b in ((ax, bx), (ay, by)):
         meets &= (np.minimum(a, b) <= half) & (np.maximum(a, b) >= -half)
@@ -214,14 +212,11 @@ class FreeSpace:
         x = np.asarray(x, np.float64) if on_host else jnp.asarray(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"x must be points of shape (..., 2), got {x.shape}.")
-        return _clearance(self, x - np.asarray(self.origin, np.float64).sum(axis=0) if on_host else _placed(self, x))
-
-
-def _placed(space: FreeSpace, x: Array) -> Float[Array, "*batch 2"]:
-    """Points counted from the origin of the tables."""
-    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    first, rest = (jnp.broadcast_to(part, x.shape) for part in space.origin.astype(x.dtype))
-    return (x - first) - rest
+        if on_host:
+            return _clearance(self, x - np.asarray(self.origin, np.float64).sum(axis=0))
+        x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+        first, rest = (jnp.broadcast_to(part, x.shape) for part in self.origin.astype(x.dtype))
+        return _clearance(self, (x - first) - rest)
 
 
 @jax.jit

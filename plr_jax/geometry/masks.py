@@ -130,8 +130,14 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
-    farthest = _farthest(stations, tolerance * (1 - 1e-9))
-    is_kept = _greedy(stations, farthest)
+    # The longest links are kept, one after the other from the first station of each ring.
+    onward, kept = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
+    for at in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
+        kept.append(at)
+        while onward[kept[-1]] != kept[-1]:
+            kept.append(onward[kept[-1]])
+    is_kept = np.zeros(len(onward), dtype=bool)
+    is_kept[kept] = True
     while (undone := _unwanted(stations, is_kept, tolerance)).any():
         first, last = _links(stations, is_kept)
         for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
@@ -212,20 +218,6 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
         goes_on = (least <= most) & (at < stations.end[begin])
         begin, axis, least, most, length = (each[goes_on] for each in (begin, axis, least, most, length))
     return farthest
-
-
-def _greedy(stations: _Stations, farthest: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Which stations the longest links join, one after the other from the first of each ring."""
-    onward, is_kept = farthest.tolist(), np.zeros(len(farthest), dtype=bool)
-    firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
-    kept = []
-    for at in firsts.tolist():
-        kept.append(at)
-        while onward[at] != at:
-            at = onward[at]
-            kept.append(at)
-    is_kept[kept] = True
-    return is_kept
 
 
 def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
