@@ -136,8 +136,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
         kept.append(at)
         while onward[kept[-1]] != kept[-1]:
             kept.append(onward[kept[-1]])
-    is_kept = np.zeros(len(onward), dtype=bool)
-    is_kept[kept] = True
+    is_kept = np.isin(np.arange(len(onward)), kept)
     while (undone := _unwanted(stations, is_kept, tolerance)).any():
         first, last = _links(stations, is_kept)
         for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
@@ -234,7 +233,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
     is_inexact = num_corners[last] > num_corners[first + 1]
     near = _near(stations.points[np.stack([first, last], axis=1)])
     if tolerance > 0.5:  # below, what is apart by a pixel cannot change sides
-        near |= _surrounding(stations, first, last, is_inexact)
+        near[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
     return is_inexact & near
 
 
@@ -243,15 +242,14 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
-    is_near, (is_joined, folded) = np.zeros(len(links), dtype=bool), np.zeros((2, len(a)), dtype=bool)
+    is_joined, folded = np.zeros((2, len(a)), dtype=bool)
     for end, other in product((0, 1), repeat=2):
         shared = (links[a, end] == links[b, other]).all(axis=1)
         is_joined |= shared
         to_a, to_b = _distance(links[b, 1 - other], links[a]), _distance(links[a, 1 - end], links[b])
         folded |= shared & (np.minimum(to_a, to_b) < CLEARANCE)
     is_bad = folded | ~is_joined
-    is_near[a[is_bad]] = is_near[b[is_bad]] = True
-    return is_near
+    return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
 
 def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
@@ -260,20 +258,16 @@ def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2
 
 
 def _surrounding(
-    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"], is_inexact: Bool[np.ndarray, "m"]
+    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
 ) -> Bool[np.ndarray, "m"]:
     """Which links have another ring between them and the outline that they replace."""
-    links = np.flatnonzero(is_inexact)
-    owner, place = runs(last[links] - first[links] + 1)
-    at = first[links][owner] + place
-    between: Any = shapely.polygons(shapely.linearrings(stations.points[at], indices=owner))
+    owner, place = runs(last - first + 1)
+    between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
     points = shapely.points(stations.points[firsts])
-    point, polygon = shapely.STRtree(between).query(points, predicate="within")
-    other = stations.ring[firsts[point]] != stations.ring[first[links[polygon]]]
-    result = np.zeros(len(first), dtype=bool)
-    result[links[polygon[other]]] = True
-    return result
+    point, link = shapely.STRtree(between).query(points, predicate="within")
+    other = stations.ring[firsts[point]] != stations.ring[first[link]]
+    return np.isin(np.arange(len(first)), link[other])
 
 
 _ALL_AROUND = np.ones((3, 3), dtype=bool)

@@ -63,7 +63,7 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
                 f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
                 f"tighten the domain around free space, or check is_free."
             )
-    return np.concatenate(accepted)[:num_samples], metric.volume * num_free / num_drawn
+    return np.concatenate(accepted)[:num_samples], float(np.prod(metric.widths)) * num_free / num_drawn
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
@@ -344,7 +344,8 @@ class Roadmap:
         """Distance of points, and the vertex that each goes to first: -1 if it is not free or sees none."""
         answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
-        while pending.size and inner < self._metric.diameter:
+        diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
+        while pending.size and inner < diameter:
             answer[pending], first[pending] = self._connect(x[pending], inner, outer)
             pending = pending[first[pending] < 0]
             inner, outer = outer, 2 * outer

@@ -138,6 +138,4 @@ def meet_walls(
     """Whether a wall reaches into each box."""
     boxes: Any = shapely.box(*lo.T, *hi.T)
     box, wall = walls.query(boxes, predicate="intersects")
-    met = np.zeros(len(lo), bool)
-    met[box[~shapely.touches(boxes[box], walls.geometries[wall])]] = True
-    return met
+    return np.isin(np.arange(len(lo)), box[~shapely.touches(boxes[box], walls.geometries[wall])])
