@@ -105,7 +105,9 @@ def cut_parts(
     is_upper: PartSide,
     lo: PartCorner,
     hi: PartCorner,
-) -> tuple[Pieces, Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]]:
+) -> tuple[
+    Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
+]:
     """What of cells' pieces lies in parts of the cells: in boxes, each cut from a cell along one axis.
 
     Args:

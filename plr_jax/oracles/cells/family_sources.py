@@ -30,7 +30,7 @@ _STEP = 2.0**-44  # of the domain's width: in such steps distances beyond the le
 _AT_ONCE = 1 << 16  # pairs of a piece and a viewpoint
 
 Bounds: TypeAlias = tuple[Float[np.ndarray, "views 2"], Float[np.ndarray, "views 2"]]
-GoalTurns: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "turns"], Float[np.ndarray, "turns"]]
+GoalTurns: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "_"], Float[np.ndarray, "_"]]
 """What a goal sees, and the kinds of the corners that may bend a shortest path to it, with their distances."""
 
 
@@ -64,6 +64,7 @@ class SharedCells:
     ) -> "SharedCells":
         """Those of some boxes in a domain."""
         points, step = corners.corners.points, _STEP * float(domain.width.max())
+        # No source has a number yet: that takes the distances of goals.
         cones, turns = SharedCones(points, 2 * len(points), step), _turns_by_side(corners.corners)
         sight = Sight(cones, shadows_of(corners.table), turns, workspace.edge_tree)
         pieces, cell, origin = clip_to_boxes(convex_pieces(workspace.free_space), lo, hi)
