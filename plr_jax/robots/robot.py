@@ -47,7 +47,7 @@ class Robot(ABC):
     @cached_property
     def breadth(self) -> float:
         """Smallest distance of two parallel lines between which the robot fits."""
-        across = _offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
+        across = side_offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
         return float(across) + 2 * self.rounding
 
     @cached_property
@@ -75,7 +75,7 @@ def check_body(name: str, robot: Robot) -> None:
         )
     slack = _ROUNDING * robot.circumscribed_radius
     sides = np.roll(core, -1, axis=0) - core
-    if len(core) > 1 and ((sides == 0).all(axis=1).any() or _offsets(core, core).min() < -slack):
+    if len(core) > 1 and ((sides == 0).all(axis=1).any() or side_offsets(core, core).min() < -slack):
         raise ValueError(
             f"{name} must be convex, its vertices counterclockwise and each given once, got {core.tolist()}."
         )
@@ -86,7 +86,7 @@ def check_body(name: str, robot: Robot) -> None:
         )
 
 
-def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
+def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
     """How far points lie to the left of each side of a polygon."""
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
@@ -94,7 +94,7 @@ def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Flo
 
 def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
     """Distance of the origin to the boundary of a convex polygon, negative if it is outside."""
-    if len(core) > 2 and (depth := float(_offsets(core, np.zeros((1, 2))).min())) >= 0:
+    if len(core) > 2 and (depth := float(side_offsets(core, np.zeros((1, 2))).min())) >= 0:
         return depth
     side = np.roll(core, -1, axis=0) - core
     return -float(distance_to_segment(*core.T, *side.T).min())
