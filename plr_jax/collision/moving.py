@@ -24,6 +24,7 @@ _MAX_BISECTIONS = 12
 _CORNERS = 1 << 16  # of bodies at a time, between two looks at the clock, which bounds the temporaries as well
 
 Column: TypeAlias = Float[np.ndarray, "n"]
+Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
@@ -36,11 +37,6 @@ class MovingBodies(NamedTuple):
     dx: Column
     dy: Column
     turn: Column
-
-    @property
-    def num_corners(self) -> int:
-        """Corners of each, or the numbers that its size holds."""
-        return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
         """The bodies of some columns, by index, mask or slice."""
@@ -66,8 +62,9 @@ def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]]
-"""A kernel: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not."""
+# What a kernel says: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not.
+Verdict: TypeAlias = tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]
+Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
 
 
 def bisect(
@@ -81,7 +78,8 @@ def bisect(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    k, m = a.num_corners, b.num_corners
+    # Of corners, or of the numbers that sizes hold.
+    k, m = (len(body.size) if body.size.ndim == 2 else body.size.shape[1] for body in (a, b))
     # Where a distance is to be kept, every corner meets every other.
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))
     apart = np.ones(len(a.x), dtype=bool)
@@ -89,8 +87,8 @@ def bisect(
     while waiting:
         a, b, owner, bisections = waiting.pop()
         if len(owner) > size:
-            parts = [slice(begin, begin + size) for begin in range(0, len(owner), size)]
-            waiting += [(a.take(part), b.take(part), owner[part], bisections) for part in parts]
+            for part in (slice(begin, begin + size) for begin in range(0, len(owner), size)):
+                waiting.append((a.take(part), b.take(part), owner[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
         clear, hit = judge(a, b, reach)
@@ -104,7 +102,7 @@ def bisect(
     return apart
 
 
-def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> tuple[Column, Column]:
+def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
     """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
 
     These are the bulges of the offset between the two and of the other body's turn, as seen from the one. Their
@@ -113,14 +111,12 @@ def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
-    of_a, of_b = (
-        (far * body.turn**2 + 2 * speed * np.abs(body.turn) + rim * relative) / 8
-        for body, rim in ((a, rim_b), (b, rim_a))
-    )
+    turns = (a.turn, rim_b), (b.turn, rim_a)
+    of_a, of_b = ((far * turn**2 + 2 * speed * np.abs(turn) + rim * relative) / 8 for turn, rim in turns)
     return of_a, of_b
 
 
-def across_motion(a: MovingBodies, b: MovingBodies) -> tuple[Column, Column]:
+def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     """The unit normal of the relative motion, the y axis where there is none."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)

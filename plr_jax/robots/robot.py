@@ -21,13 +21,14 @@ class Robot(ABC):
     position, and the heading by which the body is turned about it. It must be a point of the body: where it cannot
     be, the robot cannot be, and its way is what distances measure. Robots of one shape must be equal and hash alike,
     as frozen dataclasses do.
+
+    Attributes:
+        rounding: Radius by which the core is rounded, in workspace units, at least 0.
+        dof: Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading.
     """
 
     rounding: float
-    """Radius by which the core is rounded, in workspace units, at least 0."""
-
     dof: int
-    """Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading."""
 
     @property
     @abstractmethod
@@ -37,7 +38,10 @@ class Robot(ABC):
     @cached_property
     def inscribed_radius(self) -> float:
         """Radius of the largest disc about the reference point within the robot; negative if it is outside."""
-        return self.rounding + _depth_of_origin(self.core)
+        core = self.core
+        if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
+            return self.rounding + float(depth)
+        return self.rounding - float(distance_to_segment(*core.T, *(np.roll(core, -1, axis=0) - core).T).min())
 
     @cached_property
     def circumscribed_radius(self) -> float:
@@ -90,14 +94,6 @@ def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) ->
     """How far points lie to the left of each side of a polygon."""
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
-
-
-def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
-    """Distance of the origin to the boundary of a convex polygon, negative if it is outside."""
-    if len(core) > 2 and (depth := float(side_offsets(core, np.zeros((1, 2))).min())) >= 0:
-        return depth
-    side = np.roll(core, -1, axis=0) - core
-    return -float(distance_to_segment(*core.T, *side.T).min())
 
 
 # Configurations: where they place a body, and the straight motions between them.

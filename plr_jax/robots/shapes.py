@@ -104,7 +104,19 @@ class RectangleRobot(Robot):
         return _CORNERS * np.array([self.length, self.width]) / 2
 
 
-# A disc.
+# A point, and a disc.
+
+
+@dataclass(frozen=True)
+class PointRobot(Robot):
+    """A point that translates in the plane: its configuration is its position ``(x, y)``.
+
+    Points never collide with one another, nor with a wall that they only touch.
+    """
+
+    rounding = 0.0
+    dof = 2
+    core = np.zeros((1, 2))
 
 
 @dataclass(frozen=True, init=False)
@@ -120,28 +132,8 @@ class DiscRobot(Robot):
 
     radius: float
     dof = 2
+    core = PointRobot.core
 
     def __init__(self, radius: Any):
         object.__setattr__(self, "radius", as_finite("DiscRobot radius", radius, positive=True))
         object.__setattr__(self, "rounding", self.radius)
-
-    @property
-    def core(self) -> Float[np.ndarray, "1 2"]:
-        """Its center."""
-        return np.zeros((1, 2))
-
-
-@dataclass(frozen=True)
-class PointRobot(Robot):
-    """A point that translates in the plane: its configuration is its position ``(x, y)``.
-
-    Points never collide with one another, nor with a wall that they only touch.
-    """
-
-    rounding = 0.0
-    dof = 2
-
-    @property
-    def core(self) -> Float[np.ndarray, "1 2"]:
-        """The point itself."""
-        return np.zeros((1, 2))

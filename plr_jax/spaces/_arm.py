@@ -15,14 +15,12 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import shorter_turn
-from plr_jax.spaces._plane import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._plane import come_near, crosses_walls, distances_of_segments, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
 _MOST_BISECTIONS = 12
-_SIDES = 12
-"""Corners of the polygons around what ends of links sweep: they reach 3.5 % farther than the discs within them."""
-
+_SIDES = 12  # of the polygons around what ends of links sweep, which reach 3.5 % farther than the discs within them
 _PROBES = np.array([0.0, 0.5, 1.0])  # shares of each link at which it is looked for in obstacles
 
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
@@ -198,10 +196,14 @@ class PlanarArm:
     def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         """Whether all that the arm covers within boxes of angles certainly is clear."""
         ends, reaches = self.forward(center), half @ self._spans
+        angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
         free = np.ones(len(center), dtype=bool)
         for i in reversed(range(self.dof)):
             rows = np.flatnonzero(free)
-            hulls = _hulls(ends[rows, i : i + 2], reaches[rows, i : i + 2])
+            # Convex polygons around the link: its ends move by their reaches, a point between by as much between.
+            points = ends[rows, i : i + 2, None] + reaches[rows, i : i + 2, None, None] * rim
+            hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(rows), 2 * _SIDES, 2)))
             free[rows] = shapely.covers(self.workspace.free_space, hulls)
             if self.width > 0:
                 rows, hulls = rows[free[rows]], hulls[free[rows]]
@@ -243,11 +245,3 @@ class PlanarArm:
         """How far points of the later link of pairs move at most as seen from the other within boxes."""
         moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._pairs]
         return np.reshape(moves, (len(self._pairs), len(half))).T
-
-
-def _hulls(links: Links, reaches: Float[np.ndarray, "n 2"]) -> Any:
-    """Convex polygons around links whose ends move by some reaches: a point between them moves by as much between."""
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
-    points = links[:, :, None] + reaches[:, :, None, None] * rim
-    return shapely.convex_hull(shapely.linestrings(points.reshape(len(links), 2 * _SIDES, 2)))

@@ -76,10 +76,11 @@ def come_near(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     return near
 
 
+# Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances.
 _SLIVER = 0.01
-"""Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances."""
 
 
+@dataclass(frozen=True)
 class BodySpace:
     """What the spaces of one robot in a workspace share: its motions, as its motion test judges them."""
 
@@ -143,7 +144,6 @@ class PlaneSpace(BodySpace):
         ValueError: If the robot is another, or nothing is free for it.
     """
 
-    workspace: Workspace
     robot: Robot = field(default_factory=PointRobot)
 
     def __post_init__(self):
@@ -183,16 +183,14 @@ class PlaneSpace(BodySpace):
         center, half = as_boxes(lo, hi, 2)
         # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
-        near = come_near(self.workspace, boxes, self.robot.rounding)
+        near = np.flatnonzero(come_near(self.workspace, boxes, self.robot.rounding))
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
-        near = np.flatnonzero(near)
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
         passable = shapely.intersects(self._passable, boxes)
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
         free = np.flatnonzero(state == CellState.FREE)
-        boxes = shapely.box(*(center - half)[free].T, *(center + half)[free].T)
-        state[free[self._touch_contacts(boxes)]] = CellState.MIXED
+        state[free[self._touch_contacts(_shrunk(center[free], half[free], 0.0))]] = CellState.MIXED
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
@@ -214,17 +212,15 @@ class PlaneSpace(BodySpace):
         sees = np.zeros(len(q), dtype=bool)
         if self.robot.circumscribed_radius > 0:
             return sees
-        boxes: Any = shapely.box(*(center - half).T, *(center + half).T)
-        parts: Any = shapely.intersection(self.workspace.free_space, boxes)
-        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (
-            shapely.get_num_interior_rings(parts) == 0
-        )
+        parts: Any = shapely.intersection(self.workspace.free_space, _shrunk(center, half, 0.0))
+        whole = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
+        whole &= shapely.get_num_interior_rings(parts) == 0
         rings: Any = shapely.get_exterior_ring(parts[whole])
         vertices, ring = shapely.get_coordinates(rings, return_index=True)
         edge = np.flatnonzero(ring[1:] == ring[:-1])
         along, to_q = vertices[edge + 1] - vertices[edge], q[whole][ring[edge]] - vertices[edge]
         inward = np.where(shapely.is_ccw(rings), 1.0, -1.0)[ring[edge]]
-        depth = inward * (along[:, 0] * to_q[:, 1] - along[:, 1] * to_q[:, 0])
+        depth = inward * cross_product(along, to_q)
         least = np.full(np.count_nonzero(whole), np.inf)
         np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
         sees[whole] = least >= -self.workspace.tolerance / 2

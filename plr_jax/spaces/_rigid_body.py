@@ -13,14 +13,12 @@ from plr_jax._arrays import as_finite, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, come_near, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 
+# Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it.
 _WIDEST_ARC = math.pi / 3
-"""Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it."""
-
 _POINTS = 1 << 19  # of hulls at a time, which bounds the memory
 
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
@@ -43,8 +41,6 @@ class RigidBodySpace(BodySpace):
         ValueError: If the robot has no heading, or the weight is not positive and finite.
     """
 
-    workspace: Workspace
-    robot: Robot
     rotation_weight: float | int | None = None
 
     def __post_init__(self):
@@ -85,7 +81,7 @@ class RigidBodySpace(BodySpace):
         """
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _shifts(half))
+        has_room = motion_test(self.workspace, self.robot).has_room(*center[:, :2].T, _motions(half, 0.0))
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
@@ -168,11 +164,6 @@ class RigidBodySpace(BodySpace):
         return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)
 
 
-def _shifts(half: Boxes) -> Float[np.ndarray, "n"]:
-    """How far positions of each box are from its center at most."""
-    return np.hypot(half[:, 0], half[:, 1])
-
-
 def _motions(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
     """How far a point of the body at a radius moves at most from the center of each box."""
-    return _shifts(half) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
+    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
