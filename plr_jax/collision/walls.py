@@ -55,7 +55,7 @@ class MotionTest:
         # A point's walls are looked up by the workspace, whatever the length of its motion.
         self._longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
-        # The clearance of each cell's center, and the edges within reach: of cell i those from first[i] to first[i + 1].
+        # The clearance of each center, and the edges within its reach: of cell i those from first[i] to first[i + 1].
         segments: Any = shapely.linestrings(workspace.boundary.segments)
         tree = shapely.STRtree(segments)
         counts, edges, clearance = [], [], []
