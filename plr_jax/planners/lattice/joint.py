@@ -50,6 +50,7 @@ class Ends(NamedTuple):
     cost: Float[np.ndarray, "*robots 2 2 primitives"]
 
 
+OfKinds: TypeAlias = Sequence[Float[np.ndarray, "_ _"]]  # of each kind, a row of numbers a robot
 Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
 
 
@@ -279,7 +280,7 @@ def kinds_of(joint: JointLattice) -> list[Kind]:
     return kinds
 
 
-def by_robot(kinds: Sequence[Kind], values: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+def by_robot(kinds: Sequence[Kind], values: OfKinds) -> list[Float[np.ndarray, "_"]]:
     """What is known of each kind's robots, as rows in the order of the team."""
     order = np.argsort(np.concatenate([kind.members for kind in kinds]))
     rows = [row for of_kind in values for row in of_kind]
