@@ -51,13 +51,13 @@ def test_every_test_of_motions_knows_the_deadline():
     lattices, budget = build(scenes.crowd(25)), search_budget()
     budget.deadline = LONG_AGO
     searches = Searches(lattices, None, 2.0, BLOptions(), budget)
-    assert searches.lacam
+    assert "lacam" in searches.running
     with pytest.raises(TimeoutError):
         heuristic_table(lattices.joint, searches.tables, 2.0, None, LONG_AGO)
     with pytest.raises(TimeoutError):
         Conflicts(lattices.kinds, 1e-9, searches.held).of(0, np.arange(5), 0)
     with pytest.raises(TimeoutError):
-        searches.lacam.moves(np.arange(25))
+        searches.running["lacam"].moves(np.arange(25))
 
 
 def test_shortening_ends_with_the_path_so_far():
