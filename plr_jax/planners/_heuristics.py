@@ -22,8 +22,8 @@ from plr_jax._types import (
     StackableDistanceFn,
 )
 
+# Terms of a heuristic: one a joint configuration and robot, never NaN.
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]
-"""Terms of a heuristic: one a joint configuration and robot, never NaN."""
 
 # Batches in which distance functions are called one by one: few sizes, as one that is compiled is compiled for each,
 # and near to one another where points are many, as those of an oracle that are not asked for take time.
@@ -120,7 +120,17 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
-        return _without_nan(q, with_inf_for_masked(evaluate(q)))
+        distances = with_inf_for_masked(evaluate(q))
+        if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
+            return distances
+        # A NaN where the configuration is to blame is no way; one that the function made is refused.
+        broken = np.isnan(distances)
+        for row, i in np.argwhere(broken & np.isfinite(q).all(axis=2)):
+            raise ValueError(
+                f"The distance function of robot {i} returned NaN at {q[row, i].tolist()}; "
+                "it must return inf where there is no way."
+            )
+        return np.where(broken, np.inf, distances)
 
     bounds = all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns)
     return SumOverRobots(per_robot, is_lower_bound=bounds)
@@ -185,21 +195,6 @@ def _distances_of_robot(i: int, fn: DistanceFn, q: Float[np.ndarray, "n dof"]) -
                 "`fn.dim = 2`."
             )
         raise
-
-
-def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"]) -> Float[np.ndarray, "n robots"]:
-    """The distances, ``inf`` for NaN where the configuration is to blame; a NaN that the function made is refused."""
-    if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
-        return distances
-    broken = np.isnan(distances)
-    unexplained = np.argwhere(broken & np.isfinite(q).all(axis=2))
-    if len(unexplained):
-        row, i = unexplained[0]
-        raise ValueError(
-            f"The distance function of robot {i} returned NaN at {q[row, i].tolist()}; "
-            "it must return inf where there is no way."
-        )
-    return np.where(broken, np.inf, distances)
 
 
 def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_number, require_integer
+from plr_jax._arrays import as_number, require_integer, runs
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.team import JointMotionTest
@@ -84,12 +84,6 @@ class Neighbors(NamedTuple):
     def take(self, pairs: np.ndarray) -> "Neighbors":
         """Some of the pairs, by index or mask."""
         return Neighbors(*(column[pairs] for column in self))
-
-    def nearest(self, count: int) -> "Neighbors":
-        """Of each point, that many nearest."""
-        pairs = self.take(np.lexsort((self.distance, self.point)))
-        rank = np.arange(len(pairs.point)) - np.searchsorted(pairs.point, pairs.point)
-        return pairs.take(rank < count)
 
 
 class _SBAStarSearch:
@@ -180,7 +174,11 @@ class _SBAStarSearch:
             old = neighbors.row < rows[0]
             np.add.at(self.crowd, neighbors.row[old], weight[old])
         with self.timed("join"):
-            self.join(rows, owner, neighbors.take(neighbors.row < rows[0]).nearest(_NUM_PARENTS))
+            # Of the old neighbors of each, the nearest few.
+            pairs = np.flatnonzero(old)
+            pairs = pairs[np.lexsort((neighbors.distance[pairs], neighbors.point[pairs]))]
+            rank = runs(np.bincount(neighbors.point[pairs]))[1]
+            self.join(rows, owner, neighbors.take(pairs[rank < _NUM_PARENTS]))
         with self.timed("heuristic"):
             to_go = estimates(self.heuristic, q)
         self.to_go[rows] = np.where(np.isfinite(to_go), to_go, inherited)
@@ -218,10 +216,9 @@ class _SBAStarSearch:
 
     def path_to(self, row: int) -> Path:
         """The path through the tree to a vertex."""
-        path = []
-        while row >= 0:
-            path.append(row)
-            row = int(self.parent[row])
+        path = [row]
+        while self.parent[path[-1]] >= 0:
+            path.append(int(self.parent[path[-1]]))
         return self.q[path[::-1]]
 
     def stats(self) -> Stats:
