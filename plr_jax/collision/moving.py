@@ -38,6 +38,11 @@ class MovingBodies(NamedTuple):
     dy: Column
     turn: Column
 
+    @property
+    def num_corners(self) -> int:
+        """Corners of each, or the numbers that its size holds."""
+        return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
+
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
         """The bodies of some columns, by index, mask or slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
@@ -63,13 +68,12 @@ def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "
 
 
 # What a kernel says: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not.
-Verdict: TypeAlias = tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]
+Booleans: TypeAlias = Bool[np.ndarray, "n"]
+Verdict: TypeAlias = tuple[Booleans, Booleans]
 Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
 
 
-def bisect(
-    judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
-) -> Bool[np.ndarray, "n"]:
+def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf) -> Booleans:
     """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
 
     Below 0, ``reach`` is a depth to which they may overlap. A few are judged at a time, their halves before the
@@ -78,8 +82,7 @@ def bisect(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    # Of corners, or of the numbers that sizes hold.
-    k, m = (len(body.size) if body.size.ndim == 2 else body.size.shape[1] for body in (a, b))
+    k, m = a.num_corners, b.num_corners
     # Where a distance is to be kept, every corner meets every other.
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))
     apart = np.ones(len(a.x), dtype=bool)

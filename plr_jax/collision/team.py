@@ -172,7 +172,7 @@ def motions_apart(
     judge, size_a, size_b = judge_convex, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
         kernels = {(True, True): judge_boxes, (True, False): judge_box_and_point, (False, True): judge_point_and_box}
-        judge, size_a, size_b = kernels[half_a.any(), half_b.any()], half_a, half_b
+        judge, size_a, size_b = kernels[bool(half_a.any()), bool(half_b.any())], half_a, half_b
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))

@@ -11,12 +11,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import parts, run_members, runs
 from plr_jax._deadline import require_time
 from plr_jax.collision.kernels import judge_boxes, judge_convex
-from plr_jax.collision.moving import Column, MovingBodies, bisect, moving
+from plr_jax.collision.moving import Booleans, Column, MovingBodies, bisect, moving
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
@@ -30,7 +30,6 @@ _PURPOSE = "all motions were tested"
 
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Edges: TypeAlias = Float[np.ndarray, "n 2 2"]
-Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
 class MotionTest:
@@ -81,10 +80,8 @@ class MotionTest:
         """
         dof = (2, 3)[self.robot.dof - 2 :]
         for name, q in (("q0", q0), ("q1", q1)):
-            if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
-                raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
-            if not np.isfinite(q).all():
-                raise ValueError(f"{name} must be finite.")
+            if np.ndim(q) != 2 or np.shape(q)[1] not in dof or not np.isfinite(q).all():
+                raise ValueError(f"{name} must be finite and have shape (n, {dof[0]}), got shape {np.shape(q)}.")
         if len(q0) != len(q1):
             raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
         free = np.empty(len(q0), dtype=bool)

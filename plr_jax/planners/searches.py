@@ -13,10 +13,9 @@ from plr_jax._deadline import require_time
 from plr_jax._problem import Problem
 from plr_jax._types import HeuristicFn, SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, straight_line
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.bl.search import BestFirstSearch, bytes_of_tables, heuristic_table, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
@@ -92,10 +91,9 @@ def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
 
 def work(problem: Problem, step: float, num_primitives: int) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
-    num = {robot: num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem)}
-    return (1 + num_primitives) * sum(
-        num[robot] * (_TURNING if robot.dof == 3 else 1) for robot, _ in _kinds(problem)
-    )
+    of_dof = {2: 1, 3: _TURNING}
+    each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
+    return (1 + num_primitives) * sum(each)
 
 
 def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
@@ -175,10 +173,8 @@ class Searches:
         num_robots, finds_all = len(joint.lattices), "lacam" in self.running
         if finds_all:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
-        has_room = "bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory
-        if not finds_all and not has_room:
-            return Status.MEMORY_LIMIT
-        if status is None and "bl" in self.options.searchers and has_room:
+        lacks_path = status is None and "bl" in self.options.searchers
+        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory):
             if "bl" not in self.running:
                 table = heuristic_table(joint, self.tables, self.weight, self.plain, budget.deadline)
                 self.running["bl"] = BestFirstSearch(joint, table, self.options, budget)
@@ -187,6 +183,8 @@ class Searches:
             # Cells that are larger than a configuration may hide a path.
             if status is Status.EXHAUSTED and self.options.cell_size is not None and finds_all:
                 status = None
+        elif not finds_all:
+            return Status.MEMORY_LIMIT
         self.turn *= _LONGER
         return status
 

@@ -111,10 +111,8 @@ def _shortened(
     path, motion = traffic.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(own) for own in corridors]
-    weights = problem.rotation_weights[list(robots)]
-    costs = [
-        straight_costs(q[:-1, :, None], q[1:, None], weight) for q, weight in zip(corridors, weights, strict=True)
-    ]
+    own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
+    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
     through = [_least_through(cost) for cost in costs]
     least = [float(cost[0].min()) for cost in through]
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)

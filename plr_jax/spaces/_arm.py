@@ -60,7 +60,12 @@ class PlanarArm:
     self_collision: bool
 
     def __init__(
-        self, workspace: Any, lengths: ArrayLike, base: ArrayLike, width: float = 0.0, self_collision: bool = False
+        self,
+        workspace: Any,
+        lengths: ArrayLike,
+        base: ArrayLike,
+        width: float | int = 0.0,
+        self_collision: bool = False,
     ):
         if not isinstance(workspace, Workspace):
             raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
@@ -72,10 +77,8 @@ class PlanarArm:
             raise ValueError("Links keep off one another by their width: give one above 0, or no self_collision.")
         clearance = workspace.clearance(base[None])[0]
         if clearance < width / 2 - workspace.tolerance:
-            raise ValueError(
-                f"The base of the arm at {base.tolist()} has no room for links of width {width:g}: its clearance is "
-                f"{clearance:.3g}."
-            )
+            has_no_room = f"has no room for links of width {width:g}: its clearance is {clearance:.3g}"
+            raise ValueError(f"The base of the arm at {base.tolist()} {has_no_room}.")
         vars(self).update(workspace=workspace, lengths=lengths, base=base, width=width, self_collision=self_collision)
 
     @property

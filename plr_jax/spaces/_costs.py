@@ -224,12 +224,14 @@ class CostMap(Protocol):
 
     def __call__(self, q: ArrayLike, /) -> Rates:
         """The factor at configurations ``(n, dof)``."""
+        ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
         """A positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
 
         Around periodic axes boxes may leave the domain.
         """
+        ...
 
 
 @runtime_checkable
@@ -248,6 +250,7 @@ class DirectionalCost(CostMap, Protocol):
         more. Where ``least`` is at most a quarter of ``most``, as over boxes within which costs vary much, or hardly
         more than all points between ``a`` and ``b`` are long, the bounds of the cost map are used instead.
         """
+        ...
 
 
 @dataclass(frozen=True)
@@ -339,9 +342,8 @@ def _distance_to_segments(first: Vectors, second: Vectors) -> Rates:
 def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
     """Pulls over boxes as arrays; ``ValueError`` if they are none."""
     if not isinstance(pulls, Sequence) or len(pulls) != 4:
-        raise ValueError(
-            f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {shortened(pulls)}."
-        )
+        got = shortened(pulls)
+        raise ValueError(f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {got}.")
     expected = f"finite vectors of shape {lo.shape}"
     first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
     least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])

@@ -149,10 +149,8 @@ class PlaneSpace(BodySpace):
     def __post_init__(self):
         super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 2 or len(self.robot.core) > 1:
-            raise ValueError(
-                f"The robot of a PlaneSpace must be a point or a disc, got {shortened(self.robot)}; use "
-                f"RigidBodySpace for one with a heading."
-            )
+            got = f"got {shortened(self.robot)}; use RigidBodySpace for one with a heading"
+            raise ValueError(f"The robot of a PlaneSpace must be a point or a disc, {got}.")
         _ = self._passable  # refuses what leaves no free space
 
     @property

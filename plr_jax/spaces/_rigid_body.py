@@ -46,10 +46,8 @@ class RigidBodySpace(BodySpace):
     def __post_init__(self):
         super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 3:
-            raise ValueError(
-                f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, got "
-                f"{shortened(self.robot)}; use PlaneSpace for a point or a disc."
-            )
+            got = f"got {shortened(self.robot)}; use PlaneSpace for a point or a disc"
+            raise ValueError(f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, {got}.")
         check_body("The robot of a RigidBodySpace", self.robot)
         if self.rotation_weight is not None:
             as_finite("rotation_weight", self.rotation_weight, positive=True)
@@ -81,7 +79,7 @@ class RigidBodySpace(BodySpace):
         """
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(*center[:, :2].T, _motions(half, 0.0))
+        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _motions(half, 0.0))
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))

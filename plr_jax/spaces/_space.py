@@ -114,13 +114,16 @@ class FreeTest(Protocol):
     @property
     def domain(self) -> Box:
         """The box of all configurations; what lies outside, but around a periodic axis, is not free."""
+        ...
 
     @property
     def motion_cost(self) -> MotionCost:
         """Cost of motions, of as many axes as the domain."""
+        ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
         """Whether configurations ``(n, dof)`` are free; False for those that are not finite."""
+        ...
 
 
 @runtime_checkable
@@ -138,12 +141,14 @@ class ConfigurationSpace(FreeTest, Protocol):
             The :class:`CellState` of each, ``(n,)``: FREE only if every configuration of the closed box is free,
             BLOCKED only if no path of positive length passes through its interior, else MIXED.
         """
+        ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:
         """Whether straight motions between configurations ``(n, dof)`` are proven free all along.
 
         All axes change in proportion, periodic ones the short way, of half a period upward.
         """
+        ...
 
 
 @runtime_checkable
@@ -155,6 +160,7 @@ class SeesBoxes(Protocol):
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
         """Whether from every free configuration of each box ``lo`` to ``hi`` the straight motion to ``q`` is free."""
+        ...
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:

@@ -13,10 +13,9 @@ from tqdm import tqdm
 from plr_jax._arrays import runs
 from plr_jax._deadline import require_time
 from plr_jax._types import HeuristicFn, SeparableHeuristic
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
 
 # Joint configurations and their children: products of the robots' primitives, scored and checked together.
@@ -240,10 +239,8 @@ class BestFirstSearch:
 
     def __init__(self, joint: JointLattice, estimate: HeuristicTable, options: BLOptions, budget: SearchBudget):
         self.joint, self.estimate, self.options, self.budget = joint, estimate, options, budget
-        self.cells = [
-            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
-            for lattice, robot in zip(joint.lattices, joint.problem.robots, strict=True)
-        ]
+        radii = [robot.circumscribed_radius for robot in joint.problem.robots]
+        self.cells = [claimed_cells(*each, options.cell_size) for each in zip(joint.lattices, radii, strict=True)]
         self.held = HeldMemory(budget)
         self.held.add(bytes_of_tables(joint))
         self.most_products = 0  # bytes that the widest products took so far

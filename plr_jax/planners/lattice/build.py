@@ -20,18 +20,10 @@ from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.planners._budget import PRIMITIVES as PRIMITIVES
+from plr_jax.planners._budget import Primitive
 from plr_jax.planners.lattice.joint import Ends, Lattice, MotionTable
 from plr_jax.robots.robot import Robot
-
-# A motion to another cell: so many columns, rows and turns away.
-Primitive: TypeAlias = tuple[int, int, int]
-
-# To the eight neighbors, and a turn either way for robots that turn.
-PRIMITIVES: tuple[Primitive, ...] = (
-    *((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy),
-    (0, 0, 1),
-    (0, 0, -1),
-)
 
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
@@ -133,12 +125,8 @@ class Motions(NamedTuple):
         cost = self._costs(leads, ends[:, None], self.q[cells])
         away = np.where(np.isfinite(cost), nodes[cells], num_cells + np.arange(len(ends))[:, None])
         cost[:, 0] = 0.0
-        return MotionTable(
-            np.concatenate([self.q[self.free], ends]),
-            np.concatenate([child, away], dtype=np.int32),
-            np.concatenate([self.cost[self.free], cost]),
-            num_cells,
-        )
+        q, cost = np.concatenate([self.q[self.free], ends]), np.concatenate([self.cost[self.free], cost])
+        return MotionTable(q, np.concatenate([child, away], dtype=np.int32), cost, num_cells)
 
     def _entries(
         self, ends: Float[np.ndarray, "ends dof"], nodes: Int[np.ndarray, "ends"]
