@@ -53,7 +53,7 @@ class MovingBodies(NamedTuple):
 
     def bisected(self) -> "MovingBodies":
         """The first and the second half of each motion, side by side."""
-        half = [0.5 * rate for rate in (self.dx, self.dy, self.turn)]
+        half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 

@@ -94,10 +94,9 @@ class _SBAStarSearch:
         self.random = np.random.default_rng(seed)
         self.is_free = JointMotionTest(problem.workspace, problem.robots)
         # How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner.
-        unit = np.ones(problem.starts.shape)
+        self.unit = np.ones(problem.starts.shape)
         for i, robot in enumerate(problem.robots):
-            unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
-        self.unit = unit
+            self.unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
         self.radius = _RADIUS * float(problem.workspace.bounds.width.max()) * np.sqrt(len(problem.robots))
         capacity = max_nodes + _NUM_EXPANDED * _NUM_SAMPLES
         self.near = _Neighborhoods(capacity, problem.starts.size, self.radius)
@@ -223,8 +222,8 @@ class _SBAStarSearch:
 
     def stats(self) -> Stats:
         """What was done so far."""
-        counts = self.num_expansions, self.num_scored, self.num_valid
-        return Stats(self.size, *counts, dict(self.seconds), self.history)
+        counts = self.size, self.num_expansions, self.num_scored, self.num_valid
+        return Stats(*counts, dict(self.seconds), self.history)
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:

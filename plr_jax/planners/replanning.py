@@ -6,6 +6,7 @@ References:
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -32,7 +33,7 @@ class Conflicts:
 
     def __init__(self, kinds: Sequence[Kind], tolerance: float, held: HeldMemory):
         self.kinds, self.tolerance, self.held = kinds, tolerance, held
-        pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
+        pairs = list(product(range(len(kinds)), repeat=2))
         self._known: dict[tuple[int, int], dict[int, EdgeList]] = {pair: {} for pair in pairs}
         self._chunk = dict.fromkeys(pairs, 1)
 
@@ -228,24 +229,22 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
         table.release(i)
-    num_reserved = 0
+    reserved = []
     try:
         for done, i in enumerate(robots):
             spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
-                break
+                return False
             table.reserve(i)
-            num_reserved += 1
-        else:
-            return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+            reserved.append(i)
+        return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
     finally:
-        if num_reserved < len(robots):
-            for i in robots[:num_reserved]:
+        if len(reserved) < len(robots):
+            for i in reserved:
                 table.release(i)
             table.state[:, robots], table.cost[robots] = state, cost
             for i in robots:
                 table.reserve(i)
-    return False
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:

@@ -342,8 +342,8 @@ def _distance_to_segments(first: Vectors, second: Vectors) -> Rates:
 def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
     """Pulls over boxes as arrays; ``ValueError`` if they are none."""
     if not isinstance(pulls, Sequence) or len(pulls) != 4:
-        got = shortened(pulls)
-        raise ValueError(f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {got}.")
+        expected = "two arrays of vectors and two of numbers"
+        raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pulls)}.")
     expected = f"finite vectors of shape {lo.shape}"
     first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
     least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])

@@ -37,6 +37,8 @@ Offsets: TypeAlias = Int[np.ndarray, "primitives dof"]
 Children: TypeAlias = Int[np.ndarray, "n primitives"]
 Flags: TypeAlias = Bool[np.ndarray, "n primitives"]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
+Costs: TypeAlias = Float[np.ndarray, "n primitives"]
+Entries: TypeAlias = tuple[Int[np.ndarray, "n 2 primitives"], Float[np.ndarray, "n 2 primitives"]]
 EachWay: TypeAlias = Float[np.ndarray, "n #primitives dof"]
 
 
@@ -128,9 +130,7 @@ class Motions(NamedTuple):
         q, cost = np.concatenate([self.q[self.free], ends]), np.concatenate([self.cost[self.free], cost])
         return MotionTable(q, np.concatenate([child, away], dtype=np.int32), cost, num_cells)
 
-    def _entries(
-        self, ends: Float[np.ndarray, "ends dof"], nodes: Int[np.ndarray, "ends"]
-    ) -> tuple[Int[np.ndarray, "ends 2 primitives"], Float[np.ndarray, "ends 2 primitives"]]:
+    def _entries(self, ends: Configurations, nodes: Cells) -> Entries:
         """Where motions to starts, then goals, begin, and what they cost, as in :class:`Ends`."""
         num_robots, cells = len(ends) // 2, self.grid.cells_of(ends)
         others, others_nodes, others_cells = (np.roll(column, num_robots, axis=0) for column in (ends, nodes, cells))
@@ -150,15 +150,30 @@ class Motions(NamedTuple):
         target, exists = self.grid.neighbors(cells, offsets)
         return target, exists & self.free[target] & (target != cells[:, None])
 
-    def _costs(
-        self, possible: Flags, begin: EachWay, end: EachWay, deadline: float = math.inf
-    ) -> Float[np.ndarray, "n primitives"]:
+    def _costs(self, possible: Flags, begin: EachWay, end: EachWay, deadline: float = math.inf) -> Costs:
         """Costs of straight motions, ``inf`` for those that are not possible or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
         cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
+
+    def represent(self, cells: slice, deadline: float) -> None:
+        """Find a configuration of each of some cells, whole positions, and whether it is free, in place."""
+        q, clearance_of = self.q[cells].copy(), self.test.workspace.clearance
+        free = self.test(q, q, deadline)
+        per_position = math.prod(self.grid.shape[2:])
+        clearance = np.repeat(clearance_of(q[::per_position, :2]), per_position)
+        reach = np.hypot(*self.grid.side[:2]) / 2
+        blocked = np.flatnonzero(~free & (clearance + reach >= self.test.robot.inscribed_radius))
+        along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+        samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
+        samples[:, :2] += np.tile(np.array(list(product(along, along))) * self.grid.side[:2], (len(blocked), 1))
+        room, open_ = np.full(len(samples), -np.inf), self.test(samples, samples, deadline)
+        room[open_] = clearance_of(samples[open_, :2])
+        best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
+        q[blocked], free[blocked] = samples[best], open_[best]
+        self.q[cells], self.free[cells] = q, free
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
         """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
@@ -217,7 +232,7 @@ def _motions(
     child = np.empty((len(q), len(offsets)), dtype=np.intp)
     motions = Motions(grid, offsets, test, weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape))
     for cells in _chunks(grid, deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells], deadline)
+        motions.represent(cells, deadline)
     for cells in _chunks(grid, deadline):
         motions.connect(np.arange(cells.start, cells.stop), deadline)
     return motions
@@ -233,21 +248,3 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
     for begin in range(0, num_cells, size):
         require_time(deadline, "the lattice was built")
         yield slice(begin, min(begin + size, num_cells))
-
-
-def _representatives(
-    test: MotionTest, grid: Grid, centers: Configurations, deadline: float
-) -> tuple[Configurations, Bool[np.ndarray, "n"]]:
-    """A configuration of every cell, and whether it is free."""
-    q, free = centers.copy(), test(centers, centers, deadline)
-    per_position = int(np.prod(grid.shape[2:]))
-    clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
-    blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
-    along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
-    samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
-    room, open_ = np.full(len(samples), -np.inf), test(samples, samples, deadline)
-    room[open_] = test.workspace.clearance(samples[open_, :2])
-    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
-    q[blocked], free[blocked] = samples[best], open_[best]
-    return q, free
