@@ -205,13 +205,11 @@ class JointMotionTest:
 
     def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
         """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
-        left = np.arange(len(q0))
+        free = np.ones(len(q0), dtype=bool)
         for i, test in enumerate(self.of_walls):
-            left = left[test(q0[left, i], q1[left, i], self.deadline)]
+            free[free] = test(q0[free, i], q1[free, i], self.deadline)
         for i, j in combinations(range(len(self.robots)), 2):
-            left = left[self.apart(i, q0[left, i], q1[left, i], j, q0[left, j], q1[left, j])]
-        free = np.zeros(len(q0), dtype=bool)
-        free[left] = True
+            free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
         return free
 
     def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -11,12 +10,12 @@ from tqdm import tqdm
 
 from plr_jax._deadline import require_time
 from plr_jax._problem import Problem
-from plr_jax._types import HeuristicFn, SeparableHeuristic
+from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, straight_line
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.search import BestFirstSearch, bytes_of_tables, heuristic_table, tabulate
+from plr_jax.planners.bl.search import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
 from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds, State, by_robot, kinds_of
@@ -117,9 +116,6 @@ _TERM_BYTES = 8  # what a term of the heuristic takes, which is kept twice where
 _LONGER = 1.5  # growth of turns
 
 
-Given: TypeAlias = HeuristicFn | None
-
-
 class Searches:
     """LaCAM and best-first search, or one of them, on the lattices of a level.
 
@@ -138,13 +134,13 @@ class Searches:
     """
 
     def __init__(
-        self, level: LatticeLevel, heuristic: Given, weight: float, options: BLOptions, budget: SearchBudget
+        self, level: LatticeLevel, heuristic: Plain, weight: float, options: BLOptions, budget: SearchBudget
     ):
         self.level, self.weight, self.options, self.budget = level, weight, options, budget
         self.held = HeldMemory(budget)
         num_nodes = sum(len(lattice.q) for lattice in level.joint.lattices)
         self.held.add(level.num_bytes + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2))
-        self.plain: HeuristicFn | None = None
+        self.plain: Plain = None
         terms = by_robot(level.kinds, level.costs_to_go)
         self.tables: Sequence[Float[np.ndarray, _]] = terms
         if isinstance(heuristic, SeparableHeuristic):

@@ -41,9 +41,6 @@ class Climbing:
     def __post_init__(self):
         _check_fields(self)
 
-    def _gradients(self, q: Vectors) -> Vectors:
-        return _vectors("gradient_fn", self.gradient_fn, q, self.steepest)
-
     def __call__(self, q: ArrayLike) -> Rates:
         """What a motion of length 1 straight uphill costs.
 
@@ -56,7 +53,7 @@ class Climbing:
         Raises:
             ValueError: If the function returns another shape, or a gradient above ``steepest``.
         """
-        return 1 + self.rate * np.linalg.norm(self._gradients(np.asarray(q, np.float64)), axis=1)
+        return 1 + self.rate * np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1)
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
@@ -81,7 +78,7 @@ class Climbing:
         Returns:
             Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
         """
-        uphill = self.rate * self._gradients((lo + hi) / 2)
+        uphill = self.rate * _vectors(self, (lo + hi) / 2)
         spread = self.rate * self.lipschitz * _radii(lo, hi)
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
@@ -117,9 +114,6 @@ class Current:
         if self.fastest >= self.speed:
             raise ValueError(f"fastest must be below speed, {self.speed:g}, got {self.fastest:g}.")
 
-    def _velocities(self, q: Vectors) -> Vectors:
-        return _vectors("velocity_fn", self.velocity_fn, q, self.fastest)
-
     def __call__(self, q: ArrayLike) -> Rates:
         """The time of a motion of length 1 straight against the current.
 
@@ -132,7 +126,7 @@ class Current:
         Raises:
             ValueError: If the function returns another shape, or a velocity above ``fastest``.
         """
-        return 1 / (self.speed - np.linalg.norm(self._velocities(np.asarray(q, np.float64)), axis=1))
+        return 1 / (self.speed - np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1))
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
@@ -170,13 +164,15 @@ class Current:
 
     def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
         """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
-        velocity = self._velocities((lo + hi) / 2)
+        velocity = _vectors(self, (lo + hi) / 2)
         return np.linalg.norm(velocity, axis=1), self.lipschitz * _radii(lo, hi), velocity
 
 
-def _vectors(name: str, vector_fn: Callable[[np.ndarray], ArrayLike], q: Vectors, longest: float) -> Vectors:
-    """What a function of configurations returns: a vector each, none longer than was said."""
-    vectors = as_numbers(f"{name}'s answer", vector_fn(q), f"real numbers of shape {q.shape}")
+def _vectors(cost: Any, q: Vectors) -> Vectors:
+    """What the function of a cost, its first field, returns: vectors that are no longer than its last field says."""
+    name, *_, last = (field.name for field in fields(cost))
+    longest, returned = getattr(cost, last), getattr(cost, name)(q)
+    vectors = as_numbers(f"{name}'s answer", returned, f"real numbers of shape {q.shape}")
     if vectors.shape != q.shape:
         raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
     expected = f"{name} must return vectors of at most {longest:g}"

@@ -22,6 +22,8 @@ _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # of hulls at a time, which bounds the memory
 
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
+Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
+Turns: TypeAlias = Float[np.ndarray, "n"]
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class RigidBodySpace(BodySpace):
         # tangent to it.
         center, half = center[narrow], half[narrow]
         reference = center[:, None, :2]
-        ends = np.concatenate([self._placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
+        ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
         tips = reference + (ends - reference) / np.cos(half[:, 2])[:, None, None]
         offsets = half[:, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
@@ -121,12 +123,12 @@ class RigidBodySpace(BodySpace):
         erosion = _motions(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         small = erosion < depth
         share = (1 - erosion[small] / depth)[:, None, None]
-        eroded = self._placed(middle + share * (self.robot.core - middle), center[small])
+        eroded = _placed(middle + share * (self.robot.core - middle), center[small])
         hit[rows] = False
         hit[rows[small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
         for point, depth in zip(*self._probes, strict=True):
             left = np.flatnonzero(~hit[rows])
-            position = self._placed(point[None], center[left])[:, 0]
+            position = _placed(point[None], center[left])[:, 0]
             spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
             hit[rows[left]] = have_walls_within(self.workspace, position, spare)
         return hit
@@ -152,16 +154,14 @@ class RigidBodySpace(BodySpace):
         depths = np.maximum(0.0, inside) + rounding
         return np.vstack([np.zeros((1, 2)), points]), np.append(self.robot.inscribed_radius, depths)
 
-    @staticmethod
-    def _placed(
-        points: Float[np.ndarray, "*#n k 2"], q: Boxes, turn: Float[np.ndarray, "n"] | float = 0.0
-    ) -> Float[np.ndarray, "n k 2"]:
-        """Points of the body's own frame where configurations place them, turned a little farther."""
-        c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
-        x, y = points[..., 0], points[..., 1]
-        return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)
-
 
 def _motions(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
     """How far a point of the body at a radius moves at most from the center of each box."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
+
+
+def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
+    """Points of the body's own frame where configurations place them, turned a little farther."""
+    c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

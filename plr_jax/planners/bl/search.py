@@ -21,6 +21,7 @@ from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
 # Joint configurations and their children: products of the robots' primitives, scored and checked together.
 
 
+Plain: TypeAlias = HeuristicFn | None
 Table: TypeAlias = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
 Terms: TypeAlias = Float[np.ndarray, "_ _"]  # what each primitive of each configuration scores
 Scores: TypeAlias = Float[np.ndarray, "n m"]
@@ -100,7 +101,7 @@ class HeuristicTable(NamedTuple):
     weight: float
     tables: Sequence[Table]
     scores: Sequence[Terms]
-    plain: HeuristicFn | None
+    plain: Plain
     farthest: float
 
     def __call__(self, joint: JointLattice, state: State) -> Float[np.ndarray, "n"]:
@@ -144,11 +145,7 @@ def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float
 
 
 def heuristic_table(
-    joint: JointLattice,
-    values: Sequence[Table],
-    weight: float,
-    plain: HeuristicFn | None = None,
-    deadline: float = math.inf,
+    joint: JointLattice, values: Sequence[Table], weight: float, plain: Plain = None, deadline: float = math.inf
 ) -> HeuristicTable:
     """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
 
