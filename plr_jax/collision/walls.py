@@ -80,8 +80,10 @@ class MotionTest:
         """
         dof = (2, 3)[self.robot.dof - 2 :]
         for name, q in (("q0", q0), ("q1", q1)):
-            if np.ndim(q) != 2 or np.shape(q)[1] not in dof or not np.isfinite(q).all():
-                raise ValueError(f"{name} must be finite and have shape (n, {dof[0]}), got shape {np.shape(q)}.")
+            if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
+                raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
+            if not np.isfinite(q).all():
+                raise ValueError(f"{name} must be finite.")
         if len(q0) != len(q1):
             raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
         free = np.empty(len(q0), dtype=bool)

@@ -309,9 +309,8 @@ class _Run:
         size = min(size or _POINT_STEP * self.extent for size in sizes)
         step = float(np.clip(size, _FINEST_FIRST * self.extent, _COARSEST_FIRST * self.extent))
         coarsest = _COARSEST * self.extent
-        while step < coarsest and work(self.problem, step, len(self.options.primitives)) > _MOST_FIRST:
-            step *= _REFINEMENT
-        while step < coarsest and not self._fits(step):
+        num_primitives = len(self.options.primitives)
+        while step < coarsest and (work(self.problem, step, num_primitives) > _MOST_FIRST or not self._fits(step)):
             step *= _REFINEMENT
         return step
 

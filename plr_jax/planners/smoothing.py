@@ -165,9 +165,8 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
     offsets = np.zeros((len(_FIVE), q.shape[1]))
     offsets[:, :2] = width * _FIVE @ axes
     if problem.robots[i].dof == 3:
-        turns = np.zeros((2, 3))
-        turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
-        offsets = np.concatenate([offsets, turns])
+        turn = width / problem.robots[i].circumscribed_radius
+        offsets = np.concatenate([offsets, [(0, 0, turn), (0, 0, -turn)]])
     corridor = q[:, None] + offsets
     corridor[[0, -1]] = q[[0, -1], None]
     return corridor

@@ -234,13 +234,11 @@ class Edges:
         return order[np.searchsorted(key, nodes[:-1] * self.num_nodes + nodes[1:])]
 
     @cached_property
-    def _cheapest(self) -> Bool[np.ndarray, "edges"]:
-        """Whether an edge is one that is shared, leads elsewhere, and has no cheaper one beside it."""
+    def _cheapest(self) -> Int[np.ndarray, "m"]:
+        """The shared edges that lead elsewhere and have no cheaper one beside them."""
         order, key = self._by_nodes
-        cheapest = np.zeros(len(self.begin), dtype=bool)
-        cheapest[order[np.append(True, key[1:] != key[:-1])]] = True
-        cheapest[self.num_shared :] = False
-        return cheapest & (self.begin != self.end)
+        edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
+        return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Cost of the cheapest motions from each node to the goals of some robots; ``inf`` where there are none.
@@ -248,7 +246,7 @@ class Edges:
         That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
         """
         # Backward, each search begins at a node of its own, from which the edges into the goal lead.
-        goals, searches, shared = self.kind.ends.node[rows, 1], np.arange(len(rows)), np.flatnonzero(self._cheapest)
+        goals, searches, shared = self.kind.ends.node[rows, 1], np.arange(len(rows)), self._cheapest
         search = np.repeat(searches, [len(self.own[row]) for row in rows])
         own = np.concatenate([self.own[row] for row in rows])
         into_goal = self.end[own] == goals[search]
@@ -266,7 +264,7 @@ class Edges:
     @cached_property
     def _graph(self) -> csr_array:
         """The cheapest shared edges."""
-        edge = np.flatnonzero(self._cheapest)
+        edge = self._cheapest
         return csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
 
 
