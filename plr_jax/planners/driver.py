@@ -263,23 +263,21 @@ class _Run:
         rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
         if budget.memory + num_bytes_of_table(level.kinds, len(rows)) >= budget.max_memory:
             return state
-        try:
-            with self.incumbent.phase("replan"):
-                table = ReservationTable(level.kinds, level.costs_to_go, rows, tolerance, budget)
-        except TimeoutError:
-            return state
-        with suppress(TimeoutError):  # whenever that strikes, the table's paths are free of collisions
-            with self.incumbent.phase("replan"):
-                replan_each(table)
+        table = None
+        with self.incumbent.phase("replan"), suppress(TimeoutError):
+            table = ReservationTable(level.kinds, level.costs_to_go, rows, tolerance, budget)
+            # Whenever time is up from here on, the table's paths are free of collisions.
+            replan_each(table)
             self.incumbent.offer(*self._path(searches, table.state))
             rng = np.random.default_rng(0)
             while self.incumbent.cost > self.enough and not budget.exceeded():
                 before = table.cost.sum()
-                with self.incumbent.phase("replan"):
-                    replan_neighborhoods(table, len(self.problem.robots), rng)
+                replan_neighborhoods(table, len(self.problem.robots), rng)
                 self.incumbent.offer(*self._path(searches, table.state))
                 if before - table.cost.sum() <= _GAIN * before:
                     break
+        if table is None:
+            return state
         self.incumbent.offer(*self._path(searches, table.state))
         table.held.release()
         return until_arrival(table.state)
