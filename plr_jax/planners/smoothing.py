@@ -50,23 +50,21 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     """
     traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
-    while width > narrowest:
-        for robots, rows in _groups(problem, traffic.path, width):
-            own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
-            least = straight_costs(own[0], own[-1], weights).sum()
-            if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
-                continue  # they go straight: there is nothing to gain
-            try:
+    with suppress(TimeoutError):
+        while width > narrowest:
+            for robots, rows in _groups(problem, traffic.path, width):
+                own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
+                least = straight_costs(own[0], own[-1], weights).sum()
+                if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
+                    continue  # they go straight: there is nothing to gain
                 found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
-            except TimeoutError:
-                return traffic.path
-            for i, q in zip(robots, found, strict=True):
-                if (q != traffic.path[rows, i]).any():
-                    traffic.move(i, q, rows)
-        diagonal = not diagonal
-        before, cost = cost, path_cost(problem, traffic.path)
-        if before - cost <= _GAIN * before:
-            width /= 2
+                for i, q in zip(robots, found, strict=True):
+                    if (q != traffic.path[rows, i]).any():
+                        traffic.move(i, q, rows)
+            diagonal = not diagonal
+            before, cost = cost, path_cost(problem, traffic.path)
+            if before - cost <= _GAIN * before:
+                width /= 2
     return traffic.path
 
 
