@@ -85,6 +85,11 @@ class Neighbors(NamedTuple):
         """Some of the pairs, by index or mask."""
         return Neighbors(*(column[pairs] for column in self))
 
+    def nearest(self, count: int) -> "Neighbors":
+        """Of each point, that many nearest."""
+        pairs = self.take(np.lexsort((self.distance, self.point)))
+        return pairs.take(runs(np.bincount(pairs.point))[1] < count)
+
 
 class _SBAStarSearch:
     """The tree, one row a vertex, of which the first ``size`` are in use, and what its keys are made of."""
@@ -173,11 +178,7 @@ class _SBAStarSearch:
             old = neighbors.row < rows[0]
             np.add.at(self.crowd, neighbors.row[old], weight[old])
         with self.timed("join"):
-            # Of the old neighbors of each, the nearest few.
-            pairs = np.flatnonzero(old)
-            pairs = pairs[np.lexsort((neighbors.distance[pairs], neighbors.point[pairs]))]
-            rank = runs(np.bincount(neighbors.point[pairs]))[1]
-            self.join(rows, owner, neighbors.take(pairs[rank < _NUM_PARENTS]))
+            self.join(rows, owner, neighbors.take(old).nearest(_NUM_PARENTS))
         with self.timed("heuristic"):
             to_go = estimates(self.heuristic, q)
         self.to_go[rows] = np.where(np.isfinite(to_go), to_go, inherited)

@@ -138,7 +138,7 @@ def _shortened(
 
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[Costs], test: JointMotionTest
-) -> Costs:
+) -> Float[np.ndarray, "motions pairs pairs"]:
     """Costs from each two of two robots' places to each two, ``inf`` where they collide with one another."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
