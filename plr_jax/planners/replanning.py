@@ -33,7 +33,7 @@ class Conflicts:
 
     def __init__(self, kinds: Sequence[Kind], tolerance: float, held: HeldMemory):
         self.kinds, self.tolerance, self.held = kinds, tolerance, held
-        pairs = list(product(range(len(kinds)), repeat=2))
+        pairs = list(product(range(len(kinds)), range(len(kinds))))
         self._known: dict[tuple[int, int], dict[int, EdgeList]] = {pair: {} for pair in pairs}
         self._chunk = dict.fromkeys(pairs, 1)
 
