@@ -19,7 +19,7 @@ from plr_jax.planners._solution import Status
 Primitive: TypeAlias = tuple[int, int, int]
 
 # To the eight neighbors, and a turn either way for robots that turn.
-_NEIGHBORS = ((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy)
+_NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
 PRIMITIVES: tuple[Primitive, ...] = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
 
 SEARCHERS = ("lacam", "bl")
