@@ -29,8 +29,9 @@ from plr_jax.robots.robot import between
 
 
 Path = Float[np.ndarray, "steps robots dof"]
-Corridor = Float[np.ndarray, "steps size dof"]
+Corridor = Float[np.ndarray, "steps _ dof"]  # robots of several kinds have patterns of several sizes
 Costs = Float[np.ndarray, "motions size size"]
+OfOne = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
 
 _STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
@@ -137,7 +138,7 @@ def _shortened(
 
 
 def _joint_costs(
-    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[Costs], test: JointMotionTest
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[OfOne], test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
     """Costs from each two of two robots' places to each two, ``inf`` where they collide with one another."""
     (i, j), (a, b) = robots, corridors
