@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_number, require_integer
+from plr_jax._arrays import as_number, require_integer, runs
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.team import JointMotionTest
@@ -88,8 +88,7 @@ class Neighbors(NamedTuple):
     def nearest(self, count: int) -> "Neighbors":
         """Of each point, that many nearest."""
         pairs = self.take(np.lexsort((self.distance, self.point)))
-        rank = np.arange(len(pairs.point)) - np.searchsorted(pairs.point, pairs.point)
-        return pairs.take(rank < count)
+        return pairs.take(runs(np.bincount(pairs.point))[1] < count)
 
 
 class _SBAStarSearch:
@@ -100,10 +99,9 @@ class _SBAStarSearch:
         self.random = np.random.default_rng(seed)
         self.is_free = JointMotionTest(problem.workspace, problem.robots)
         # How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner.
-        unit = np.ones(problem.starts.shape)
+        self.unit = np.ones(problem.starts.shape)
         for i, robot in enumerate(problem.robots):
-            unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
-        self.unit = unit
+            self.unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
         self.radius = _RADIUS * float(problem.workspace.bounds.width.max()) * np.sqrt(len(problem.robots))
         capacity = max_nodes + _NUM_EXPANDED * _NUM_SAMPLES
         self.near = _Neighborhoods(capacity, problem.starts.size, self.radius)
@@ -180,7 +178,7 @@ class _SBAStarSearch:
             old = neighbors.row < rows[0]
             np.add.at(self.crowd, neighbors.row[old], weight[old])
         with self.timed("join"):
-            self.join(rows, owner, neighbors.take(neighbors.row < rows[0]).nearest(_NUM_PARENTS))
+            self.join(rows, owner, neighbors.take(old).nearest(_NUM_PARENTS))
         with self.timed("heuristic"):
             to_go = estimates(self.heuristic, q)
         self.to_go[rows] = np.where(np.isfinite(to_go), to_go, inherited)
@@ -218,16 +216,15 @@ class _SBAStarSearch:
 
     def path_to(self, row: int) -> Path:
         """The path through the tree to a vertex."""
-        path = []
-        while row >= 0:
-            path.append(row)
-            row = int(self.parent[row])
+        path = [row]
+        while self.parent[path[-1]] >= 0:
+            path.append(int(self.parent[path[-1]]))
         return self.q[path[::-1]]
 
     def stats(self) -> Stats:
         """What was done so far."""
-        counts = self.num_expansions, self.num_scored, self.num_valid
-        return Stats(self.size, *counts, dict(self.seconds), self.history)
+        counts = self.size, self.num_expansions, self.num_scored, self.num_valid
+        return Stats(*counts, dict(self.seconds), self.history)
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:
