@@ -21,6 +21,9 @@ class Planes:
     slope: np.ndarray
     intercept: np.ndarray
 
+    def values(self, leaf, x):
+        return (self.slope[leaf] * x).sum(axis=1) + self.intercept[leaf]
+
     def below_cones(self, leaf, pieces, apex, offset):
         return cone_above_plane(pieces, apex, offset, self.slope[leaf], self.intercept[leaf])
 
@@ -32,8 +35,8 @@ def sampled(oracle, visible, planes, rng, k):
     contacts = oracle.workspace.boundary.vertices[oracle.workspace.boundary.contacts]
     at_contact = (np.linalg.norm(x[:, :, None] - contacts, axis=3) < 1e-7).any(axis=2)
     x = np.where(at_contact[:, :, None], 0.0, x)  # there the distance is that of the nearest side
-    value = np.einsum("pd,pkd->pk", planes.slope[visible.cell], x) + planes.intercept[visible.cell, None]
-    met = np.where(at_contact, np.nan, oracle(x.reshape(-1, 2)).reshape(-1, k) - value)
+    met = oracle(x.reshape(-1, 2)) - planes.values(np.repeat(visible.cell, k), x.reshape(-1, 2))
+    met = np.where(at_contact, np.nan, met.reshape(-1, k))
     return np.fmin.reduce(met, axis=1, initial=np.inf), np.fmax.reduce(met, axis=1, initial=-np.inf)
 
 

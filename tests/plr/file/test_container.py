@@ -113,19 +113,6 @@ def test_every_flipped_bit_and_every_other_end_is_refused(whole):
             Container.from_bytes(data + more)
 
 
-def test_layers_of_different_files_do_not_fit_together():
-    """Not even where the files' headers are alike: a checksum is of all layers before it as well."""
-    one, other = (
-        Container(DOMAIN, (Layer(1, body), Layer(1, b"more"), Layer(1, b"most"))).to_bytes()
-        for body in (b"aa", b"bb")
-    )
-    (first, second) = marks_of(one)
-    assert (first, second) == marks_of(other)
-    for mark, size in ((first, second), (first, len(one)), (second, len(one))):
-        with pytest.raises(ValueError, match="checksum"):
-            Container.from_bytes(one[:mark] + other[mark:size])
-
-
 def layered(sizes, *parts):
     """A file whose header states the sizes, whatever its layers have; all checksums are right."""
     data = content = b"P\xb5\x25\x40" + CORNERS + b"\0" + varint(len(sizes)) + b"".join(map(varint, sizes))
