@@ -20,7 +20,7 @@ def roadmap():
 
 
 def build(distance_fn, leaf="plane", **options):
-    return plr_jax.construct(distance_fn, WORKSPACE.bounds, leaf=leaf, max_leaves=20, **options).to_bytes()
+    return plr_jax.construct(distance_fn, WORKSPACE.bounds, leaf=leaf, max_leaves=12, **options).to_bytes()
 
 
 class Counted:
