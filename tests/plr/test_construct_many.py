@@ -21,7 +21,7 @@ FORKS.set_forkserver_preload(["experiments._scale_work"])
 @pytest.fixture(scope="module")
 def oracles():
     first = plr_jax.VisibilityGraph(MAZE, (0.06, 0.07))
-    return [first, *(first.with_goal(goal) for goal in MAZE.sample_free(4, seed=4))]
+    return [first, *(first.with_goal(goal) for goal in MAZE.sample_free(6, seed=4)[:4])]
 
 
 def many(oracles, **options):
@@ -82,12 +82,12 @@ def test_the_limits_hold(oracles):
 
 
 def test_certified_bounds_hold_the_distance(oracles):
-    x, options = MAZE.sample_free(3000, seed=6), {"certified": True, "leaf_bounds": True} | CONES
+    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": True, "leaf_bounds": True, "max_bytes": 400}
     for plr, oracle in zip(many(oracles[:2], **options), oracles, strict=False):
         alone = plr_jax.construct(oracle, MAZE.bounds, **options)
         lower, upper = plr.bounds(x)
         assert (np.asarray(lower) <= oracle(x)).all() and (oracle(x) <= np.asarray(upper)).all()
-        assert plr.num_bytes <= 300
+        assert plr.num_bytes <= 400
         assert errors_of(plr, oracle, x).max() <= plr.max_error < 1.5 * alone.max_error
 
 
