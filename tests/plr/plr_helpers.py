@@ -1,17 +1,21 @@
 """Distance functions and slow twins that several tests of the PLR room share."""
 
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
+import pytest
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.continuous.codec import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
-from plr_jax.plr.partition.cells import Cells, levels_of, tree_of
+from plr_jax.plr.partition.cells import Cells, Level, levels_of, tree_of, tree_of_levels
 from plr_jax.plr.partition.faces import shared_faces
+from plr_jax.plr.query.tables import build_tables
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 UNIT = Box([0, 0], [1, 1])
 
@@ -79,6 +83,12 @@ def lstsq_plane(u, value, weight):
     return np.linalg.lstsq(design, value * root, rcond=None)[0]
 
 
+def sampler_of(distance_fn, domain, weight_fn=None, num_samples=64, max_axis_depth=14):
+    """What samples and fits cells, hardly seen ones no more densely than others."""
+    patterns = 2 * [sample_pattern(domain.dim, num_samples, 0.0, 0)]
+    return Sampler(distance_fn, domain, weight_fn, *patterns, max_axis_depth)
+
+
 def chain(axes):
     """Leaves of a tree that splits, again and again, the cell at the lower corner, along one axis after another."""
     leaves = Cells.root(int(max(axes)) + 1)
@@ -106,6 +116,18 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
     return Contents(domain, model, levels_of(cells)[0], cells, stored)
 
 
+def quarters_in_another_order():
+    """Quarters of the unit square, first split along axis 1: below are the values 0 and 1, above 2 and 3."""
+    inner = np.array([True, True])
+    levels = [
+        Level(inner[:1], np.array([1])),
+        Level(inner, np.array([0, 0])),
+        Level(np.zeros(4, bool), np.zeros(0, int)),
+    ]
+    planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
+    return Contents(UNIT, leaf_model("plane"), levels, tree_of_levels(levels, 2).leaves, planes)
+
+
 def sealed(content):
     """The bytes of a file of one layer but for its checksum, with the one that they ought to have."""
     return content + struct.pack("<I", zlib.crc32(content))
@@ -114,3 +136,30 @@ def sealed(content):
 def contents_of_planes(cells, planes, domain=UNIT):
     """What a file of planes holds."""
     return Contents(domain, leaf_model("plane"), levels_of(cells)[0], cells, planes)
+
+
+def assert_refused_for_little(read, given, message, most):
+    """Reading what is given raises, saying why, before it has allocated so many bytes."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=message):
+            read(given)
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
+def leaf_by_position(cells, x):
+    """Leaf of points of the unit cube, from the cells' own integers."""
+    slots = np.minimum(np.floor(x[:, None] * 2.0**cells.depth).astype(int), 2**cells.depth - 1)
+    found = (slots == cells.position).all(axis=2)
+    assert (found.sum(axis=1) == 1).all()
+    return found.argmax(axis=1)
+
+
+def tables_of_numbers(cells, num_bytes, leaf=None):
+    """Tables of the unit cube, whose leaf ``i`` holds the plane of value ``i``."""
+    numbers = np.zeros((len(cells), 1 + cells.dim))
+    numbers[:, 0] = np.arange(len(cells))
+    domain = Box(np.zeros(cells.dim), np.ones(cells.dim))
+    return build_tables(domain, cells, numbers, leaf or leaf_model("plane"), num_bytes)

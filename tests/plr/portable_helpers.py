@@ -1,7 +1,8 @@
 """PLRs of all kinds that readers without JAX are held against, points that are hard for them, and a slow reader."""
 
-from functools import cache
+from functools import cache, reduce
 from itertools import product
+from operator import add
 
 import numpy as np
 from plr_helpers import chain, random_contents
@@ -105,7 +106,7 @@ class SlowReader:
     def __init__(self, plr):
         contents = plr._contents
         self.plr, self.contents, self.folding = plr, contents, contents.folding
-        self.outer, self.box = plr.domain, contents.domain
+        self.outer, self.box, self.periodic = plr.domain, contents.domain, np.array(plr.domain.periodic)
         self.is_far, f32 = is_far(plr), np.float32
         self.origin = self.outer.lo if self.is_far else np.zeros(plr.dim)
         self.ends = _outward(self.outer.lo - self.origin, self.outer.hi - self.origin)
@@ -139,133 +140,96 @@ class SlowReader:
         coefficients = leaf.coefficients(contents.cells, contents.stored)
         if leaf.name == "cone":
             return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down])
-        size = np.ldexp(1.0, -contents.cells.depth)
-        position, width = contents.cells.position, self.box.hi - self.box.lo
+        size, position, width = (
+            np.ldexp(1.0, -contents.cells.depth),
+            contents.cells.position,
+            self.box.hi - self.box.lo,
+        )
         low, high = self.box.lo + width * (position * size), self.box.lo + width * ((position + 1) * size)
-        rows = []
-        for c, *g in zip(coefficients[:, 0], *coefficients.T[1:], strict=True):
-            leaf_index, total = len(rows), 0.0
-            slopes = [half * 2 / (high[leaf_index, i] - low[leaf_index, i]) for i, half in enumerate(g)]
-            for i, slope in enumerate(slopes):
-                total += slope * ((low[leaf_index, i] + high[leaf_index, i]) / 2 - down[i])
-            rows.append([c - total, *slopes])
-        return np.array(rows)
+        slopes = coefficients[:, 1:] * 2 / (high - low)
+        total = reduce(add, (slopes * ((low + high) / 2 - down)).T, 0.0)
+        return np.column_stack([coefficients[:, 0] - total, slopes])
 
     def __call__(self, x):
         with np.errstate(all="ignore"):
-            return np.array([self._value(list(point)) for point in x], np.float32)
+            return np.array([self._value(point) for point in x], np.float32)
 
     def waypoint(self, x):
         """The sources of leaves of cones."""
         with np.errstate(all="ignore"):
-            return np.array([self._waypoint(list(point)) for point in x], np.float64 if self.is_far else np.float32)
+            return np.array([self._waypoint(point) for point in x], np.float64 if self.is_far else np.float32)
 
     def _waypoint(self, x):
-        z = None if any(np.isnan(x)) else self._placed(x)
-        if z is None:
-            return [np.nan] * len(x)
-        source = self.numbers[self._leaf(z)[0], 1:]
-        if self.is_far:
-            return [origin + np.float64(along) for origin, along in zip(self.origin, source, strict=True)]
-        return [np.float32(lo) + along for lo, along in zip(self.lo, source, strict=True)]
+        if (z := self._placed(x)) is None:
+            return np.full(len(x), np.nan)
+        return (self.origin if self.is_far else self.lo) + self.numbers[self._leaf(z - self.lo), 1:]
 
     def _value(self, x):
-        if any(np.isnan(x)):
-            return np.float32(np.nan)
-        z = self._placed(x)
-        if z is None:
-            return np.float32(np.inf)
-        leaf, above = self._leaf(z)
-        value = self._leaf_value(leaf, above)
+        if (z := self._placed(x)) is None:
+            return np.nan if np.isnan(x).any() else np.inf
+        value = self._leaf_value(z - self.lo)
         if self.folding is not None and any(self.folding.radial):
-            value = value + np.sqrt(
-                _sum([along * along for along, is_in in zip(z, self.folding.radial, strict=True) if is_in])
-            )
+            along = z[np.array(self.folding.radial)]
+            value = value + np.sqrt(reduce(add, along * along))
         return value
 
     def _placed(self, x):
         """None outside the domain."""
-        f32, periodic = np.float32, self.outer.periodic
-        if any(p and not np.isfinite(along) for p, along in zip(periodic, x, strict=True)):
+        if not np.isfinite(x[self.periodic]).all():
             return None
-        if self.is_far:
-            x = [np.float64(along) for along in x]
-        if isinstance(x[0], np.float64):
-            ends = zip(periodic, x, self.outer.lo, self.outer.hi, strict=True)
-            x = [_wrapped(along, lo, hi, 1 / (hi - lo), 0.0) if p else along for p, along, lo, hi in ends]
-        if self.is_far:
-            x = [along - origin for along, origin in zip(x, self.origin, strict=True)]
-        z = [f32(along) for along in x]
-        if not all(p or a <= along <= b for p, along, a, b in zip(periodic, z, *self.ends, strict=True)):
+        if self.is_far or x.dtype == np.float64:
+            lo, hi = self.outer.lo, self.outer.hi
+            x = np.where(self.periodic, _wrapped(x.astype(np.float64), lo, hi, 1 / (hi - lo), 0.0), x)
+        z = (x - self.origin).astype(np.float32)
+        if not (self.periodic | ((self.ends[0] <= z) & (z <= self.ends[1]))).all():
             return None
         z = z if self.folding is None else self._folded(z)
-        for axis in np.flatnonzero(periodic):
-            a, b = self.lo[axis] + self.rest[0][axis], self.hi[axis] - self.rest[1][axis]
-            z[axis] = _wrapped(z[axis], a, b, self.scale[axis], f32(2.0**-44) * max(abs(a), abs(b)))
-        return z
+        a, b = self.lo + self.rest[0], self.hi - self.rest[1]
+        tolerance = np.float32(2.0**-44) * np.maximum(np.abs(a), np.abs(b))
+        return np.where(self.periodic, _wrapped(z, a, b, self.scale, tolerance), z)
 
     def _folded(self, x):
         folding, f32 = self.folding, np.float32
         center = (folding.center - self.origin).astype(f32)
-        rest = (folding.center - self.origin - center).astype(f32)
-        z = [(along - c) - r for along, c, r in zip(x, center, rest, strict=True)]
+        z = (x - center) - (folding.center - self.origin - center).astype(f32)
         if folding.is_turned:
-            z = [_sum([a * along for a, along in zip(row, z, strict=True)]) for row in folding.axes.astype(f32)]
+            z = np.array([reduce(add, row * z) for row in folding.axes.astype(f32)])
         for mirror, pivot in zip(folding.mirrors, folding.pivots, strict=True):
-            if z[pivot] < 0:
-                z = [-along if is_reversed else along for along, is_reversed in zip(z, mirror, strict=True)]
+            z = np.where(mirror, -z, z) if z[pivot] < 0 else z
         hi, lo = _outward(folding.box.hi, folding.box.lo)  # inward: as if they were lower and upper ones
-        limits = zip(z, lo, hi, self.outer.periodic, strict=True)
-        return [along if p else min(max(along, a), b) for along, a, b, p in limits]
+        return np.where(self.periodic, z, np.minimum(np.maximum(z, lo), hi))
 
-    def _leaf(self, z):
-        above = [along - lo for along, lo in zip(z, self.lo, strict=True)]
-        places = []
-        for axis, along in enumerate(above):
-            placed = max(min(along * self.scale[axis], self.top[axis]) + self.start[axis], np.float32(1))
-            places.append(int(placed.view(np.uint32)) & 0x7FFFFF)
-        cells = self.contents.cells
-        holds = (np.array(places) >> (23 - cells.depth) == cells.position).all(axis=1)
+    def _leaf(self, above):
+        placed = np.maximum(np.minimum(above * self.scale, self.top) + self.start, np.float32(1))
+        places, cells = placed.view(np.uint32).astype(int) & 0x7FFFFF, self.contents.cells
+        holds = (places >> (23 - cells.depth) == cells.position).all(axis=1)
         assert holds.sum() == 1
-        return int(holds.argmax()), above
+        return int(holds.argmax())
 
-    def _leaf_value(self, leaf, above):
-        n, name = list(self.numbers[leaf]), self.contents.leaf.name
+    def _leaf_value(self, above):
+        leaf, name, cells, f32 = self._leaf(above), self.contents.leaf.name, self.contents.cells, np.float32
+        n = self.numbers[leaf]
         if name == "plane":
-            return _sum([n[0], *(slope * along for slope, along in zip(n[1:], above, strict=True))])
+            return reduce(add, n[1:] * above, n[0])
         if name == "cone":
-            d = [along - source for along, source in zip(above, n[1:], strict=True)]
-            return n[0] + np.sqrt(_sum([along * along for along in d]))
-        dim, cells, t = len(above), self.contents.cells, []
-        for axis, along in enumerate(above):
-            u = along * self.scale[axis]
-            u = u + (self.start[axis] - np.float32(1)) if self.start[axis] < 1 else u
-            count, position = (np.float32(v[leaf, axis]) for v in (1 << cells.depth, cells.position))
-            t.append(u * count - position)
-        coefficients = np.array(n[dim:]).reshape([2 if name == "continuous" else 4] * dim)
-        return _horner(coefficients, t)
+            d = above - n[1:]
+            return n[0] + np.sqrt(reduce(add, d * d))
+        u = above * self.scale
+        u = np.where(self.start < 1, u + (self.start - f32(1)), u)
+        t = u * (1 << cells.depth[leaf]).astype(f32) - cells.position[leaf].astype(f32)
+        return _horner(n[len(t) :].reshape([2 if name == "continuous" else 4] * len(t)), t)
 
 
 def _horner(coefficients, t):
-    if not t:
+    if not len(t):
         return coefficients[()]
-    total = None
-    for part in coefficients[::-1]:
-        term = _horner(part, t[1:])
-        total = term if total is None else total * t[0] + term
-    return total
-
-
-def _sum(terms):
-    total = terms[0]
-    for term in terms[1:]:
-        total = total + term
-    return total
+    terms = [_horner(part, t[1:]) for part in coefficients[::-1]]
+    return reduce(lambda total, term: total * t[0] + term, terms)
 
 
 def _wrapped(x, a, b, scale, tolerance):
-    moved = min(max(x - np.floor((x - a) * scale) * (b - a), a), b)
-    return a if abs(x - b) <= tolerance else moved
+    moved = np.minimum(np.maximum(x - np.floor((x - a) * scale) * (b - a), a), b)
+    return np.where(np.abs(x - b) <= tolerance, a, moved)
 
 
 def _outward(lo, hi):

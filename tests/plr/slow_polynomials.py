@@ -9,6 +9,7 @@ from functools import cache
 from itertools import product
 from math import prod
 
+import networkx as nx
 import numpy as np
 
 _ALONG = {  # by order: powers of t, of each end of [0, 1] and of each kind of number there
@@ -51,18 +52,18 @@ class _Leaves:
     def _points_of_faces(self):
         """Where functions agree: pairs of a leaf and a place in it, a fraction of it along each axis."""
         faces, tied = self.partition.faces, self.partition.tied
-        listed = zip(faces.axis[tied].tolist(), faces.lower[tied].tolist(), faces.upper[tied].tolist(), strict=True)
         points = []
-        for axis, lower, upper in sorted(listed):
-            ends = []
-            for other in range(self.dim):
-                size = [Fraction(1, 2 ** self.depth[leaf][other]) for leaf in (lower, upper)]
-                at = [self.position[leaf][other] * s for leaf, s in zip((lower, upper), size, strict=True)]
-                ends.append((max(at), min(a + s for a, s in zip(at, size, strict=True))))
+        for axis, *leaves in sorted(np.stack([faces.axis, faces.lower, faces.upper], axis=1)[tied].tolist()):
+            lows, highs = ([self._ends(leaf)[side] for leaf in leaves] for side in (0, 1))
+            ends = list(zip(map(max, *lows), map(min, *highs), strict=True))
             ends[axis] = (None,)
             for point in product(*ends):
-                points.append([(lower, self._place(lower, point, 1)), (upper, self._place(upper, point, 0))])
+                points.append([(leaf, self._place(leaf, point, 1 - side)) for side, leaf in enumerate(leaves)])
         return points
+
+    def _ends(self, leaf):
+        cell = list(zip(self.position[leaf], self.depth[leaf], strict=True))
+        return [[Fraction(position + end, 2**depth) for position, depth in cell] for end in (0, 1)]
 
     def _place(self, leaf, point, across):
         cell = zip(point, self.depth[leaf], self.position[leaf], strict=True)
@@ -70,19 +71,11 @@ class _Leaves:
 
     def _groups(self):
         """The number of each node's group."""
-        parent = {(leaf, corner): (leaf, corner) for leaf in range(self.num_leaves) for corner in self.corners}
-
-        def least(node):
-            while parent[node] != node:
-                node = parent[node]
-            return node
-
-        for nodes in self.points:
-            if all(node in parent for node in nodes):
-                first, second = sorted(least(node) for node in nodes)
-                parent[second] = first
-        number = {node: i for i, node in enumerate(node for node in parent if parent[node] == node)}
-        return {node: number[least(node)] for node in parent}
+        graph = nx.Graph()
+        graph.add_nodes_from(product(range(self.num_leaves), self.corners))
+        graph.add_edges_from(nodes for nodes in self.points if all(node in graph for node in nodes))
+        groups = enumerate(sorted(nx.connected_components(graph), key=min))
+        return dict(sorted((node, number) for number, group in groups for node in group))
 
     def _hanging(self):
         """Groups that hang: the leaf that each does on, and where."""

@@ -8,28 +8,26 @@ from piece_helpers import WORKSPACES, box
 from plr_helpers import UNIT, cone
 
 from plr_jax import scenes
-from plr_jax._io import load, save
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
-from plr_jax.plr._assembly import with_certificate
+from plr_jax.plr._assembly import with_certificate, with_stored
 from plr_jax.plr.certificate.certificate import Certificate, Proof
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
-NUM_POINTS = 100_000
+TEN = ((0, 0), (10, 10))
 
 
 def critical_points(plr, oracle, n, seed=0):
     """Points anywhere, on walls and beside them, at corners, and on the borders of leaves."""
     rng, domain, workspace = np.random.default_rng(seed), plr.domain, oracle.workspace
-    tolerance = workspace.tolerance
     anywhere = domain.lo + domain.width * rng.random((n // 2, 2))
     segments = workspace.boundary.segments
     start, end = segments[rng.integers(len(segments), size=n // 4)].transpose(1, 0, 2)
     share = rng.random((n // 4, 1)) * (rng.random((n // 4, 1)) < 0.8)
-    hair = tolerance * 10.0 ** rng.uniform(-1, 5, (n // 4, 1)) * rng.choice([0, 1], (n // 4, 1))
+    hair = workspace.tolerance * 10.0 ** rng.uniform(-1, 5, (n // 4, 1)) * rng.choice([0, 1], (n // 4, 1))
     on_walls = start + share * (end - start) + hair * rng.normal(size=(n // 4, 2))
     lo, hi = plr.leaf_boxes
     leaf = rng.integers(len(lo), size=n // 4)
@@ -42,22 +40,23 @@ def critical_points(plr, oracle, n, seed=0):
     return np.clip(x, domain.lo, domain.hi)
 
 
-def check_bounds(plr, oracle, n=NUM_POINTS, seed=0):
+def check_within(plr, x, exact, least=5_000):
+    x, exact = x[np.isfinite(exact)], exact[np.isfinite(exact)]
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
+    assert len(exact) > least
+    assert (lower <= exact).all(), (x[lower > exact][:3].tolist(), (lower - exact).max())
+    assert (exact <= upper).all(), (x[upper < exact][:3].tolist(), (exact - upper).max())
+    return lower, upper
+
+
+def check_bounds(plr, oracle, n=10_000):
     """No distance is beyond its bounds; both are as wide as the proof says. Returns the largest error met."""
-    x = critical_points(plr, oracle, n, seed)
-    largest = 0.0
+    x, largest = critical_points(plr, oracle, n), 0.0
     for points in (x.astype(np.float32), x):
-        exact = oracle(points.astype(np.float64))
-        points = points[np.isfinite(exact)]
-        exact = exact[np.isfinite(exact)]
-        inside = plr.domain.contains(points.astype(np.float64))
-        points, exact = points[inside], exact[inside]
-        lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(points))
-        assert len(exact) > n / 20
-        assert (lower <= exact).all(), (points[lower > exact][:3].tolist(), (lower - exact).max())
-        assert (exact <= upper).all(), (points[upper < exact][:3].tolist(), (exact - upper).max())
-        error = np.abs(np.asarray(plr(points), np.float64) - exact)
-        largest = max(largest, error.max())
+        exact = np.where(plr.domain.contains(points.astype(np.float64)), oracle(points.astype(np.float64)), np.inf)
+        lower, upper = check_within(plr, points, exact, n / 20)
+        points, exact = points[np.isfinite(exact)], exact[np.isfinite(exact)]
+        largest = max(largest, np.abs(np.asarray(plr(points), np.float64) - exact).max())
         assert (lower >= 0).all()
         assert (upper - lower <= 2 * plr.max_error * (1 + 1e-5) + 1e-6 * exact).all()
     assert largest <= plr.max_error
@@ -77,80 +76,44 @@ def certified(request, maze):
     return certify(construct(maze, UNIT, leaf=request.param, max_bytes=500), maze, leaf_bounds=True)
 
 
-def test_bounds_hold_everywhere(certified, maze):
-    largest = check_bounds(certified, maze)
-    assert largest > certified.max_error / 3
-
-
-def test_bounds_of_the_largest_error_hold_and_are_tight(certified, maze):
-    plain = from_bytes(certified.to_bytes())
-    plr = certify(plain, maze)
-    largest = check_bounds(plr, maze, 10_000)
-    assert plr.max_error / 2 < largest <= plr.max_error
-    lower, upper = plr.bounds(np.array([[0.03, 0.9]]))
-    value = float(plr(np.array([[0.03, 0.9]]))[0])
-    np.testing.assert_allclose([value - lower[0], upper[0] - value], plr.max_error, rtol=1e-3)
+def test_bounds_hold_everywhere_and_are_tight(certified, maze):
+    """Those of leaves, which take two bytes each, and those of the largest error, which takes four."""
+    assert check_bounds(certified, maze, 50_000) > certified.max_error / 3
+    plr = certify(from_bytes(certified.to_bytes()), maze)
+    assert plr.max_error / 2 < check_bounds(plr, maze) <= plr.max_error
+    x = np.array([[0.03, 0.9]])
+    np.testing.assert_allclose(np.asarray(plr.bounds(x)) - plr(x), [[-plr.max_error], [plr.max_error]], rtol=1e-3)
+    assert certified.num_bytes - plr.num_bytes == 2 * certified.num_leaves
+    plain = construct(maze, UNIT, leaf=certified.leaf.name, max_bytes=500)
+    assert plain.max_error is None and plain.band is None and plain.num_bytes + 4 == plr.num_bytes
+    changed = with_stored(certified, certified.stored)  # certified anew or not at all
+    assert changed.max_error is None and changed.band is None and changed.to_bytes() == plain.to_bytes()
 
 
 @pytest.mark.parametrize(("leaf", "kind"), list(zip((*LEAVES, "cone", "plane"), WORKSPACES * 2, strict=True)))
 def test_bounds_hold_among_slivers_contacts_and_parts_that_are_cut_off(leaf, kind):
     """Where the goal is a corner, or the domain is another than the bounds."""
     number = LEAVES.index(leaf)
-    rng = np.random.default_rng(number)
-    workspace = kind(rng, squeeze=number % 2 == 0)
+    workspace = kind(np.random.default_rng(number), squeeze=number % 2 == 0)
     goal = workspace.sample_free(1, 0)[0] if number < 2 else workspace.boundary.vertices[7]
     domain = Box((-3, -1), (12, 14)) if number in (1, 2) else Box((1.3, 1.9), (9.1, 8))
     oracle = VisibilityGraph(workspace, goal)
     plr = construct(oracle, domain, leaf=leaf, max_leaves=40, certified=True, leaf_bounds=number % 2 == 1)
-    check_bounds(plr, oracle, 10_000)
-
-
-@pytest.mark.parametrize("leaf", ["plane", "cone"])
-def test_bounds_hold_far_from_the_origin(leaf):
-    """There 32-bit floats resolve a 60th of the room; what is rounded is in the bounds."""
-    corner = np.array([1e6, -3e5])
-    workspace = Workspace(
-        corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner, box(6, 8, 7, 9) + corner]
-    )
-    oracle = VisibilityGraph(workspace, corner + 1)
-    plr = construct(oracle, workspace.bounds, leaf=leaf, max_leaves=40, certified=True)
-    rng = np.random.default_rng(0)
-    x = corner + 10 * rng.random((NUM_POINTS, 2))
-    exact = oracle(x)
-    lower, upper = plr.bounds(x)
-    free = np.isfinite(exact)
-    assert ((lower <= exact) & (exact <= upper))[free].all()
-
-
-def test_a_proof_is_kept_in_the_file_bit_for_bit(certified, tmp_path):
-    save(certified, tmp_path / "maze.plr")
-    loaded = load(tmp_path / "maze.plr")
-    assert loaded.to_bytes() == certified.to_bytes() == (tmp_path / "maze.plr").read_bytes()
-    assert loaded.max_error == certified.max_error
-    x = np.random.default_rng(0).random((500, 2))
-    np.testing.assert_array_equal(loaded.bounds(x), certified.bounds(x))
-    np.testing.assert_array_equal(loaded(x), certified(x))
-
-
-def test_a_proof_takes_four_bytes_and_two_a_leaf(certified, maze):
-    whole = certify(certified, maze)
-    assert certified.num_bytes - whole.num_bytes == 2 * certified.num_leaves
-    plain = construct(maze, UNIT, leaf=certified.leaf.name, max_bytes=500)
-    assert plain.max_error is None and plain.band is None
-    assert whole.num_bytes == plain.num_bytes + 4
-    assert whole.num_leaves == plain.num_leaves
-    x = np.random.default_rng(0).random((500, 2))
-    np.testing.assert_array_equal(plain(x), whole(x))
+    check_bounds(plr, oracle)
 
 
 def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
+    """Files of one bound for all leaves, as of releases that knew no classes, are read as they were written."""
     plr = construct(maze, UNIT, leaf="cone", max_bytes=2048, certified=True)
-    check_bounds(plr, maze, 20_000)
+    check_bounds(plr, maze)
     assert 1900 < plr.num_bytes <= 2048
     assert certify(plr, maze).to_bytes() == plr.to_bytes()
     loaded = from_bytes(plr.to_bytes())
     assert loaded.max_error == plr.max_error
     np.testing.assert_array_equal(loaded.band, plr.band)
+    one = from_bytes(with_certificate(plr, Certificate(0.25, None, Proof.CLASSES)).to_bytes())
+    assert one.max_error == 0.25
+    np.testing.assert_array_equal(one.band, [[-0.25], [0.25]])
     one = with_certificate(plr, Certificate(plr.max_error, None, Proof.CLASSES))
     each = certify(plr, maze, leaf_bounds=True)
     assert 0 < plr.num_bytes - one.num_bytes <= one.num_bytes / 128
@@ -159,43 +122,30 @@ def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
     assert narrowest < narrow < 0.6 * wide
 
 
-def test_files_of_one_bound_for_all_leaves_are_read_as_they_were_written(maze):
-    """As those of releases that knew no classes."""
-    plr = construct(maze, UNIT, leaf="cone", max_bytes=2048, certified=True)
-    one = from_bytes(with_certificate(plr, Certificate(0.25, None, Proof.CLASSES)).to_bytes())
-    assert one.max_error == 0.25
-    np.testing.assert_array_equal(one.band, [[-0.25], [0.25]])
-
-
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_certified_construction_keeps_its_budget_and_its_proof(leaf, maze):
     plr = construct(maze, UNIT, leaf=leaf, max_bytes=450, certified=True, leaf_bounds=True)
     assert plr.num_bytes <= 450
-    again = certify(plr, maze, leaf_bounds=True)
-    assert again.to_bytes() == plr.to_bytes()
+    assert certify(plr, maze, leaf_bounds=True).to_bytes() == plr.to_bytes()
     assert plr.bounds(np.array([0.5, 0.9]))[0].shape == ()
 
 
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 def test_certified_construction_with_samples_beyond_their_cells(leaf, maze):
-    check_bounds(construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, margin=0.2), maze, 5_000)
+    check_bounds(construct(maze, UNIT, leaf=leaf, max_leaves=60, certified=True, margin=0.2), maze)
 
 
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
 def test_free_space_that_no_sample_meets_is_proven_as_well(leaf):
     """A slit of which the samples of the whole domain meet nothing; tied leaves, which need some, say so."""
     walls = [box(0, 0, 10, 4.69999), box(0, 4.70001, 10, 10), box(3, 4, 3.5, 4.700009)]
-    workspace = Workspace(((0, 0), (10, 10)), walls)
-    oracle = VisibilityGraph(workspace, (9.0, 4.7))
-    plr = construct(oracle, workspace.bounds, leaf=leaf, max_leaves=30, certified=True)
+    oracle = VisibilityGraph(Workspace(TEN, walls), (9.0, 4.7))
+    plr = construct(oracle, TEN, leaf=leaf, max_leaves=30, certified=True)
     with pytest.raises(ValueError, match="found nothing reachable"):
-        construct(oracle, workspace.bounds, leaf="continuous", max_leaves=30, certified=True)
-    rng = np.random.default_rng(0)
-    x = np.column_stack([10 * rng.random(20_000), 4.7 + 2e-5 * (rng.random(20_000) - 0.5)])
-    exact = oracle(x)
-    x, exact = x[np.isfinite(exact)], exact[np.isfinite(exact)]
-    lower, upper = plr.bounds(x)
-    assert len(x) > 10_000 and (lower <= exact).all() and (exact <= upper).all()
+        construct(oracle, TEN, leaf="continuous", max_leaves=30, certified=True)
+    share = np.random.default_rng(0).random((20_000, 2))
+    x = np.array([0, 4.7 - 1e-5]) + [10, 2e-5] * share
+    check_within(plr, x, oracle(x), 10_000)
 
 
 def _spike(angle, depth):
@@ -204,26 +154,20 @@ def _spike(angle, depth):
     return [(0.4, tip[1]), (0.4 - half, depth), (0.4 + half, depth)], tip - (3 * angle * depth, depth * 2 / 3)
 
 
-def _floating(width, length):
-    """A short thin wall inside of cells, and a goal beside it."""
-    return box(0.4 - width / 2, 0.4 - length, 0.4 + width / 2, 0.4 + length), (0.4 - length / 4, 0.4)
+# Spikes, and a short thin wall inside of cells.
+SMALL = [_spike(1e-4, 2e-5), _spike(1e-3, 1e-5), _spike(1e-5, 1e-4)]
+SMALL.append((box(0.4 - 2.5e-9, 0.4 - 4e-6, 0.4 + 2.5e-9, 0.4 + 4e-6), (0.4 - 1e-6, 0.4)))
 
 
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
-@pytest.mark.parametrize(
-    ("wall", "goal"), [_spike(1e-4, 2e-5), _spike(1e-3, 1e-5), _spike(1e-5, 1e-4), _floating(5e-9, 4e-6)]
-)
+@pytest.mark.parametrize(("wall", "goal"), SMALL)
 def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
     """However little of a cell's area they take: who is behind one has to go around it."""
-    workspace = Workspace(((0, 0), (1, 1)), [wall])
-    oracle = VisibilityGraph(workspace, goal)
-    plr = construct(oracle, workspace.bounds, leaf=leaf, max_bytes=512, certified=True, leaf_bounds=True)
+    oracle = VisibilityGraph(Workspace(UNIT, [wall]), goal)
+    plr = construct(oracle, UNIT, leaf=leaf, max_bytes=512, certified=True, leaf_bounds=True)
     rng, size = np.random.default_rng(0), 4 * np.abs(np.array(wall)[0] - goal).max()
     x = np.array(wall)[0] + size * np.column_stack([rng.random(20_000) ** 3, 2 * rng.random(20_000) - 1])
-    x = x[workspace.clearance(x) >= 0]
-    exact = oracle(x)
-    lower, upper = plr.bounds(x)
-    assert len(x) > 5_000 and (lower <= exact).all() and (exact <= upper).all()
+    check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf))
 
 
 def test_an_interrupted_proof_leaves_the_plr_without_one(maze, monkeypatch):
@@ -245,107 +189,78 @@ def test_proofs_end_where_bounds_cannot_get_better(maze, monkeypatch):
     monkeypatch.setattr("plr_jax.plr.certificate.bounds._MOST_PIECES", 10)
     loose = certify(plr, maze, leaf_bounds=True)
     assert np.ptp(loose.band, axis=0).sum() > np.ptp(tight.band, axis=0).sum()
-    check_bounds(loose, maze, 5_000)
+    check_bounds(loose, maze)
 
 
-def test_bounds_under_jit_with_the_plr_closed_over_or_as_an_argument(certified):
+def test_bounds_under_jit_one_by_one_and_their_slopes(certified):
+    """With the PLR closed over or as an argument."""
     x = jnp.asarray(np.random.default_rng(0).random((300, 2)), jnp.float32)
     expected = certified.bounds(x)
-    np.testing.assert_allclose(jax.jit(certified.bounds)(x), expected, rtol=1e-6)
-    np.testing.assert_allclose(jax.jit(lambda plr, x: plr.bounds(x))(certified, x), expected, rtol=1e-6)
-    one_by_one = jax.vmap(certified.bounds)(x)
-    np.testing.assert_allclose(one_by_one, expected, rtol=1e-6)
+    for found in (
+        jax.jit(certified.bounds)(x),
+        jax.jit(lambda plr, x: plr.bounds(x))(certified, x),
+        jax.vmap(certified.bounds)(x),
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
     assert jax.tree_util.tree_map(lambda leaf: leaf, certified).max_error == certified.max_error
-
-
-def test_bounds_have_the_slope_of_what_is_answered(certified):
-    x = jnp.array([0.3, 0.85])
-    slope = jax.grad(certified)(x)
-    for bound in range(2):
-        np.testing.assert_array_equal(jax.grad(lambda x, bound=bound: certified.bounds(x)[bound])(x), slope)
-    np.testing.assert_array_equal(jax.vmap(jax.grad(certified.lower))(x[None]), slope[None])
-
-
-def test_lower_bounds_stack_with_lower_bounds_alone(certified):
-    for fns in ([], [certified.lower, certified]):
-        with pytest.raises(ValueError, match="Lower bounds of PLRs can be stacked"):
-            certified.lower.stack(fns)
-
-
-def test_a_lower_bound_is_an_argument_of_compiled_functions(certified):
-    x = jnp.array([[0.3, 0.85], [0.7, 0.2]])
     np.testing.assert_array_equal(jax.jit(lambda lower, x: lower(x))(certified.lower, x), certified.lower(x))
+    slope = jax.grad(certified)(x[0])
+    np.testing.assert_array_equal(jax.jacrev(certified.bounds)(x[0]), [slope, slope])
+    np.testing.assert_array_equal(jax.vmap(jax.grad(certified.lower))(x[:1]), slope[None])
 
 
-def test_masked_points_are_not_answered(certified):
+def test_bounds_outside_the_domain_of_nan_and_of_what_is_masked(certified):
+    bounds = certified.bounds(np.array([[2.0, 0.5], [np.nan, 0.5], [0.5, -1e-3]]))
+    np.testing.assert_array_equal(bounds, 2 * [[np.inf, np.nan, np.inf]])
     x = np.ma.masked_invalid([[0.3, np.nan], [0.3, 0.85]])
     for answer in (certified(x), certified.bounds(x)[0], certified.lower(x)):
         np.testing.assert_array_equal(np.isnan(answer), [True, False])
 
 
-def test_bounds_outside_the_domain_and_of_nan(certified):
-    lower, upper = certified.bounds(np.array([[2.0, 0.5], [np.nan, 0.5], [0.5, -1e-3]]))
-    np.testing.assert_array_equal(lower, [np.inf, np.nan, np.inf])
-    np.testing.assert_array_equal(upper, [np.inf, np.nan, np.inf])
-
-
 def test_lower_bounds_stack_into_an_admissible_heuristic(certified, maze):
-    other = certify(construct(maze.with_goal((0.9, 0.9)), UNIT, max_leaves=30), maze.with_goal((0.9, 0.9)))
+    other_oracle = maze.with_goal((0.9, 0.9))
+    other = certify(construct(other_oracle, UNIT, max_leaves=30), other_oracle)
     fns = [certified.lower, other.lower]
     assert [fn.dim for fn in fns] == [2, 2]
-    x = maze.workspace.sample_free(400, 0)
-    q = x.reshape(200, 2, 2)
-    heuristic = sum_of_distances(fns)
-    exact = maze(q[:, 0]) + maze.with_goal((0.9, 0.9))(q[:, 1])
-    found = np.asarray(heuristic(q))
+    q = maze.workspace.sample_free(400, 0).reshape(200, 2, 2)
+    exact, found = maze(q[:, 0]) + other_oracle(q[:, 1]), np.asarray(sum_of_distances(fns)(q))
     assert (found <= exact).all()
     assert (exact - found).mean() < certified.max_error + other.max_error
-    np.testing.assert_allclose(
-        found, np.asarray(fns[0](q[:, 0]), float) + np.asarray(fns[1](q[:, 1]), float), atol=1e-6
-    )
     stacked = certified.lower.stack(fns)(q)
-    np.testing.assert_array_equal(stacked[:, 0], np.asarray(certified.bounds(q[:, 0])[0], float))
-    np.testing.assert_array_equal(stacked[:, 1], np.asarray(other.bounds(q[:, 1])[0], float))
-
-
-def test_lower_bounds_far_from_the_origin_stack_too():
-    corner = np.array([1e6, -3e5])
-    workspace = Workspace(corner + np.array([[0, 0], [10, 10.0]]), [box(4, 0, 5, 7) + corner])
-    oracle = VisibilityGraph(workspace, corner + 1)
-    plr = construct(oracle, workspace.bounds, max_leaves=40, certified=True, leaf_bounds=True)
-    q = workspace.sample_free(300, 0)[:, None]
-    stacked = plr.lower.stack([plr.lower])(q)
-    np.testing.assert_array_equal(stacked[:, 0], np.asarray(plr.bounds(q[:, 0])[0], float))
-    assert (stacked[:, 0] <= oracle(q[:, 0])).all()
+    np.testing.assert_allclose(found, stacked.sum(axis=1), atol=1e-6)
+    for i, plr in enumerate((certified, other)):
+        np.testing.assert_array_equal(stacked[:, i], np.asarray(plr.bounds(q[:, i])[0], float))
+    for fns in ([], [certified.lower, certified]):
+        with pytest.raises(ValueError, match="Lower bounds of PLRs can be stacked"):
+            certified.lower.stack(fns)
 
 
 def test_an_open_room_is_exact():
     """Without corners the distance is one cone, up to what a query rounds."""
-    oracle = VisibilityGraph(Workspace(((0, 0), (1, 1))), (0.3, 0.4))
+    oracle = VisibilityGraph(Workspace(UNIT), (0.3, 0.4))
     plr = construct(oracle, UNIT, leaf="cone", max_leaves=5, certified=True)
-    assert plr.num_leaves == 1
-    assert plr.max_error < 1e-6
-    check_bounds(plr, oracle, 1000)
+    assert plr.num_leaves == 1 and plr.max_error < 1e-6
+    check_bounds(plr, oracle)
 
 
-def test_what_cannot_be_proven_is_refused(maze):
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda plr, maze: plr.bounds(np.zeros((1, 2))), "certified=True"),
+        (lambda plr, maze: plr.lower, "certified=True"),
+        (lambda plr, maze: certify(plr, Euclidean((0.5, 0.5))), "answers for whole cells"),
+        (lambda plr, maze: construct(cone, UNIT, certified=True), "answers for whole cells"),
+        (lambda plr, maze: certify(construct(cone, Box([0], [1]), max_leaves=4), maze), "in the plane"),
+        (lambda plr, maze: certify(maze, maze), "Only a PLR"),
+        (lambda plr, maze: construct(maze, UNIT, certified="yes"), "certified must be True or False"),
+        (lambda plr, maze: construct(maze, UNIT, leaf_bounds=True), "leaf_bounds=True needs certified=True"),
+    ],
+)
+def test_what_cannot_be_proven_is_refused(call, message, maze):
     plr = construct(maze, UNIT, max_leaves=20)
-    with pytest.raises(ValueError, match="certified=True"):
-        plr.bounds(np.zeros((1, 2)))
-    with pytest.raises(ValueError, match="certified=True"):
-        plr.lower  # noqa: B018
-    with pytest.raises(ValueError, match="answers for whole cells"):
-        certify(plr, Euclidean((0.5, 0.5)))
-    with pytest.raises(ValueError, match="answers for whole cells"):
-        construct(cone, UNIT, certified=True)
-    with pytest.raises(ValueError, match="in the plane"):
-        certify(construct(cone, Box([0], [1]), max_leaves=4), maze)
-    with pytest.raises(ValueError, match="Only a PLR"):
-        getattr(certify, "__wrapped__", certify)(maze, maze)  # by annotations, as outside of the tests
-    with pytest.raises(ValueError, match="certified must be True or False"):
-        construct(maze, UNIT, certified="yes")
-    with pytest.raises(ValueError, match="leaf_bounds=True needs certified=True"):
-        construct(maze, UNIT, leaf_bounds=True)
+    with pytest.raises(ValueError, match=message):
+        call(plr, maze)
 
 
 def test_a_leaf_that_answers_inf_where_the_goal_is_reached_cannot_be_certified():
@@ -355,11 +270,3 @@ def test_a_leaf_that_answers_inf_where_the_goal_is_reached_cannot_be_certified()
     assert plr.num_unreachable
     with pytest.raises(ValueError, match="answers inf, although some of its points reach the goal"):
         certify(plr, VisibilityGraph(Workspace(thick.bounds), (0.5, 0.5)))
-
-
-def test_a_certificate_is_not_carried_over_to_other_values(certified):
-    """Leaves whose numbers were changed are certified anew or not at all."""
-    from plr_jax.plr._assembly import with_stored
-
-    changed = with_stored(certified, certified.stored)
-    assert changed.max_error is None and changed.band is None

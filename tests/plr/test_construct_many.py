@@ -1,5 +1,6 @@
-"""Many PLRs at once: as good as those that are built alone, and the same whoever builds them."""
+"""Many PLRs at once: as good as those that are built alone, and the same whoever builds them and however often."""
 
+import os
 import warnings
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -8,22 +9,34 @@ import numpy as np
 import pytest
 
 import plr_jax
+from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
-from plr_jax.plr.partition.cells import levels_of
 
 MAZE = plr_jax.scenes.maze().workspace
-NUM_GOALS = 7
+CONES = {"leaf": "cone", "max_bytes": 300}
+FORKS = get_context("forkserver")
+FORKS.set_forkserver_preload(["experiments._scale_work"])
 
 
 @pytest.fixture(scope="module")
 def oracles():
     first = plr_jax.VisibilityGraph(MAZE, (0.06, 0.07))
-    return [first, *(first.with_goal(goal) for goal in MAZE.sample_free(NUM_GOALS - 1, seed=4))]
+    return [first, *(first.with_goal(goal) for goal in MAZE.sample_free(6, seed=4)[:4])]
+
+
+def many(oracles, **options):
+    return plr_jax.construct_many(oracles, MAZE.bounds, **(options if "leaf" in options else CONES | options))
+
+
+def files_of(plrs):
+    return [plr.to_bytes() for plr in plrs]
 
 
 @pytest.fixture(scope="module")
 def family(oracles):
-    return plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return many(oracles)
 
 
 def errors_of(plr, oracle, x):
@@ -34,107 +47,84 @@ def test_members_are_about_as_good_as_alone_and_fill_the_budget(oracles, family)
     x, alone, together = MAZE.sample_free(4000, seed=1), [], []
     for plr, oracle in zip(family, oracles, strict=True):
         assert 0.95 * 300 <= plr.num_bytes <= 300
+        assert np.ldexp(1.0, -plr.cells.depth.sum(axis=1)).sum() == 1
+        again = plr_jax.from_bytes(plr.to_bytes())
+        np.testing.assert_array_equal(again.cells.position, plr.cells.position)
+        np.testing.assert_array_equal(again(x), plr(x))
         together.append(errors_of(plr, oracle, x).mean())
-        alone.append(errors_of(plr_jax.construct(oracle, MAZE.bounds, leaf="cone", max_bytes=300), oracle, x).mean())
+        alone.append(errors_of(plr_jax.construct(oracle, MAZE.bounds, **CONES), oracle, x).mean())
     assert np.mean(together) < 1.3 * np.mean(alone)
     assert np.max(together) < 2 * np.max(alone)
 
 
 def test_a_members_sources_are_those_of_its_own_goal(oracles, family):
+    starts = MAZE.sample_free(200, seed=3)
     for plr, oracle in zip(family, oracles, strict=True):
         stored = plr.stored.sources
         for point, offset in zip(stored.points, stored.offsets, strict=True):
             to_source = np.linalg.norm(oracle.sources.points - point, axis=1)
             assert to_source.min() < 1e-6
             np.testing.assert_allclose(offset, oracle.sources.distances[to_source.argmin()], atol=1e-6)
+        traces = plr_jax.trace(plr, starts)
+        assert (np.asarray(traces.status) == plr_jax.TraceStatus.ARRIVED).mean() > 0.99
 
 
-def test_a_members_tree_is_a_partition_and_its_file_is_read_back(family):
-    for plr in family:
-        again = plr_jax.from_bytes(plr.to_bytes())
-        x = MAZE.sample_free(500, seed=2)
-        np.testing.assert_array_equal(np.asarray(plr(x)), np.asarray(again(x)))
-        volume = np.ldexp(1.0, -plr.cells.depth.sum(axis=1))
-        assert volume.sum() == 1
-        assert len(levels_of(plr.cells)[1]) == plr.num_leaves
+def test_the_limits_hold(oracles):
+    x = MAZE.sample_free(3000, seed=1)
+    for most in (1, 2, 5, 90):
+        (plr,) = many(oracles[:1], leaf="cone", max_leaves=most)
+        assert most * 8 / 9 - 2 <= plr.num_leaves <= most
+        assert np.isfinite(np.asarray(plr(x))).all()
+    (shallow,) = many(oracles[:1], max_bytes=400, max_depth=7)
+    assert shallow.depth <= 7
+    (few,) = many(oracles[:1], max_bytes=4000, tolerance=0.05)
+    assert few.num_bytes < 400 and errors_of(few, oracles[0], x).max() < 0.051
+
+
+def test_certified_bounds_hold_the_distance(oracles):
+    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": True, "leaf_bounds": True, "max_bytes": 400}
+    for plr, oracle in zip(many(oracles[:2], **options), oracles, strict=False):
+        alone = plr_jax.construct(oracle, MAZE.bounds, **options)
+        lower, upper = plr.bounds(x)
+        assert (np.asarray(lower) <= oracle(x)).all() and (oracle(x) <= np.asarray(upper)).all()
+        assert plr.num_bytes <= 400
+        assert errors_of(plr, oracle, x).max() <= plr.max_error < 1.5 * alone.max_error
+
+
+def test_goals_of_two_workspaces_and_other_functions_in_one_list(oracles, family):
+    rooms, euclidean = plr_jax.scenes.four_rooms(2).workspace, plr_jax.Euclidean((0.2, 0.3))
+    plrs = many([oracles[1], euclidean, oracles[2]])
+    alone = plr_jax.construct(euclidean, MAZE.bounds, **CONES)
+    assert files_of(plrs) == files_of([family[1], alone, family[2]])
+    other = plr_jax.VisibilityGraph(rooms, (1.37, 5.23))
+    mixed = plr_jax.construct_many([other, oracles[0]], rooms.bounds, **CONES)
+    assert errors_of(mixed[0], other, rooms.sample_free(2000, seed=0)).mean() < 0.02
+    planes = {"leaf": "plane", "max_leaves": 30, "seed": 3}
+    (plane,) = many(oracles[:1], **planes)
+    assert plane.to_bytes() == plr_jax.construct(oracles[0], MAZE.bounds, **planes).to_bytes()
+
+
+@pytest.fixture
+def parts_of_one(monkeypatch):
+    monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 1)
 
 
 @pytest.mark.parametrize("at_once", [1, 3])
 def test_bytes_do_not_depend_on_who_is_built_together(oracles, family, monkeypatch, at_once):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
     with ThreadPoolExecutor(3) as threads:
-        others = plr_jax.construct_many(oracles[::-1], MAZE.bounds, leaf="cone", max_bytes=300, executor=threads)
-    assert [plr.to_bytes() for plr in others[::-1]] == [plr.to_bytes() for plr in family]
+        assert files_of(many(oracles[::-1], executor=threads)) == files_of(family)[::-1]
 
 
-def test_processes_give_the_same_bytes(oracles, family):
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as processes:
-        others = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=processes)
-    assert [plr.to_bytes() for plr in others] == [plr.to_bytes() for plr in family]
-
-
-def test_the_limits_hold(oracles):
-    x = MAZE.sample_free(3000, seed=1)
-    for plr in plr_jax.construct_many(oracles[:3], MAZE.bounds, leaf="cone", max_leaves=90):
-        assert 80 <= plr.num_leaves <= 90
-    for plr in plr_jax.construct_many(oracles[:3], MAZE.bounds, leaf="cone", max_bytes=400, max_depth=7):
-        assert plr.depth <= 7
-    few = plr_jax.construct_many(oracles[:3], MAZE.bounds, leaf="cone", max_bytes=4000, tolerance=0.05)
-    for plr, oracle in zip(few, oracles, strict=False):
-        assert plr.num_bytes < 400
-        assert errors_of(plr, oracle, x).max() < 0.051
-
-
-@pytest.mark.parametrize("max_leaves", [1, 2, 5])
-def test_a_few_leaves(oracles, max_leaves):
-    (plr,) = plr_jax.construct_many(oracles[:1], MAZE.bounds, leaf="cone", max_leaves=max_leaves)
-    assert 1 <= plr.num_leaves <= max_leaves
-    assert np.isfinite(np.asarray(plr(MAZE.sample_free(50, seed=0)))).all()
-
-
-def test_certified_bounds_hold_the_distance(oracles):
-    x = MAZE.sample_free(3000, seed=6)
-    plrs = plr_jax.construct_many(
-        oracles[:2], MAZE.bounds, leaf="cone", max_bytes=400, certified=True, leaf_bounds=True
-    )
-    for plr, oracle in zip(plrs, oracles, strict=False):
-        alone = plr_jax.construct(oracle, MAZE.bounds, leaf="cone", max_bytes=400, certified=True, leaf_bounds=True)
-        lower, upper = plr.bounds(x)
-        distance = oracle(x)
-        assert (np.asarray(lower) <= distance).all()
-        assert (distance <= np.asarray(upper)).all()
-        assert plr.num_bytes <= 400
-        assert errors_of(plr, oracle, x).max() <= plr.max_error < 1.5 * alone.max_error
-
-
-def test_goals_of_two_workspaces_and_other_functions_in_one_list(oracles, family):
-    rooms = plr_jax.scenes.four_rooms(2).workspace
-    other = plr_jax.VisibilityGraph(rooms, (1.37, 5.23))
-    euclidean = plr_jax.Euclidean((0.2, 0.3))
-    several = [oracles[1], euclidean, oracles[2]]
-    plrs = plr_jax.construct_many(several, MAZE.bounds, leaf="cone", max_bytes=300)
-    assert [plrs[i].to_bytes() for i in (0, 2)] == [plr.to_bytes() for plr in family[1:3]]
-    alone = plr_jax.construct(euclidean, MAZE.bounds, leaf="cone", max_bytes=300)
-    assert plrs[1].to_bytes() == alone.to_bytes()
-    mixed = plr_jax.construct_many([other, oracles[0]], rooms.bounds, leaf="cone", max_bytes=300)
-    x = rooms.sample_free(2000, seed=0)
-    assert errors_of(mixed[0], other, x).mean() < 0.02
-
-
-def test_planes_are_those_of_construct(oracles):
-    plrs = plr_jax.construct_many(oracles[:2], MAZE.bounds, max_leaves=30, seed=3)
-    for plr, oracle in zip(plrs, oracles, strict=False):
-        assert plr.to_bytes() == plr_jax.construct(oracle, MAZE.bounds, max_leaves=30, seed=3).to_bytes()
-
-
-def test_paths_of_members_arrive(oracles, family):
-    starts = MAZE.sample_free(200, seed=3)
-    for plr, oracle in zip(family, oracles, strict=True):
-        traces = plr_jax.trace(plr, starts)
-        assert (np.asarray(traces.status) == plr_jax.TraceStatus.ARRIVED).mean() > 0.99
-        for start, path in zip(starts[:20], traces.paths, strict=False):
-            length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-            assert length >= oracle(start[None])[0] - 1e-6
+@pytest.mark.usefixtures("parts_of_one")
+def test_processes_give_the_same_bytes_even_if_a_worker_is_killed(oracles, family, tmp_path):
+    fatal = FatalOnce((0.4, 0.6), tmp_path / "killed", os.getpid())
+    with ProcessPoolExecutor(2, mp_context=FORKS) as executor:
+        assert files_of(many(oracles, executor=executor)) == files_of(family)
+        plrs = many([*oracles[:3], fatal, *oracles[3:]], executor=executor)
+    assert (tmp_path / "killed").exists()
+    assert files_of(plrs[:3] + plrs[4:]) == files_of(family)
+    assert plrs[3].to_bytes() == plr_jax.construct(fatal, MAZE.bounds, **CONES).to_bytes()
 
 
 class Failing(Executor):
@@ -153,21 +143,83 @@ class Failing(Executor):
         return future
 
 
-def test_what_a_dead_worker_had_is_built_again(oracles, family, monkeypatch):
-    monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 4)
-    dying = Failing(0, BrokenExecutor("a worker died"))
-    plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=dying)
-    assert [plr.to_bytes() for plr in plrs] == [plr.to_bytes() for plr in family]
+@pytest.mark.usefixtures("parts_of_one")
+def test_what_a_dead_worker_had_is_built_again_and_what_is_done_before_an_interrupt_is_kept(oracles, family):
+    assert files_of(many(oracles, executor=Failing(0, BrokenExecutor("a worker died")))) == files_of(family)
+    with pytest.warns(plr_jax.ConstructionInterrupted, match="4 of 5"):
+        plrs = many(oracles, executor=Failing(2, KeyboardInterrupt()))
+    assert plrs[2] is None and files_of(plrs[:2] + plrs[3:]) == files_of(family[:2] + family[3:])
 
 
-def test_what_is_done_before_an_interrupt_is_kept(oracles, family, monkeypatch):
-    monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 4)
-    with pytest.warns(plr_jax.ConstructionInterrupted, match="4 of 7"):
-        interrupted = Failing(1, KeyboardInterrupt())
-        plrs = plr_jax.construct_many(oracles, MAZE.bounds, leaf="cone", max_bytes=300, executor=interrupted)
-    done = [plr is not None for plr in plrs]
-    assert done == [True] * 4 + [False] * 3
-    assert plrs[0].to_bytes() == family[0].to_bytes()
+# Work that is kept.
+
+
+@pytest.fixture(scope="module")
+def work(oracles):
+    return [*oracles[:2], plr_jax.Euclidean((0.2, 0.3))]
+
+
+@pytest.fixture(scope="module")
+def finished(work, tmp_path_factory):
+    path = tmp_path_factory.mktemp("checkpoint") / "work"
+    return path, files_of(many(work, checkpoint=path))
+
+
+def test_nothing_is_built_twice(work, family, finished, monkeypatch):
+    path, files = finished
+    assert files[:2] == files_of(family[:2])
+    monkeypatch.setattr(_construct_many, "_run_by", lambda pool, chunks, *rest: [] if not chunks else 1 / 0)
+    again = many(work, checkpoint=path)
+    assert files_of(again) == files
+    x = MAZE.sample_free(20, 0)
+    np.testing.assert_array_equal(again[0](x), family[0](x))
+
+
+def test_however_much_was_written_the_rest_is_built_and_what_was_damaged_again(work, finished, tmp_path):
+    path, files = finished
+    whole = path.read_bytes()
+    kept = [whole[:size] for size in (*range(0, 60, 14), *range(60, len(whole), 197), len(whole) - 1)]
+    for data in (*kept, whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:]):
+        (tmp_path / "cut").write_bytes(data)
+        assert files_of(many(work, checkpoint=tmp_path / "cut")) == files
+        assert (tmp_path / "cut").read_bytes() == whole
+
+
+@pytest.mark.usefixtures("parts_of_one")
+def test_what_was_done_before_an_error_is_kept(work, finished, tmp_path):
+    path = tmp_path / "work"
+    with pytest.raises(RuntimeError, match="elsewhere"):
+        many(work, checkpoint=path, executor=Failing(2, RuntimeError("elsewhere")))
+    assert path.stat().st_size > 0
+    assert files_of(many(work, checkpoint=path)) == finished[1]
+    assert path.read_bytes() == finished[0].read_bytes()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda work: (work[:2], {}),
+        lambda work: ([*work[:2], plr_jax.Euclidean((0.2, 0.31))], {}),
+        lambda work: ([work[0], work[0].with_goal((0.93, 0.951)), work[2]], {}),
+        lambda work: (work[::-1], {}),
+        lambda work: (work, {"max_bytes": 301}),
+        lambda work: (work, {"leaf": "plane", "max_bytes": 300}),
+        lambda work: (work, {"seed": 1}),
+        lambda work: (work, {"max_depth": 7}),
+    ],
+)
+def test_other_work_is_refused_and_left_as_it_is(work, finished, change):
+    path, before = finished[0], finished[0].read_bytes()
+    others, options = change(work)
+    with pytest.raises(ValueError, match=r"work is the checkpoint of other work.*or delete it"):
+        many(others, checkpoint=path, **options)
+    assert path.read_bytes() == before
+
+
+def test_another_release_is_other_work(work, finished, monkeypatch):
+    monkeypatch.setattr(plr_jax, "__version__", "0.0.0")
+    with pytest.raises(ValueError, match="release"):
+        many(work, checkpoint=finished[0])
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -178,16 +230,14 @@ def test_what_is_done_before_an_interrupt_is_kept(oracles, family, monkeypatch):
         (lambda oracles: 3, {}, "must be a list of distance functions"),
         (lambda oracles: [oracles[0], 5], {}, "number 1 is 5"),
         (list, {"executor": 4}, "executor must be"),
-        (list, {"leaf": "cone", "max_bytes": 10}, "too small: a tree of 1 leaves takes"),
+        (list, {"max_bytes": 10}, "too small: a tree of 1 leaves takes"),
         (list, {"seed": -1}, "seed must be"),
+        (list, {"checkpoint": __file__}, "test_construct_many.py is no checkpoint: choose another path"),
+        (list, {"checkpoint": 3}, "checkpoint must be the path of a file or None, got 3"),
     ],
 )
 def test_what_is_wrong_is_said(oracles, functions, options, message):
     with pytest.raises(ValueError, match=message):
-        plr_jax.construct_many(functions(oracles), MAZE.bounds, **options)
-
-
-def test_nothing_is_warned_of(oracles):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        plr_jax.construct_many(oracles[:2], MAZE.bounds, leaf="cone", max_bytes=200)
+        many(functions(oracles), **options)
+    with pytest.raises(OSError, match="nowhere"):
+        many(oracles, checkpoint="/nowhere/work")

@@ -1,107 +1,83 @@
-"""Queries exported by ``jax.export``: compiled programs that need this package no more."""
+"""Queries exported by ``jax.export``, which need this package no more, and of points on several devices."""
 
-from functools import cache
+import os
+import subprocess
+import sys
+import textwrap
 
 import jax
 import numpy as np
 import pytest
 from jax import export
+from portable_helpers import case
 
-from plr_jax import Box, ReedsShepp, VisibilityGraph, construct, construct_pairs, scenes, stack
+from plr_jax import Euclidean, Workspace, construct, construct_pairs, stack
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
 
-CAR = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
+WORKSPACE = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
 
 
-@cache
-def maze():
-    problem = scenes.maze()
-    return problem.workspace, VisibilityGraph(problem.workspace, problem.goals[0])
+@pytest.fixture(scope="module")
+def pairs():
+    return construct_pairs(WORKSPACE, max_bytes=300)
 
 
-@cache
-def built(leaf, max_bytes=512):
-    workspace, oracle = maze()
-    return construct(oracle, workspace.bounds, leaf=leaf, max_bytes=max_bytes, certified=True)
+def points(n, dim=2, seed=0):
+    return np.random.default_rng(seed).uniform(0, 1, (n, dim)).astype(np.float32)
 
 
-def in_the_maze(n):
-    return (maze()[0].sample_free(n, 0).astype(np.float32),)
+def in_square(n):
+    return (points(n),)
 
 
 def indexed(n):
-    return np.arange(n, dtype=np.int32) % 2, *in_the_maze(n)
+    return np.arange(n, dtype=np.int32) % 2, points(n)
 
 
 def two(n):
-    return in_the_maze(n)[0], maze()[0].sample_free(n, 1).astype(np.float32)
+    return points(n), points(n, seed=1)
 
 
-def poses(n):
-    return (np.random.default_rng(0).uniform(1.2 * CAR.lo, 1.2 * CAR.hi, (n, 3)).astype(np.float32),)
-
-
-def car():
-    return construct(ReedsShepp((0, 0, 0), 1), CAR, leaf="continuous", max_leaves=50)
-
-
-def pairs():
-    return construct_pairs(maze()[0], max_bytes=512)
-
-
+CONES = "maze of cones"
 QUERIES = {
-    "plane": (lambda: built("plane"), in_the_maze),
-    "cone, pages": (lambda: built("cone"), in_the_maze),
-    "continuous": (lambda: built("continuous"), in_the_maze),
-    "smooth": (lambda: built("smooth"), in_the_maze),
-    "folded": (car, poses),
-    "bounds": (lambda: built("cone").bounds, in_the_maze),
-    "lower": (lambda: built("plane").lower, in_the_maze),
-    "waypoint": (lambda: built("cone").waypoint, in_the_maze),
-    "gradient": (lambda: jax.vmap(jax.grad(built("cone"))), in_the_maze),
-    "clamp": (lambda: lambda x: built("plane")(2 * x, outside="clamp"), in_the_maze),
-    "stack, trie": (lambda: stack([built("cone"), built("cone", 1024)]), indexed),
-    "stack, several models": (lambda: stack([built("cone"), built("plane")]), indexed),
-    "pairs": (pairs, two),
-    "bounds of pairs": (lambda: pairs().bounds, two),
+    "plane": (lambda pairs: case("maze of planes"), in_square),
+    "cone, pages": (lambda pairs: case(CONES), in_square),
+    "continuous": (lambda pairs: case("maze of values"), in_square),
+    "smooth": (lambda pairs: case("maze of gradients"), in_square),
+    "folded": (lambda pairs: case("car"), lambda n: (9 * points(n, 3) - 4.5,)),
+    "bounds": (lambda pairs: case(CONES).bounds, in_square),
+    "lower": (lambda pairs: case("maze of planes").lower, in_square),
+    "waypoint": (lambda pairs: case(CONES).waypoint, in_square),
+    "gradient": (lambda pairs: jax.vmap(jax.grad(case(CONES))), in_square),
+    "clamp": (lambda pairs: lambda x: case("maze of planes")(2 * x, outside="clamp"), in_square),
+    "stack, trie": (lambda pairs: stack([case(CONES), case(CONES)]), indexed),
+    "stack, several models": (lambda pairs: stack([case(CONES), case("maze of planes")]), indexed),
+    "pairs": (lambda pairs: pairs, two),
 }
 
 
-def exported(query, arguments, sizes):
-    shapes = [jax.ShapeDtypeStruct((*sizes, *each.shape[1:]), each.dtype) for each in arguments]
-    return export.export(jax.jit(query))(*shapes)
-
-
 @pytest.mark.parametrize("name", QUERIES)
-def test_of_any_number_of_points(name):
+def test_of_any_number_of_points(name, pairs):
+    """Also by bytes, which ``jax.export`` writes with the package flatbuffers."""
+    pytest.importorskip("flatbuffers")
     make, points = QUERIES[name]
-    query = make()
-    program = exported(query, points(2), export.symbolic_shape("n"))
+    query, (size,) = make(pairs), export.symbolic_shape("n")
+    shapes = [jax.ShapeDtypeStruct((size, *each.shape[1:]), each.dtype) for each in points(2)]
+    program = export.deserialize(export.export(jax.jit(query))(*shapes).serialize())
     for n in (1, 300):
         found, expected = program.call(*points(n)), query(*points(n))
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["plane", "cone, pages", "stack, trie", "pairs"])
-def test_bytes_answer_alike(name):
-    pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
-    make, points = QUERIES[name]
-    query, x = make(), points(100)
-    for sizes in ((100,), export.symbolic_shape("n")):
-        program = exported(query, x, sizes)
-        again = export.deserialize(program.serialize())
-        np.testing.assert_array_equal(again.call(*x), program.call(*x))
-        np.testing.assert_allclose(again.call(*x), query(*x), rtol=1e-6, atol=1e-6)
-
-
 def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
-    one, other = built("cone", 450), built("cone", 400)
+    domain = (-1, -1, -1), (3, 2, 2)
+    one, other = (construct(Euclidean((0.3, 0.1, z)), domain, leaf="cone") for z in (2, 1))
     arrays, structure = jax.tree.flatten(one)
     assert jax.tree.structure(other) == structure  # one program for all PLRs of a class
-    (x,) = in_the_maze(50)
+    x = points(50, 3)
 
     def query(arrays, x):
         return jax.tree.unflatten(structure, arrays)(x)
@@ -111,3 +87,38 @@ def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
         np.testing.assert_allclose(program.call(jax.tree.leaves(plr), x), plr(x), rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match="Cannot serialize"):
         export.export(jax.jit(lambda plr, x: plr(x)))(one, x).serialize()
+
+
+CODE = """
+    import jax
+    import numpy as np
+    from jax.sharding import Mesh, NamedSharding, PartitionSpec
+    import plr_jax
+
+    devices = np.array(jax.devices())
+    assert len(devices) == 4
+    sharding = NamedSharding(Mesh(devices, ("points",)), PartitionSpec("points"))
+    workspace = plr_jax.Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
+    oracle = plr_jax.VisibilityGraph(workspace, (0.06, 0.07))
+    x = workspace.sample_free(400, 0).astype(np.float32)
+    plane = plr_jax.construct(oracle, workspace.bounds, max_bytes=200)
+    cone = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=100)
+    queries = {
+        "planes": (plane, (x,)),
+        "stack": (plr_jax.stack([cone, cone]), (np.arange(400, dtype=np.int32) % 2, x)),
+    }
+    for name, (query, points) in queries.items():
+        here = query(*map(jax.numpy.asarray, points))
+        there = query(*jax.device_put(points, sharding))
+        assert there.sharding.is_equivalent_to(sharding, 1), name
+        np.testing.assert_array_equal(np.asarray(there), np.asarray(here), err_msg=name)
+        print(name)
+"""
+
+
+def test_answers_are_the_same_and_on_the_devices_of_their_points():
+    flags = f"--xla_force_host_platform_device_count=4 {os.environ.get('XLA_FLAGS', '')}"
+    command, environment = [sys.executable, "-c", textwrap.dedent(CODE)], {**os.environ, "XLA_FLAGS": flags}
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["planes", "stack"]

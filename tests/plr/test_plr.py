@@ -6,76 +6,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
-from plr_jax._io import save
-from plr_jax.geometry.box import Box
-from plr_jax.plr import PLR, construct, evaluate
+from plr_jax import PLR, Box, construct, save
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.query.points import evaluate_points
 
-FAR = Box((1e6, 1e6), (1e6 + 2, 1e6 + 2))
-
-
-def test_evaluate_is_calling(plr, x):
-    np.testing.assert_array_equal(evaluate(plr, x), plr(x))
-
 
 def test_attributes(plr, leaf, x):
+    """In a leaf a function is off its mean plane by about as much as that plane errs."""
     lo, hi = plr.leaf_boxes
     assert plr.num_leaves == len(plr.slope) == len(plr.intercept) == len(lo) == 100
     assert plr.domain == UNIT and plr.dim == 2 and plr.leaf.name == leaf
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(1.0)
     assert plr.depth == round(-np.log2(np.prod(hi - lo, axis=1).min()))
-    assert (
-        plr.resident_bytes
-        >= plr.tables.leaf_of_slot.nbytes + 100 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
-    )
+    of_leaves = 100 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
+    assert plr.resident_bytes >= plr.tables.leaf_of_slot.nbytes + of_leaves
     assert f"PLR('{leaf}', dim=2, num_leaves=100" in repr(plr)
     assert not plr.unreachable.all() and plr.num_unreachable == np.isinf(plr.intercept).sum()
     np.testing.assert_array_equal(leaf_of(plr, x), leaf_by_search(plr, x))
-
-
-def test_the_mean_plane_is_near_the_function(plr, x):
-    """In a leaf a function is off its mean plane by about as much as that plane errs."""
     assert np.abs(evaluate_by_search(plr, x) - np.asarray(plr(x))).mean() < 0.01
 
 
-@pytest.mark.parametrize("shape", [(2,), (0, 2), (3, 2), (4, 5, 2)])
+@pytest.mark.parametrize("shape", [(2,), (0, 2), (4, 5, 2)])
 def test_any_batch_shape(plr, shape):
     x = np.random.default_rng(1).random(shape)
     assert plr(x).shape == shape[:-1]
     np.testing.assert_allclose(np.ravel(plr(x)), np.ravel(plr(x.reshape(-1, 2))), rtol=1e-6)
-
-
-def test_jit_vmap_and_a_loop_agree(plr, leaf, x):
-    plain, rtol = np.asarray(plr(x)), 0 if leaf == "plane" else 1e-6
-    np.testing.assert_allclose(jax.jit(plr)(x), plain, rtol=rtol)
-    np.testing.assert_allclose(jax.jit(lambda plr, x: plr(x))(plr, x), plain, rtol=rtol)
-    np.testing.assert_allclose(jax.vmap(plr)(jnp.asarray(x)), plain, rtol=rtol)
-    np.testing.assert_allclose([plr(point) for point in x[:20]], plain[:20], rtol=rtol)
-
-
-def test_gradients_are_finite_differences_inside_cells(plr):
-    with jax.enable_x64(True):
-        x = points(500, 2)
-        lo, hi = (corner[leaf_by_search(plr, x)] for corner in plr.leaf_boxes)
-        inside = np.all((x > lo + 0.01 * (hi - lo)) & (x < hi - 0.01 * (hi - lo)), axis=1)
-        gradient = np.asarray(jax.vmap(jax.grad(plr))(jnp.asarray(x)))
-        scale = np.maximum(np.linalg.norm(gradient, axis=1), 0.1)
-        for axis in range(2):
-            h = 1e-5 * np.eye(2)[axis]
-            slope = (np.asarray(plr(x + h)) - np.asarray(plr(x - h))) / 2e-5
-            assert np.max(np.abs(slope - gradient[:, axis])[inside] / scale[inside]) < 1e-4
-
-
-def test_gradient_is_finite_and_zero_where_there_is_none(plr):
-    outside = jnp.array([[-0.5, 0.5], [2.0, 2.0], [1e30, 0.5], [jnp.inf, 0.5]])
-    np.testing.assert_array_equal(jax.vmap(jax.grad(plr))(outside), 0)
-
-
-def test_a_pytree_survives_a_round_trip_through_jit(plr, x):
-    again = jax.jit(lambda plr: plr)(plr)
-    np.testing.assert_array_equal(again(x), plr(x))
-    assert again.to_bytes() == plr.to_bytes() and again.num_leaves == 100
 
 
 def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked_types):
@@ -91,18 +46,11 @@ def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked
 def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):
     plr(x)
     compiled = evaluate_points._cache_size()
-    construct(lambda x: 1 + 2 * walled(x), Box((0, 0), (1, 1)), leaf=leaf, max_leaves=98)(x)
+    construct(lambda x: 1 + 2 * walled(x), UNIT, leaf=leaf, max_leaves=98)(x)
     assert evaluate_points._cache_size() == compiled
 
 
-def test_outside_nan_and_edges(plr):
-    answers = plr(np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0], [1.0001, 0.5], [0.5, -0.0001], [np.inf, 0.5]]))
-    np.testing.assert_array_equal(np.isfinite(answers), [True, True, True, False, False, False])
-    assert np.isposinf(answers[3:]).all()
-    assert np.isnan(plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))).all()
-
-
-def test_every_free_point_is_answered(plr):
+def test_every_free_point_and_edge_is_answered_and_nothing_outside(plr):
     x = points(20_000, 1)
     assert np.isfinite(np.asarray(plr(x))[np.isfinite(walled(x))]).all()
     edge = np.linspace(0, 1, 1000)
@@ -110,6 +58,10 @@ def test_every_free_point_is_answered(plr):
         assert np.isfinite(plr(np.stack([edge, np.full(1000, at)], axis=1))[(edge < 0.4) | (edge > 0.5)]).all()
     beside = np.stack([np.full(500, 0.4 + 1e-6), np.linspace(0, 0.7, 500)], axis=1)  # a little way into the wall
     assert np.isfinite(plr(beside)).all()
+    outside = [[1.0001, 0.5], [0.5, -0.0001], [np.inf, 0.5], [2**32, 0], [-(2**32), 0]]  # no integer wraps around
+    assert np.isposinf(plr(np.array(outside))).all() and np.isposinf(plr(np.array(outside[3:], int))).all()
+    assert np.isnan(plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))).all()
+    np.testing.assert_array_equal(jax.vmap(jax.grad(plr))(jnp.array([[-0.5, 0.5], [1e30, 0.5], [jnp.inf, 0.5]])), 0)
 
 
 def test_blocked_leaves_beside_free_ones_answer_and_far_ones_do_not(leaf):
@@ -129,27 +81,7 @@ def test_corners_of_a_domain_that_floats_cannot_hold(leaf, corner):
         np.testing.assert_allclose(plr(corners), corner * np.sqrt(2), rtol=0.05)
 
 
-def test_far_from_the_origin_the_precision_stays(leaf):
-    origin = np.array([5e5, 2e6])
-    options = {"leaf": leaf, "max_leaves": 15, "num_samples": 32}
-    here = construct(cone, Box((0, 0), (8, 8)), **options)
-    there = construct(lambda x: cone(x - origin), Box(origin, origin + 8), **options)
-    x = np.random.default_rng(0).integers(0, 8, size=(50, 2)).astype(np.float32)
-    np.testing.assert_allclose(there(x + origin.astype(np.float32)), here(x), atol=1e-4)
-
-
-def test_precision_far_from_the_origin_comes_and_goes_with_double_precision():
-    """What was decided for one mode of JAX is not kept for the other."""
-    there = construct(lambda x: cone(x - 1e6 - 0.3), FAR, max_leaves=50)
-    x = 2 * points(500, 0) + 1e6
-    with jax.enable_x64(True):
-        double = np.asarray(there(x))
-    single = np.asarray(there(x))
-    assert (double.dtype, single.dtype) == (np.float64, np.float32)
-    np.testing.assert_allclose(single, double, atol=1e-5)
-
-
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(lo=st.floats(-1e8, 1e8), width=st.floats(1e-3, 1e3))
 def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     lo, hi = np.full(2, lo), np.full(2, lo + width)
@@ -161,57 +93,29 @@ def test_closed_domains_anywhere_answer_at_their_corners(lo, width):
     np.testing.assert_array_equal(PLR.stack([plr])(corners[:, None]), 1)
 
 
-@pytest.mark.parametrize("origin", [1e3 + 0.03, 1e7 + 0.3])
-def test_cells_stay_in_place_far_from_the_origin(origin):
-    with jax.enable_x64(True):
-        far = construct(
-            lambda x: cone(x - origin - 0.3), ((origin, origin), (origin + 1, origin + 1)), max_leaves=100
-        )
-        x = np.random.default_rng(0).random((2000, 2)) + origin
-        found = leaf_of(far, x) == leaf_by_search(far, x)
-        assert np.mean(found) > 0.999  # all but points within a float's rounding of a face
-        np.testing.assert_allclose(far(x)[found], evaluate_by_search(far, x)[found], atol=1e-5)
-        edges = np.array([[0, 0.5], [1, 0.5], [-0.02, 0.5], [1.02, 0.5]]) + origin
-        np.testing.assert_array_equal(np.isfinite(far(edges)), [True, True, False, False])
-
-
-def test_integers_do_not_wrap_around(plr):
-    assert np.isposinf(plr(np.array([[2**32, 0], [-(2**32), 0]]))).all()
-    assert np.isposinf(plr([2**32, 0]))
-
-
-def test_double_precision_where_enabled(plr, x):
-    with jax.enable_x64(True):
-        answers = plr(x.astype(np.float64))
-        assert answers.dtype == np.float64
-        np.testing.assert_allclose(answers, plr(x), atol=1e-5)
-        assert plr(x).dtype == np.float32
-
-
-def test_integers_and_lists_are_points_too(plr):
-    expected = plr(np.array([[0.0, 1.0], [1.0, 0.0]], np.float32))
-    np.testing.assert_array_equal(plr([[0, 1], [1, 0]]), expected)
-    np.testing.assert_array_equal(plr(np.array([[False, True], [True, False]])), expected)
-    np.testing.assert_array_equal(plr(np.array([[0, 1], [1, 0]], np.longdouble)), expected)
-
-
 @pytest.mark.parametrize(
     ("leaf", "dtype"),  # placed alike for all leaf models
     [
         *(("plane", dtype) for dtype in ("float16", "bfloat16", "int8", "uint8", "int32", "float32")),
-        *((leaf, dtype) for leaf in ("continuous", "smooth") for dtype in ("bfloat16", "int8")),
+        ("smooth", "bfloat16"),
     ],
     scope="session",
 )
 def test_points_of_any_type_under_strict_promotion(plr, dtype):
-    """In 32 bits, from JAX and from NumPy, and through a gradient, where the type has one."""
+    """In 32 bits, from lists, JAX and NumPy, and through a gradient, where the type has one."""
     exact = np.array([[0, 1], [1, 0], [1, 1]], np.float32)
     expected = plr(exact)
     x = jnp.asarray(exact, dtype)
     with jax.numpy_dtype_promotion("strict"):
-        for given in (x, np.asarray(x)):
-            np.testing.assert_array_equal(plr(given), expected)
-            assert plr(given).dtype == np.float32
+        for given_points in (
+            x,
+            np.asarray(x),
+            exact.astype(int).tolist(),
+            exact.astype(bool),
+            exact.astype(np.longdouble),
+        ):
+            np.testing.assert_array_equal(plr(given_points), expected)
+            assert plr(given_points).dtype == np.float32
         if jnp.issubdtype(x.dtype, jnp.floating):
             value, gradient = jax.vmap(jax.value_and_grad(plr))(x)
             np.testing.assert_allclose(value, expected, rtol=1e-6)
@@ -231,6 +135,7 @@ def test_points_of_any_type_under_strict_promotion(plr, dtype):
         ([[0.0, 1.0], [2.0]], "array of numbers"),
     ],
 )
+@pytest.mark.parametrize("leaf", ["plane"], scope="session")
 def test_bad_points_are_refused(plr, bad, message):
     with pytest.raises(ValueError, match=message):
         plr(bad)

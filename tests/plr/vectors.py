@@ -17,21 +17,9 @@ import numpy as np
 
 FOLDER = Path(__file__).parent / "vectors"
 _CHOSEN = (
-    "maze of planes",
-    "maze of values",
-    "maze of gradients",
-    "maze of cones",
-    "cones in space",
-    "random planes",
-    "random values",
-    "deep",
-    "around",
-    "smooth around",
-    "car",
-    "car of planes",
-    "far cones",
-    "far car",
+    "maze of planes, maze of values, maze of gradients, maze of cones, cones in space, random planes, deep, around"
 )
+_CHOSEN += ", random values, smooth around, car, car of planes, far cones, far car"
 _POINTS = 200
 
 
@@ -69,7 +57,7 @@ def write() -> None:
     FOLDER.mkdir(exist_ok=True)
     for path in FOLDER.iterdir():
         path.unlink()
-    for name in _CHOSEN:
+    for name in _CHOSEN.split(", "):
         plr, file = case(name), name.replace(" ", "_")
         every = hard_points(plr, 60)
         x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]

@@ -14,15 +14,26 @@ from plr_jax.plr.file import held as held_module
 @pytest.fixture(scope="module", params=["one goal", "pairs"])
 def held(request):
     if request.param == "pairs":
-        return plr_jax.construct_pairs(plr_jax.scenes.maze().workspace, max_bytes=512)
+        return plr_jax.construct_pairs(plr_jax.Workspace(((0, 0), (1, 1))), max_bytes=200)
     return plr_jax.construct(plr_jax.Euclidean((0.0, 0.0)), ((0, 0), (1, 1)), max_leaves=8)
 
 
-def test_bytes_are_those_of_the_file(held, tmp_path):
-    plr_jax.save(held, tmp_path / "file")
-    assert (tmp_path / "file").read_bytes() == held.to_bytes()
-    assert len(held.to_bytes()) == held.num_bytes
+def test_labels_are_of_the_file_alone_and_bytes_are_those_of_the_file(held, tmp_path):
+    assert held.label == "" and held.with_label("") is held
     assert held.resident_bytes == sum(a.nbytes for a in jax.tree_util.tree_leaves(held.tables)) > 0
+    labeled = held.with_label("Räume, goal (0, 0)")
+    assert labeled.label == "Räume, goal (0, 0)" and type(labeled) is type(held)
+    again = labeled.with_label("")
+    assert again.to_bytes() == held.to_bytes() and labeled.num_bytes > held.num_bytes == again.num_bytes
+    for one, other in zip(*map(jax.tree_util.tree_leaves, (labeled.tables, held.tables)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert held.with_label("x" * 1000).label == "x" * 1000
+    load = plr_jax.load_pairs if isinstance(held, plr_jax.PairPLR) else plr_jax.load
+    for one in (held, labeled):
+        plr_jax.save(one, tmp_path / "file")
+        assert (tmp_path / "file").read_bytes() == one.to_bytes() and len(one.to_bytes()) == one.num_bytes
+        again = load(tmp_path / "file")
+        assert again.label == one.label and again.to_bytes() == one.to_bytes()
 
 
 @given(st.binary(max_size=2000), st.integers(-6, 6))
@@ -41,24 +52,6 @@ def test_of_several_there_are_no_bytes():
     several.file = np.stack([held_module.held(b"one"), held_module.held(b"two")])
     with pytest.raises(ValueError, match="Bytes are those of one, but these arrays are those of several"):
         several.to_bytes()
-
-
-def test_labels_are_of_the_file_alone(held):
-    assert held.label == "" and held.with_label("") is held
-    labeled = held.with_label("Räume, goal (0, 0)")
-    assert labeled.label == "Räume, goal (0, 0)" and type(labeled) is type(held)
-    again = labeled.with_label("")
-    assert again.to_bytes() == held.to_bytes() and labeled.num_bytes > held.num_bytes == again.num_bytes
-    for one, other in zip(*map(jax.tree_util.tree_leaves, (labeled.tables, held.tables)), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert held.with_label("x" * 1000).label == "x" * 1000
-
-
-def test_labeled_files_are_saved_and_read(held, tmp_path):
-    labeled = held.with_label("map 3")
-    plr_jax.save(labeled, tmp_path / "file")
-    again = (plr_jax.load_pairs if isinstance(held, plr_jax.PairPLR) else plr_jax.load)(tmp_path / "file")
-    assert again.label == "map 3" and again.to_bytes() == labeled.to_bytes()
 
 
 @pytest.mark.usefixtures("unchecked_types")

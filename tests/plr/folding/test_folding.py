@@ -1,22 +1,93 @@
+"""Foldings: which there are of a distance function in a window, how they fold, and how files keep them."""
+
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plr_helpers import sealed
 
-from plr_jax import Box, Dubins, Euclidean, ReedsShepp
+from plr_jax import Box, Dubins, Euclidean, ReedsShepp, construct, from_bytes
+from plr_jax._types import Symmetry
+from plr_jax.plr.file.domain import ByteReader, folding_to_bytes, read_folding
 from plr_jax.plr.folding.choice import folding_of
 
-WINDOW = Box((-3, -4, -np.pi), (5, 3, np.pi), periodic=(False, False, True))
-FOLDED = [
-    (ReedsShepp((0.5, 0.25, 0), 1), WINDOW),
-    (ReedsShepp((0.5, 0.25, 0.7), 1), WINDOW),
-    (ReedsShepp((0.5, 0.25, 0), 1), Box((-3, -4, 0), (5, 3, 1))),
-    (Dubins((0.5, 0.25, 0.1), 1), WINDOW),
-    (Euclidean((1, 2, 3)), Box((0, 0, 0), (4, 4, 4))),
-]
+WINDOW = Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
+SQUARE, FOUR = Box((-1, -1), (1, 1)), Box((0, 0), (4, 4))
+ASIDE = Box((-3, -4, -np.pi), (5, 3, np.pi), periodic=(False, False, True))
 
 
-@pytest.mark.parametrize(("oracle", "domain"), FOLDED)
+class Stated:
+    """A distance function that states reflections and turns about the origin."""
+
+    def __init__(self, *matrices):
+        self.symmetries = [Symmetry(np.array(matrix), np.zeros(len(matrix))) for matrix in matrices]
+
+    def __call__(self, x):
+        return np.zeros(len(x))
+
+
+ALONG, SLANTED = np.diag([1.0, -1.0]), [[0.6, 0.8], [0.8, -0.6]]
+POINT, PLANE = np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("oracle", "domain", "box"),
+    [
+        # Of a car that reverses, about the goal, a quarter of the window is left; of one that does not, a half.
+        (ReedsShepp((0, 0, 0), 1), WINDOW, Box((0, 0, -np.pi), (2, 2, np.pi), periodic=(False, False, True))),
+        (Dubins((0, 0, 0), 1), WINDOW, Box((-2, 0, -np.pi), (2, 2, np.pi), periodic=(False, False, True))),
+        # A window that is not about the goal folds onto its larger parts, and only along mirrors that cut it.
+        (Euclidean((1, 5)), FOUR, Box((0, -5), (3, -1))),
+        (Euclidean((4, 2)), FOUR, Box((-4, 0), (0, 2))),
+        (Euclidean((9, 9)), FOUR, None),
+        (Euclidean((0, 0)), FOUR, None),
+        # What is no reflection, or reverses angles alone, is left out.
+        (Stated([[0.0, -1.0], [1.0, 0.0]]), SQUARE, None),
+        (Stated(ALONG), Box((-1, -1), (1, 1), periodic=(False, True)), None),
+        (lambda x: x[:, 0], SQUARE, None),
+        # Of reflections that do not commute the first is used; in a point and a plane they have two pivots.
+        (Stated(ALONG, SLANTED), SQUARE, Box((-1, 0), (1, 1))),
+        (Stated(POINT, PLANE), Box((-1, -1, -1), (1, 1, 1)), Box((0, 0, -1), (1, 1, 1))),
+    ],
+)
+def test_the_box_that_a_window_is_folded_onto(oracle, domain, box):
+    folding = folding_of(oracle, domain)
+    if box is None:
+        assert folding is None
+    else:
+        assert folding.box == box and len(folding.mirrors) == round(np.log2(np.prod(domain.width / box.width)) + 0.3)
+
+
+def test_poses_are_folded_and_a_goal_s_heading_turns_the_box():
+    x = np.array([[-1, 1, 0.5], [1, -1, 0.5], [-1, -1, 0.5]])
+    folding = folding_of(ReedsShepp((0, 0, 0), 1), WINDOW)
+    np.testing.assert_array_equal(folding(x), [[1, 1, -0.5], [1, 1, -0.5], [1, 1, 0.5]])
+    assert folding.radial == (True, True, False)
+    forward = folding_of(Dubins((0, 0, 0), 1), WINDOW)
+    np.testing.assert_array_equal(forward(x), [[-1, 1, 0.5], [1, 1, -0.5], [-1, 1, -0.5]])
+    turned = folding_of(ReedsShepp((0, 0, np.pi / 4), 1), WINDOW)
+    assert turned.is_turned
+    np.testing.assert_allclose(turned.box.hi[:2], np.sqrt(8))
+    z = turned(np.array([[1, 1, 1.0], [-1, -1, 1.0], [-1, 1, 1.0]]))
+    np.testing.assert_allclose(np.sort(z[:, :2]), [(0, np.sqrt(2))] * 3, atol=1e-15)
+    np.testing.assert_allclose(z[1, :2], z[0, :2], atol=1e-15)
+    np.testing.assert_allclose(np.abs(z[:, 2]), 1 - np.pi / 4)
+    not_smaller = folding_of(Dubins((0, 0, np.pi / 4), 1), WINDOW)
+    assert not_smaller.mirrors == () and any(not_smaller.radial)
+
+
+@pytest.mark.parametrize(
+    ("oracle", "domain"),
+    [
+        (ReedsShepp((0.5, 0.25, 0), 1), ASIDE),
+        (ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE),
+        (ReedsShepp((0.5, 0.25, 0), 1), Box((-3, -4, 0), (5, 3, 1))),
+        (Dubins((0.5, 0.25, 0.1), 1), ASIDE),
+        (Euclidean((1, 2, 3)), Box((0, 0, 0), (4, 4, 4))),
+    ],
+)
 @given(st.lists(st.floats(0, 1), min_size=3, max_size=3))
 def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_from_there(oracle, domain, share):
     folding = folding_of(oracle, domain)
@@ -30,10 +101,41 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
 
 
 def test_pieces_of_the_domain_fill_it():
-    folding = folding_of(Euclidean((1.0, 2.0)), Box((0, 0), (4, 4)))
+    folding = folding_of(Euclidean((1.0, 2.0)), FOUR)
     lo, hi, leaf = folding.boxes(folding.box.lo[None], folding.box.hi[None])
     boxes = sorted(zip(lo.tolist(), hi.tolist(), strict=True))
     assert leaf.tolist() == [0, 0, 0, 0]
     assert boxes == [([0, 0], [1, 2]), ([0, 2], [1, 4]), ([1, 0], [4, 2]), ([1, 2], [4, 4])]
     with pytest.raises(ValueError, match="along other axes"):
-        folding_of(*FOLDED[1]).boxes(np.zeros((1, 3)), np.ones((1, 3)))
+        folding_of(ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE).boxes(np.zeros((1, 3)), np.ones((1, 3)))
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4])
+def test_a_folding_is_read_as_it_was_written(heading):
+    folding = folding_of(ReedsShepp((0.1, 0.2, heading), 1), WINDOW)
+    reader = ByteReader(folding_to_bytes(folding) + b"rest")
+    again = read_folding(reader, WINDOW)
+    assert reader.take(4) == b"rest" and folding_to_bytes(again) == folding_to_bytes(folding)
+    assert (again.mirrors, again.radial, again.box) == (folding.mirrors, folding.radial, folding.box)
+
+
+@pytest.mark.parametrize(
+    ("heading", "at", "change", "message"),
+    [
+        (0, 0, struct.pack("<d", np.nan), "not finite"),
+        (0, 0, struct.pack("<d", 7.0), "does not cut the domain"),
+        (0, 24, b"\2", "mark of 2"),
+        (0, 25, b"\377", "end too early"),
+        (0, 26, b"\0\0\1", "no axis of its own"),
+        (0, 32, b"\0\0\1", "length along a periodic axis"),
+        (0.4, 25, struct.pack("<d", 0.5), "not orthogonal"),
+        (0, 3 - 52, b"\xa3", "its points are folded, but its leaves have sources"),
+    ],
+)
+def test_files_of_foldings_that_nobody_writes_are_refused(heading, at, change, message):
+    """A folding comes after four bytes and the domain in 48."""
+    data = construct(ReedsShepp((0, 0, heading), 1), WINDOW, max_leaves=4).to_bytes()
+    assert data[3] >> 5 & 1
+    at += 52
+    with pytest.raises(ValueError, match=message):
+        from_bytes(sealed(data[:at] + change + data[at + len(change) : -4]))

@@ -100,18 +100,8 @@ def hull(least):
 
 
 def limits(**given):
-    return Limits(
-        **{
-            "max_depth": 60,
-            "max_axis_depth": DEPTH,
-            "max_leaves": 10**9,
-            "max_bytes": np.inf,
-            "tolerance": 0.0,
-            "proof": Proof.NONE,
-            "frame_bytes": 13,
-            **given,
-        }
-    )
+    none = {"max_depth": 60, "max_axis_depth": DEPTH, "max_leaves": 10**9, "max_bytes": np.inf, "tolerance": 0.0}
+    return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
 
 
 def size(levels, leaves):
@@ -137,25 +127,21 @@ def search(costs, **given):
     return found.integral.sum(), len(found.cells), found
 
 
-@pytest.mark.parametrize("max_leaves", [1, 2, 5, 12, 20, 40])
-def test_the_tree_found_is_the_best_of_all_at_some_price(max_leaves):
-    largest = 0
+@pytest.mark.parametrize(
+    "given", [{"max_leaves": n} for n in (1, 2, 5, 12, 20, 40)] + [{"max_bytes": float(n)} for n in (13, 20, 50, 100)]
+)
+def test_the_tree_found_is_the_best_of_all_at_some_price(given):
+    """A budget of bytes is kept like one of leaves, of three bytes each."""
+    most, largest = given.get("max_leaves") or (given["max_bytes"] - 10) // 3, 0
     for seed in range(8):
         costs = random_costs(seed)
         least = least_costs(costs)
-        cost, number, _ = search(costs, max_leaves=max_leaves)
-        assert number <= max_leaves
+        cost, number, _ = search(costs, **given)
+        assert number <= most
         np.testing.assert_allclose(cost, least[number], rtol=1e-12)
         assert number in hull(least)
-        largest += number == max(n for n in hull(least) if n <= max_leaves)
+        largest += number == max(n for n in hull(least) if n <= most)
     assert largest >= 7  # a price is found by halving, which may miss one whose range is narrow
-
-
-def test_without_limits_nothing_cheaper_is_left():
-    for seed in range(5):
-        costs = random_costs(seed)
-        cost, _, _ = search(costs)
-        np.testing.assert_allclose(cost, least_costs(costs).min(), rtol=1e-12)
 
 
 def test_greed_is_no_match():
@@ -169,23 +155,13 @@ def test_greed_is_no_match():
     assert search(costs, max_leaves=3)[1] == 1
 
 
-@pytest.mark.parametrize("max_bytes", [13, 20, 50, 100])
-def test_a_budget_of_bytes_is_kept(max_bytes):
-    for seed in range(4):
-        costs = random_costs(seed)
-        least = least_costs(costs)
-        cost, number, _ = search(costs, max_bytes=float(max_bytes))
-        assert 10 + 3 * number <= max_bytes
-        assert number in hull(least) and cost == pytest.approx(least[number])
-
-
 def test_a_budget_too_small_for_a_leaf_is_refused():
     with pytest.raises(ValueError, match="max_bytes=12 is too small: one leaf takes 13 bytes"):
         search(random_costs(0), max_bytes=12.0)
 
 
-@pytest.mark.parametrize("max_depth", [0, 1, 3])
-def test_no_tree_is_deeper_than_allowed(max_depth):
+@pytest.mark.parametrize("max_depth", [0, 1, 3, 6])
+def test_no_tree_is_deeper_than_allowed_and_nothing_cheaper_is_left(max_depth):
     for seed in range(4):
         costs = random_costs(seed)
         cost, _, found = search(costs, max_depth=max_depth)
@@ -193,25 +169,18 @@ def test_no_tree_is_deeper_than_allowed(max_depth):
         np.testing.assert_allclose(cost, least_costs(costs, max_depth).min(), rtol=1e-12)
 
 
-def test_no_axis_is_halved_more_often_than_allowed():
-    _, _, found = search(random_costs(0), max_axis_depth=1)
-    assert found.cells.depth.max() == 1
-
-
-def test_no_box_is_longer_than_allowed(monkeypatch):
+def test_no_axis_is_halved_more_often_and_no_box_is_longer_than_allowed(monkeypatch):
+    assert search(random_costs(0), max_axis_depth=1)[2].cells.depth.max() == 1
     monkeypatch.setattr(levels, "MAX_ASPECT_BITS", 1)
     for seed in range(4):
-        _, _, found = search(random_costs(seed))
-        assert np.ptp(found.cells.depth, axis=1).max() <= 1
+        assert np.ptp(search(random_costs(seed))[2].cells.depth, axis=1).max() <= 1
 
 
 def test_boxes_without_error_are_leaves():
     """Errors within the tolerance count nothing: what is good enough is not halved, nor looked into."""
     costs = random_costs(3)
-    for d0, d1, p0, p1 in costs:
-        if d0 and not p0 >> (d0 - 1):
-            costs[d0, d1, p0, p1] = 0.0  # the lower half along the first axis, and all in it
-        elif d0 and d1:
+    for d0, d1, p0, p1 in costs:  # the lower half along the first axis, and all in it; and the quarters of the other
+        if (d0 and not p0 >> (d0 - 1)) or (d0 and d1):
             costs[d0, d1, p0, p1] = 0.0
     root = FakeBoxes(costs, Cells.root(2), [])
     found = best_boxes(root)
@@ -223,9 +192,8 @@ def test_boxes_without_error_are_leaves():
 
 
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):
-    costs = random_costs(5)
-    whole = search(costs, max_leaves=20)
+    whole = search(random_costs(5), max_leaves=20)
     monkeypatch.setattr(levels, "AT_ONCE", 3)
-    parts = search(costs, max_leaves=20)
+    parts = search(random_costs(5), max_leaves=20)
     assert parts[:2] == whole[:2]
     np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)

@@ -4,40 +4,24 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from plr_helpers import chain, cone, evaluate_by_search, leaf_by_search, random_partition, walled
+from plr_helpers import UNIT, chain, leaf_by_position, random_partition
+from plr_helpers import tables_of_numbers as tables_of
 
-from plr_jax import VisibilityGraph, scenes
-from plr_jax.geometry.box import Box
-from plr_jax.plr import Plane, construct
+from plr_jax import VisibilityGraph, construct, scenes
+from plr_jax.plr import Plane
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.query import lookup as lookup_module
 from plr_jax.plr.query import tables as tables_module
 from plr_jax.plr.query.tables import build_tables
 
-BYTES = 1000
 # Compiled: operation by operation each shape would be compiled for each of them.
 lookup, evaluate_tables, outside_domain = map(
     jax.jit, (lookup_module.lookup, lookup_module.evaluate_tables, lookup_module.outside_domain)
 )
 
 
-def tables_of(cells, num_bytes=BYTES):
-    """Tables of the unit cube, whose leaf ``i`` holds the plane of value ``i``."""
-    numbers = np.zeros((len(cells), 1 + cells.dim))
-    numbers[:, 0] = np.arange(len(cells))
-    return build_tables(Box(np.zeros(cells.dim), np.ones(cells.dim)), cells, numbers, Plane(), num_bytes)
-
-
-def leaf_by_position(cells, x):
-    """Leaf of points of the unit cube, from the cells' own integers."""
-    slots = np.floor(x[:, None] * 2.0**cells.depth).astype(int)
-    found = (np.minimum(slots, 2**cells.depth - 1) == cells.position).all(axis=2)
-    assert (found.sum(axis=1) == 1).all()
-    return found.argmax(axis=1)
-
-
 @pytest.mark.parametrize("flat_bits", [20, 0], ids=["flat", "two-level"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 10]), num_splits=st.integers(1, 60))
 def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
@@ -54,9 +38,8 @@ def test_lookup_finds_the_leaf_that_holds_the_point(flat_bits, seed, dim, num_sp
 
 def test_edges_belong_to_the_first_and_last_cells():
     cells = random_partition(0, 2, 30)
-    tables = tables_of(cells)
-    below_one = np.nextafter(np.float32(1), np.float32(0))
-    for high in (np.float32(1), below_one):
+    tables = tables_of(cells, 1000)
+    for high in (np.float32(1), np.nextafter(np.float32(1), np.float32(0))):
         x = np.array([[0, 0], [high, 0], [0, high], [high, high]], np.float32)
         expected = leaf_by_position(cells, np.minimum(x, 1 - 2.0**-20))
         np.testing.assert_array_equal(lookup(tables, jnp.asarray(x)), expected)
@@ -66,14 +49,14 @@ def test_edges_belong_to_the_first_and_last_cells():
 @pytest.mark.parametrize("axes", [[0] * 23, [0, 1] * 14, [0, 1, 2] * 9], ids=["line", "plane", "space"])
 def test_cells_as_deep_as_a_query_resolves(axes):
     cells = chain(axes)
-    tables = tables_of(cells)
+    tables = tables_of(cells, 1000)
     x = np.ldexp(cells.position + 0.25, -cells.depth)  # the finest are one last bit wide, whose middle is rounded
     assert tables.blocks is not None
     np.testing.assert_array_equal(lookup(tables, jnp.asarray(x, jnp.float32)), np.arange(len(cells)))
 
 
 def test_the_closed_domain_is_inside():
-    tables = tables_of(random_partition(0, 2, 3))
+    tables = tables_of(random_partition(0, 2, 3), 1000)
     x = jnp.array([[0.0, 0], [1, 1], [-1e-7, 0], [0, 1.0000002], [jnp.inf, 0], [jnp.nan, 0], [jnp.nan, -jnp.inf]])
     outside, answer = outside_domain(tables, x)
     np.testing.assert_array_equal(outside[:5], [False, False, True, True, True])
@@ -81,27 +64,15 @@ def test_the_closed_domain_is_inside():
     np.testing.assert_array_equal(np.isnan(evaluate_tables(tables, x)), [False] * 5 + [True] * 2)
 
 
-def test_ten_axes():
-    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 10, [1.0] * 10), max_leaves=400)
-    x = np.random.default_rng(0).random((500, 10)).astype(np.float32)
-    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
-
-
-def test_two_levels_answer_as_a_search_through_all_leaves():
-    plr = construct(lambda x: cone(x - 0.013), Box([0.0] * 4, [1.0] * 4), max_leaves=1500)
-    assert plr.tables.blocks is not None
-    x = np.random.default_rng(0).random((1000, 4)).astype(np.float32)
-    np.testing.assert_array_equal(lookup(plr.tables, jnp.asarray(x)), leaf_by_search(plr, x))
-    np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-5)
-
-
 def test_large_tables_have_a_leafs_numbers_side_by_side_and_answer_alike(monkeypatch):
-    small = construct(walled, Box((0, 0), (1, 1)), max_leaves=40)
+    cells = random_partition(0, 2, 40)
+    numbers = np.random.default_rng(0).normal(size=(41, 3))
+    small = build_tables(UNIT, cells, numbers, Plane(), 1000)
     monkeypatch.setattr(tables_module, "_MAX_COLUMN_BYTES", 0)
-    large = construct(walled, Box((0, 0), (1, 1)), max_leaves=40)
-    assert small.tables.numbers.ndim == 2 and large.tables.numbers.ndim == 1
-    x = np.random.default_rng(0).random((500, 2)).astype(np.float32)
-    np.testing.assert_array_equal(large(x), small(x))
+    large = build_tables(UNIT, cells, numbers, Plane(), 1000)
+    assert small.numbers.ndim == 2 and large.numbers.ndim == 1
+    x = jnp.asarray(np.random.default_rng(0).random((500, 2)), jnp.float32)
+    np.testing.assert_array_equal(evaluate_tables(large, x), evaluate_tables(small, x))
 
 
 def test_points_beside_borders_are_answered_by_the_leaf_that_is_found_for_them():

@@ -1,49 +1,116 @@
 import numpy as np
 import pytest
-from plr_helpers import cone, points
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plr_helpers import UNIT, cone, lstsq_plane, points, sampler_of
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells
-from plr_jax.plr.sampling.cell_fit import Sampler, call_oracle, call_weights, sample_pattern
+from plr_jax.plr.sampling import cell_fit
 
 LINE = Box([0.0], [2.0])
 
 
-def fit(distance_fn, weight_fn=None, cells=None, domain=LINE, num_samples=64):
-    pattern = sample_pattern(domain.dim, num_samples, 0.0, 0)
-    return Sampler(distance_fn, domain, weight_fn, pattern, pattern, 14)(
-        Cells.root(domain.dim) if cells is None else cells
-    )
+def fit(distance_fn, weight_fn=None, cells=None):
+    return sampler_of(distance_fn, LINE, weight_fn)(Cells.root(1) if cells is None else cells)
 
 
 def left_half(x):
     return np.where(x[:, 0] < 1, 3 + 2 * x[:, 0], np.inf)
 
 
-def test_blocked_cells_are_marked_and_residuals_kept():
-    found = fit(left_half, cells=Cells.root(1).split(np.array([0])), num_samples=16)
+# Patterns and planes.
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 6])
+def test_pattern_starts_at_the_center_and_fills_the_cell(dim):
+    pattern = cell_fit.sample_pattern(dim, 100, 0.0, 0)
+    assert pattern.u.shape == (100, dim) and len(pattern.weight) == 100
+    np.testing.assert_array_equal(pattern.u[0], 0)
+    assert np.abs(pattern.u).max() <= 1
+    # Low discrepancy: each half of each axis holds close to half of the samples.
+    assert np.all(np.abs(np.mean(pattern.u > 0, axis=0) - 0.5) <= 0.06)
+    np.testing.assert_array_equal(pattern.u, cell_fit.sample_pattern(dim, 100, 0.0, 0).u)
+    assert not np.array_equal(pattern.u, cell_fit.sample_pattern(dim, 100, 0.0, 1).u)
+
+
+def test_every_face_is_sampled_with_little_weight_and_a_margin_reaches_beyond_the_cell():
+    pattern = cell_fit.sample_pattern(3, 90, 0.0, 0)
+    for side in (-1, 1):
+        assert (np.count_nonzero(pattern.u == side, axis=0) >= 5).all()
+    on_face = (np.abs(pattern.u) == 1).any(axis=1)
+    assert pattern.weight[on_face].max() < 0.1 * pattern.weight[~on_face].min()
+    assert np.abs(cell_fit.sample_pattern(2, 200, 0.25, 0).u).max() == pytest.approx(1.5)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 5))
+def test_batched_fit_equals_lstsq_cell_by_cell(seed, dim):
+    rng = np.random.default_rng(seed)
+    pattern = cell_fit.sample_pattern(dim, 40, 0.0, seed)
+    value = rng.normal(size=(6, 40))
+    weight = np.ones((6, 40))
+    weight[2:] = rng.random((4, 40)) < 0.6
+    weight[4:] *= rng.uniform(0.1, 3, size=(2, 40))
+    center, half = cell_fit.least_squares(pattern, value, weight)
+    for cell in range(6):
+        expected = lstsq_plane(pattern.u, value[cell], weight[cell] * pattern.weight)
+        np.testing.assert_allclose(np.r_[center[cell], half[cell]], expected, rtol=1e-6, atol=1e-7)
+
+
+def test_undetermined_directions_get_slope_zero():
+    pattern = cell_fit.Pattern(np.array([[0.0, 0.0], [0.5, 0.25], [-0.5, 0.25], [0.3, -0.9]]), np.ones(4))
+    value = np.array([[7.0, 0, 0, 0], [0, 3.0, 1.0, 0], [5.0, 5.0, 5.0, 5.0]])
+    weight = np.array([[1.0, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]])
+    center, half = cell_fit.least_squares(pattern, value, weight)
+    np.testing.assert_allclose(center, [7, 2, 0], atol=1e-6)
+    np.testing.assert_allclose(half, [[0, 0], [2, 0], [0, 0]], atol=1e-6)
+
+
+def test_least_squares_leaves_the_range_of_its_samples():
+    """The false step of the paper's Theorem 2: V = 0, 0, 1 at 0, 1, 2 gives the line -1/6 at 0."""
+    pattern = cell_fit.Pattern(np.array([[-1.0], [0], [1]]), np.ones(3))
+    center, half = cell_fit.least_squares(pattern, np.array([[0.0, 0, 1]]), np.ones((1, 3)))
+    assert center[0] - half[0, 0] == pytest.approx(-1 / 6)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 4), share=st.sampled_from([0.0, 0.3, 1.0]))
+def test_midrange_errs_as_far_above_as_below(seed, dim, share):
+    rng = np.random.default_rng(seed)
+    pattern = cell_fit.sample_pattern(dim, 40, 0.0, seed)
+    weight = 1.0 * (rng.random((3, 40)) >= share)
+    value = rng.normal(size=(3, 40)) * (weight > 0)
+    center, half = cell_fit.midrange(pattern, value, weight)
+    np.testing.assert_array_equal(half, cell_fit.least_squares(pattern, value, weight)[1])
+    error = value - (center[:, None] + half @ pattern.u.T)
+    for row, counts in zip(error, weight > 0, strict=True):
+        if counts.any():
+            assert row[counts].max() == pytest.approx(-row[counts].min(), abs=1e-9)
+    assert np.isfinite(center).all()
+
+
+# Cells.
+
+
+def test_blocked_cells_are_marked_and_cells_can_be_taken_and_appended():
+    found = fit(left_half, cells=Cells.root(1).split(np.array([0])))
     assert np.isfinite(found.center[0]) and np.isinf(found.center[1])
     np.testing.assert_allclose([found.center[0], found.half[0, 0]], [4.0, 1.0], atol=1e-7)
     assert np.abs(found.residual).max() < 1e-7
     assert not found.reachable[1].any() and not found.weight[1].any() and not found.value[1].any()
+    again = found[[1]].append(found[[0]])
+    assert len(again) == 2
+    np.testing.assert_array_equal(again.cells.position, found.cells.position[::-1])
+    for name in ("reachable", "weight", "value", "center", "half", "residual"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name)[::-1])
 
 
 def test_weights_pull_the_plane_and_zero_weights_do_not_void_it():
     bend = lambda x: np.abs(x[:, 0] - 1.0)  # noqa: E731
-    left = fit(bend, lambda x: 1.0 * (x[:, 0] < 1))
+    left, nowhere = fit(bend, lambda x: 1.0 * (x[:, 0] < 1)), fit(bend, lambda x: np.zeros(len(x)))
     np.testing.assert_allclose(left.half[0, 0], -1.0, atol=1e-6)
-    nowhere = fit(bend, lambda x: np.zeros(len(x)))
     np.testing.assert_allclose(nowhere.center, fit(bend).center, atol=1e-8)
-
-
-def test_cells_can_be_taken_and_appended():
-    found = fit(left_half, cells=Cells.root(1).split(np.array([0])).split(np.array([0, 0])), num_samples=16)
-    again = found[[2, 3]].append(found[[0, 1]])
-    order = [2, 3, 0, 1]
-    assert len(again) == 4
-    np.testing.assert_array_equal(again.cells.position, found.cells.position[order])
-    for name in ("reachable", "weight", "value", "center", "half", "residual"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(found, name)[order])
 
 
 def test_masked_cells_are_those_with_samples_of_another_weight():
@@ -54,21 +121,25 @@ def test_masked_cells_are_those_with_samples_of_another_weight():
 
 
 def test_noise_is_what_floats_resolve_of_the_largest_distance():
-    np.testing.assert_allclose(fit(lambda x: np.full(len(x), 3.0)).noise, 3 * 2.0**-23)
-    np.testing.assert_allclose(
-        fit(lambda x: np.full(len(x), 3.0), lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23
-    )
+    three = lambda x: np.full(len(x), 3.0)  # noqa: E731
+    np.testing.assert_allclose(fit(three).noise, 3 * 2.0**-23)
+    np.testing.assert_allclose(fit(three, lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23)
 
 
 def test_cells_can_be_split_until_every_axis_is_at_its_end():
     cells = Cells(np.array([[14, 13], [14, 14]]), np.zeros((2, 2), int))
-    assert fit(lambda x: x[:, 0], cells=cells, domain=Box((0, 0), (1, 1))).can_split.tolist() == [True, False]
+    assert sampler_of(lambda x: x[:, 0], UNIT)(cells).can_split.tolist() == [True, False]
 
 
-def test_a_root_without_a_reachable_sample_is_refused():
-    sampler = Sampler(lambda x: np.full(len(x), np.inf), LINE, None, *2 * [sample_pattern(1, 16, 0.0, 0)], 14)
-    with pytest.raises(ValueError, match="found nothing reachable"):
-        sampler.root()
+def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
+    """Two reachable samples a coefficient of a plane, and no more: a plane passes near them all."""
+    sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
+    patterns = [cell_fit.sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
+    sampler = cell_fit.Sampler(sliver, LINE, None, *patterns, 14)
+    few, many = sampler(Cells.root(1)), sampler.densely(Cells.root(1))
+    assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
+    assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
+    assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none
 
 
 @pytest.mark.parametrize(
@@ -80,43 +151,30 @@ def test_a_root_without_a_reachable_sample_is_refused():
     ],
 )
 def test_bad_fits_are_refused(rule, message):
-    sampler = Sampler(lambda x: x[:, 0], LINE, None, *2 * [sample_pattern(1, 16, 0.0, 0)], 14, rule)
+    sampler = cell_fit.Sampler(lambda x: x[:, 0], LINE, None, *2 * [cell_fit.sample_pattern(1, 16, 0.0, 0)], 14, rule)
     with pytest.raises(ValueError, match=message):
         sampler(Cells.root(1))
 
 
-def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
-    """Two reachable samples a coefficient of a plane, and no more: a plane passes near them all."""
-    sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
-    patterns = [sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
-    sampler = Sampler(sliver, LINE, None, *patterns, 14)
-    few, many = sampler(Cells.root(1)), sampler.densely(Cells.root(1))
-    assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
-    assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
-    assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none
+# Answers.
 
 
-def test_distances_are_doubles_and_inf_passes():
-    found = call_oracle(lambda x: np.array([1, np.inf, 0], np.float32), points(3, 0))
-    assert found.dtype == np.float64 and found.tolist() == [1, np.inf, 0]
-    assert call_oracle(lambda x: [3, 4, 5], points(3, 0)).tolist() == [3, 4, 5]
-
-
-@pytest.mark.parametrize("dtype", [float, int])
-def test_masked_distances_are_infinite(dtype):
-    """What stands under a mask means nothing."""
-    masked = lambda x: np.ma.masked_array(np.array([7, 0, -3], dtype), [False, True, True])  # noqa: E731
-    assert call_oracle(masked, points(3, 0)).tolist() == [7, np.inf, np.inf]
-
-
-def test_masked_weights_are_refused():
-    with pytest.raises(ValueError, match=r"weight_fn's answer must be .*, and some are masked"):
-        fit(lambda x: x[:, 0], lambda x: np.ma.masked_less(np.ones(len(x)), 2))
-
-
-def test_what_stands_under_a_mask_may_be_anything():
-    masked = lambda x: np.ma.masked_invalid([7.0, np.nan, -np.inf])  # noqa: E731
-    assert call_oracle(masked, points(3, 0)).tolist() == [7, np.inf, np.inf]
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (np.array([1, np.inf, 0], np.float32), [1, np.inf, 0]),
+        ([3, 4, 5], [3, 4, 5]),
+        # What stands under a mask means nothing.
+        *(
+            (np.ma.masked_array(np.array([7, 0, -3], of), [False, True, True]), [7, np.inf, np.inf])
+            for of in (float, int)
+        ),
+        (np.ma.masked_invalid([7.0, np.nan, -np.inf]), [7, np.inf, np.inf]),
+    ],
+)
+def test_distances_are_doubles_and_inf_where_they_are_masked(answer, expected):
+    found = cell_fit.call_oracle(lambda x: answer, points(3, 0))
+    assert found.dtype == np.float64 and found.tolist() == expected
 
 
 def test_an_oracle_may_compute_in_place():
@@ -127,7 +185,7 @@ def test_an_oracle_may_compute_in_place():
         x *= x
         return np.sqrt(x.sum(axis=1))
 
-    np.testing.assert_allclose(call_oracle(in_place, x), cone(kept))
+    np.testing.assert_allclose(cell_fit.call_oracle(in_place, x), cone(kept))
     np.testing.assert_array_equal(x, kept)
 
 
@@ -147,10 +205,18 @@ def test_an_oracle_may_compute_in_place():
 )
 def test_bad_oracles_are_refused(oracle, message):
     with pytest.raises(ValueError, match=message):
-        call_oracle(oracle, points(5, 0))
+        cell_fit.call_oracle(oracle, points(5, 0))
 
 
-@pytest.mark.parametrize("weights", [lambda x: -np.ones(len(x)), lambda x: x, lambda x: np.full(len(x), np.nan)])
-def test_bad_weights_are_refused(weights):
-    with pytest.raises(ValueError, match=r"weight_fn must (return finite weights >= 0|give one number a point)"):
-        call_weights(weights, points(5, 0))
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
+        (lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
+        (lambda x: x, "weight_fn must give one number a point"),
+        (lambda x: np.ma.masked_less(np.ones(len(x)), 2), r"weight_fn's answer must be .*, and some are masked"),
+    ],
+)
+def test_bad_weights_are_refused(weights, message):
+    with pytest.raises(ValueError, match=message):
+        cell_fit.call_weights(weights, points(5, 0))
