@@ -220,7 +220,11 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     tolerance = max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
-    blocked = _blocked(workspace, path)
+    # Everything that is not free, out to beyond the path.
+    lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
+    hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
+    blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
+    shapely.prepare(blocked)
     encounters: dict[tuple[int, ...], _Encounter] = {}
     for j, robot in enumerate(robots):
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, tolerance)
@@ -251,15 +255,6 @@ def _least_clearances(
         least = np.sqrt((nearest**2).sum(axis=2).min(axis=0)) - radius[:j] - radius[j]
         found += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
     return sorted(found)
-
-
-def _blocked(workspace: Workspace, path: Float[np.ndarray, "steps robots dof"]) -> Any:
-    """Everything that is not free, out to beyond the path."""
-    lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
-    hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
-    blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
-    shapely.prepare(blocked)
-    return blocked
 
 
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:

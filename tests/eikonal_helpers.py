@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 from space_helpers import BOUNDS, rectangle
 
-from plr_jax import PlaneSpace, Workspace
+from plr_jax import PlaneSpace, VisibilityGraph, Workspace
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells, tree_of
@@ -12,16 +12,6 @@ from plr_jax.spaces import CellState, MotionCost
 
 EMPTY = PlaneSpace(Workspace(((0, 0), (1, 1))))
 ROOM = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2.3, 0, 2.4, 1.3)])
-GOALS = {
-    "inside": (0.3, 0.4),
-    "on a dyadic point": (0.5, 0.375),
-    "on a wall": (1.37, 1.0),
-    "in a corner": (1.0, 2.0),
-    "between walls": (2.3, 0.0),
-    "in a corner of the domain": (4.0, 3.0),
-    "at the border": (0.0, 1.234),
-    "just beside a wall": (0.9999999, 1.5),
-}
 
 
 class BoxSpace:
@@ -41,13 +31,16 @@ class BoxSpace:
 
     def is_free(self, q):
         q = np.asarray(q, float)
-        hit = np.any(np.all((self.lo < q[:, None]) & (q[:, None] < self.hi), axis=2), axis=1)
-        return self.domain.contains(q) & ~hit
+        return self.domain.contains(q) & ~self._meets(q, q)
 
     def classify(self, lo, hi):
         held = np.any(np.all((lo[:, None] >= self.lo) & (hi[:, None] <= self.hi), axis=2), axis=1)
         state = np.where(self._meets(lo, hi), CellState.MIXED, CellState.FREE)
         return np.where(held, CellState.BLOCKED, state).astype(np.int8)
+
+    def straight(self, q, goal):
+        """What motions straight to a goal cost."""
+        return self.motion_cost.lengths(q, np.broadcast_to(goal, q.shape), self.domain)
 
     def are_free(self, q0, q1):
         """Slab by slab."""
@@ -88,44 +81,50 @@ def halved(cells):
 
 
 def hard_points(plr, workspace, n, seed=0):
-    """Free points: uniform ones, on walls, at vertices, and on faces of leaves or so close that 32 bits see none."""
+    """Free points: uniform ones, on walls, at vertices, and on faces of leaves or so close that 32 bits see none.
+
+    So many of them, so that queries are compiled once.
+    """
     rng = np.random.default_rng(seed)
     lo, hi = plr.leaf_boxes
     points = [workspace.sample_free(n, seed), workspace.boundary.vertices]
     segments = workspace.boundary.segments[rng.integers(len(workspace.boundary.edges), size=n // 4)]
     points.append(segments[:, 0] + rng.random((len(segments), 1)) * (segments[:, 1] - segments[:, 0]))
     for beside in (0.0, 1e-9, -1e-9, 1e-7, -1e-7, 4e-7, -4e-7):
-        leaf, axis = rng.integers(len(lo), size=n // 8), rng.integers(2, size=n // 8)
+        leaf, axis, each = rng.integers(len(lo), size=n // 8), rng.integers(2, size=n // 8), np.arange(n // 8)
         x = lo[leaf] + rng.random((len(leaf), 2)) * (hi - lo)[leaf]
-        each = np.arange(len(leaf))
         x[each, axis] = np.where(rng.random(len(leaf)) < 0.5, lo[leaf, axis], hi[leaf, axis])
         x[each, axis] += beside * plr.domain.width[axis]
         points.append(x)
-    x = np.concatenate(points)
-    return x[shapely.intersects_xy(workspace.free_space, *x.T)]
+    x = np.concatenate(points[::-1])
+    return np.resize(x[shapely.intersects_xy(workspace.free_space, *x.T)], (2 * n, 2))
 
 
-def check_bounds(plr, workspace, oracle, n=4000, seed=0):
-    """Fails unless the bounds hold the exact distance at hard points; distances, lower and upper bounds."""
-    x = hard_points(plr, workspace, n, seed)
-    distance = oracle(x)
-    x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-    assert len(x)
+def check_between(plr, x, distance, rounding=1e-9):
+    """Fails unless the bounds hold finite distances; these, lower and upper bounds."""
     lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
-    rounding = 1e-12 * (1 + distance)  # of the oracle
-    assert (lower <= distance + rounding).all(), x[np.argmax(lower - distance)]
-    assert (distance <= upper + rounding).all(), x[np.argmax(distance - upper)]
-    return distance, lower, upper
+    known = np.isfinite(distance)
+    assert known.any()
+    assert (lower <= distance + rounding)[known].all(), x[known][np.argmax((lower - distance)[known])]
+    assert (distance <= upper + rounding)[known].all(), x[known][np.argmax((distance - upper)[known])]
+    return distance[known], lower[known], upper[known]
+
+
+def check_bounds(plr, workspace, goal, seed=0):
+    """Fails unless the bounds hold the exact distance at hard points; distances, lower and upper bounds."""
+    x = hard_points(plr, workspace, 4000, seed)
+    distance = VisibilityGraph(workspace, goal)(x)
+    return check_between(plr, x, distance, 1e-12 * (1 + distance))  # what the oracle rounds
 
 
 class TwoGrounds:
-    """Half planes of factors 1 and ``dear``, the interface at ``y = level``."""
+    """Factors 1 and ``dear``, the interface at a level along the last axis."""
 
     def __init__(self, level, dear):
         self.level, self.dear = level, dear
 
     def __call__(self, q):
-        return np.where(np.asarray(q)[:, 1] < self.level, 1.0, self.dear)
+        return np.where(np.asarray(q)[:, -1] < self.level, 1.0, self.dear)
 
     def bounds(self, lo, hi):
-        return np.where(lo[:, 1] < self.level, 1.0, self.dear), np.where(hi[:, 1] > self.level, self.dear, 1.0)
+        return np.where(lo[:, -1] < self.level, 1.0, self.dear), np.where(hi[:, -1] > self.level, self.dear, 1.0)

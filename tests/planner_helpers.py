@@ -7,7 +7,6 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import along, shapes
 
 from plr_jax import (
     BLOptions,
@@ -31,6 +30,12 @@ from plr_jax.planners.lattice.joint import JointLattice
 TRANSLATIONS = PRIMITIVES[:8]
 FOUR_NEIGHBORS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 ROOM = Workspace(((0, 0), (10, 10)))
+MIXED = Problem(
+    ROOM,
+    [DiscRobot(0.4), RectangleRobot(1.2, 0.4), PointRobot()],
+    [(1, 1, 5), (1, 8, 0), (5, 1, 0)],
+    [(9, 1, 5), (9, 8, 1), (5, 5, 0)],
+)
 TIGHT = Workspace(((0, 0), (3, 3)), [shapely.box(1.4, 1.4, 1.6, 1.6)])
 TIGHT_TEAM = Problem(
     TIGHT,
@@ -82,14 +87,10 @@ def planned(problem, heuristic=None, **options):
     assert solution.cost == pytest.approx(report.cost, rel=1e-12)
     assert solution.lower_bound <= solution.cost * (1 + 1e-12)
     assert solution.makespan <= solution.cost * (1 + 1e-12)
-    assert_history(solution)
-    return solution
-
-
-def assert_history(solution):
     seconds, costs = np.array(solution.stats.history).T
     assert (np.diff(seconds) >= 0).all() and (np.diff(costs) < 0).all()
     assert costs[-1] == solution.cost and solution.stats.first_solution == seconds[0]
+    return solution
 
 
 def joint_lattice_of(problem, step, primitives=PRIMITIVES):
@@ -132,17 +133,6 @@ def apart(joint, state, primitive):
     return clear
 
 
-def free_states(joint, num, seed):
-    """Random joint configurations in which no two robots overlap, some of them close together."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < num:
-        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
-        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
-            found.append(state[0])
-    return np.array(found, dtype=np.int32)
-
-
 def reachable(joint):
     """All joint configurations that joint motions reach, one after the other."""
     start = tuple(lattice.start for lattice in joint.lattices)
@@ -159,25 +149,3 @@ def reachable(joint):
                 reached.add(child)
                 newest.append(child)
     return reached
-
-
-def blocked_region(workspace):
-    """Obstacles and the plane beyond the bounds, as one Shapely geometry."""
-    box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    return shapely.union_all([*workspace.obstacles, box.buffer(10, join_style="mitre").difference(box)])
-
-
-def deepest_overlap(workspace, robot, q0, q1):
-    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
-    q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
-    num_samples, region = 201, blocked_region(workspace)
-    bodies = shapes(robot, along(q0, q1, num_samples))
-    if isinstance(robot, RectangleRobot):
-        overlap = shapely.intersection(bodies, region)
-        depth = np.where(shapely.area(overlap) > 0, shapely.area(overlap) / robot.length, 0.0)
-        depth = np.where(depth > 0, depth, -shapely.distance(bodies, region))
-    else:
-        inside = shapely.distance(bodies, shapely.boundary(region))
-        distance = shapely.distance(bodies, region)
-        depth = robot.rounding - np.where(distance > 0, distance, -inside)
-    return depth.reshape(-1, num_samples).max(axis=1)

@@ -75,3 +75,9 @@ def check_motions(space, is_free, q0, q1, num_samples=65):
     proven = space.are_free(q0, q1)
     assert sampled[proven].all()
     return proven, sampled
+
+
+def states(space, *boxes):
+    """What is known of boxes, each a row of lower and upper corner."""
+    lo, hi = np.array(boxes, dtype=float).reshape(-1, 2, space.domain.dim).transpose(1, 0, 2)
+    return space.classify(lo, hi).tolist()

@@ -60,7 +60,11 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
                 typer.echo("Interrupted.", err=True)
                 raise typer.Exit(INTERRUPTED_EXIT) from None
             except BrokenPipeError:  # a reader such as `head` that has seen enough
-                _discard_output()
+                # Send what is still to be written nowhere, or Python would complain about it at its end.
+                with contextlib.suppress(OSError, ValueError):
+                    null = os.open(os.devnull, os.O_WRONLY)
+                    os.dup2(null, sys.stdout.fileno())
+                    os.close(null)
                 raise typer.Exit(BROKEN_PIPE_EXIT) from None
             except (OSError, ValueError) as error:
                 fail(reason_of(error))
@@ -86,14 +90,6 @@ class _Command(TyperCommand):
             if option in ("--goal", "-g") and numbers_of(x.rstrip(",")) and numbers_of(y):
                 raise typer.BadParameter(f"a goal is one argument X,Y: write {option} {x},{y}.", ctx)
         return super().parse_args(ctx, args)
-
-
-def _discard_output() -> None:
-    """Send what is still to be written nowhere, or Python would complain about it at its end."""
-    with contextlib.suppress(OSError, ValueError):
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, sys.stdout.fileno())
-        os.close(null)
 
 
 _LINE_ERASED = "\r\x1b[K"  # back to the beginning of the line, and all of it erased

@@ -29,7 +29,19 @@ def run(output: Path) -> None:
     """Build the maze's PLR, measure it beside its oracle, and draw it; plan for four robots, and animate the path."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
-    _four_rooms(output)
+    began = time.perf_counter()
+    problem = scenes.four_rooms(4)
+    typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
+    phases = _planning.Phases(began)
+    solution, report = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
+    if report is None or not report.valid:
+        fail("There is no valid path for the four rooms.", code=1)
+    animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
+    for file in (output / "four_rooms.html", output / "four_rooms.gif"):
+        animation.save(file)
+        typer.echo(f"  wrote      {file}")
+    phases.end("writing")
+    _planning.say_seconds(phases, solution)
 
 
 def _maze(output: Path) -> None:
@@ -60,22 +72,6 @@ def _maze(output: Path) -> None:
 
     _draw(plr, oracle, workspace, goal, output)
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
-
-
-def _four_rooms(output: Path) -> None:
-    began = time.perf_counter()
-    problem = scenes.four_rooms(4)
-    typer.echo("Four rooms around a center with narrow doors; each robot to go to the opposite room, all at once.")
-    phases = _planning.Phases(began)
-    solution, report = _planning.solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES, 0, phases)
-    if report is None or not report.valid:
-        fail("There is no valid path for the four rooms.", code=1)
-    animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
-    for file in (output / "four_rooms.html", output / "four_rooms.gif"):
-        animation.save(file)
-        typer.echo(f"  wrote      {file}")
-    phases.end("writing")
-    _planning.say_seconds(phases, solution)
 
 
 def _device() -> str:

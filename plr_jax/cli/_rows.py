@@ -47,7 +47,17 @@ class PointTable:
         """
         is_empty = True
         for block in self._blocks(file):
-            points = self._parsed(block)
+            num_lines = block.count(b"\n")
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # that lines are blank, which are told below
+                    points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
+                is_plain = points.shape == (num_lines, self.dim) and not block.translate(None, _OF_NUMBERS)
+            except ValueError:
+                is_plain = False
+            if not is_plain:
+                points = self._parsed_line_by_line(block.removesuffix(b"\n").split(b"\n"))
+            self.num_lines += num_lines
             if len(points):
                 is_empty = False
                 yield points
@@ -103,20 +113,6 @@ class PointTable:
             return start
         self.num_lines += len(newline)
         return others
-
-    def _parsed(self, block: bytes) -> Float[np.ndarray, "n dim"]:
-        num_lines = block.count(b"\n")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that lines are blank, which are told below
-                points = np.loadtxt(io.BytesIO(block), delimiter=",", comments=None, ndmin=2)
-            is_plain = points.shape == (num_lines, self.dim) and not block.translate(None, _OF_NUMBERS)
-        except ValueError:
-            is_plain = False
-        if not is_plain:
-            points = self._parsed_line_by_line(block.removesuffix(b"\n").split(b"\n"))
-        self.num_lines += num_lines
-        return points
 
     def _parsed_line_by_line(self, lines: list[bytes]) -> Float[np.ndarray, "n dim"]:
         points = np.full((len(lines), self.dim), np.nan)

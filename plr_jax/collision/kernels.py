@@ -1,11 +1,9 @@
 """The kernels that judge whether bodies are apart: boxes, boxes and points, and convex bodies of any kind."""
 
-from typing import TypeAlias
-
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from plr_jax.collision.moving import Column, MovingBodies, across_motion, riding_bulges
+from plr_jax.collision.moving import Column, Columns, MovingBodies, Verdict, across_motion, riding_bulges
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 
 # The kernel for convex bodies of any number of vertices, whose distance is that of their Minkowski difference.
@@ -18,9 +16,7 @@ Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 _FEW = 24  # corners up to which the lowest is sought among all
 
 
-def judge_convex(
-    a: MovingBodies, b: MovingBodies, reach: float
-) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+def judge_convex(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Two convex bodies, given by their vertices ``(2, vertices)`` in their own frames, counterclockwise.
 
     The axes: normal to the sides of both, which ride with them; across the relative motion; and, where a distance is
@@ -42,19 +38,27 @@ def judge_convex(
         gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)
         separation = [np.where(depth < 0, depth, d) for depth, d in zip(separation, distances, strict=True)]
     clear = gap >= reach
-    exact = (a.turn == 0) & (b.turn == 0)
-    return clear, (separation[0] < reach) | (separation[1] < reach) | (exact & ~clear)
+    return clear, (np.minimum(*separation) < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
 def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
-    """Corners of both at the first (0) or last (1) end of each motion, seen from the first's reference point."""
-    placed = []
+    """Corners of both at one end of each motion, seen from the first's reference point."""
+    turned = []
     for body in (a, b):
-        c, s = np.cos(body.theta + end * body.turn), np.sin(body.theta + end * body.turn)
-        x, y = body.size
-        placed.append(np.stack([c * x - s * y, s * x + c * y]))
-    placed[1] += np.stack([b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)])[:, None]
-    return placed[0], placed[1]
+        (c, s), (x, y) = _heading(body, end), body.size
+        turned.append(np.stack([c * x - s * y, s * x + c * y]))
+    return turned[0], turned[1] + np.stack(_offset(a, b, end))[:, None]
+
+
+def _heading(body: MovingBodies, end: float) -> Columns:
+    """Cosine and sine of the heading at the first (0) or last (1) end of each motion."""
+    theta = body.theta + end * body.turn
+    return np.cos(theta), np.sin(theta)
+
+
+def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
+    """Where the second's reference point is, seen from the first's, at one end of each motion."""
+    return b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
@@ -91,7 +95,7 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
     return np.minimum(*gaps)
 
 
-def _nearest(ends: Ends) -> tuple[tuple[Column, Column], tuple[Column, Column]]:
+def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     """The direction in which bodies come nearest to one another, and their distances at both ends.
 
     The Minkowski difference of bodies that are apart, swept by a translation, is nearest to the origin on an edge: a
@@ -110,66 +114,50 @@ def _nearest(ends: Ends) -> tuple[tuple[Column, Column], tuple[Column, Column]]:
     return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
 
 
-Heading: TypeAlias = tuple[Column, Column]  # cosine and sine
-
-
-def judge_boxes(
-    a: MovingBodies, b: MovingBodies, reach: float
-) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+def judge_boxes(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Two boxes and a depth of overlap: axes along the sides of both, and across their relative motion."""
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
-    of_a, of_b = riding_bulges(a, b, np.hypot(*a.size), np.hypot(*b.size))
-    gap = _gap_across(a, b, headings)
+    rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
+    of_a, of_b = riding_bulges(a, b, rim_a, rim_b)
+    nx, ny = across_motion(a, b)
+    supports = [_support(a, at_a, nx, ny) + _support(b, at_b, nx, ny) for at_a, at_b in headings]
+    bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
+    gap = np.abs(nx * (b.x - a.x) + ny * (b.y - a.y)) - np.maximum(*supports) - bulge
     for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
         # The same side at both ends: the axis does not change its sense within the piece.
         along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
         gap = np.maximum(gap, along - bulge)
     clear = gap >= reach
     # At a single time, the sides' axes decide.
-    overlap = [np.max([np.abs(u) - support for u, support in axes], axis=0) < reach for axes in (first, last)]
-    exact = (a.turn == 0) & (b.turn == 0)
-    return clear, overlap[0] | overlap[1] | (exact & ~clear)
+    separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
+    return clear, (separation < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
-def judge_box_and_point(
-    a: MovingBodies, b: MovingBodies, reach: float
-) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+def judge_box_and_point(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """A box and a point, seen from the box: that is at rest, and the point's curve is near a segment."""
     ends, distances = [], []
     for end in (0.0, 1.0):
-        x, y = b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
-        c, s = _heading(a, end)
+        (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
         distances.append(_distance_to_box(u, v, *a.size))
     bulge, _ = riding_bulges(a, b, *b.size)  # a point has no rim
-    distance = np.minimum(np.minimum(distances[0], distances[1]), _distance_of_chord(*ends, *a.size))
-    clear = distance >= reach + bulge
-    overlap = (distances[0] < reach) | (distances[1] < reach)
-    return clear, overlap | ((a.turn == 0) & ~clear)
+    nearer = np.minimum(*distances)
+    clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
+    return clear, (nearer < reach) | ((a.turn == 0) & ~clear)
 
 
-def judge_point_and_box(
-    a: MovingBodies, b: MovingBodies, reach: float
-) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+def judge_point_and_box(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """A point and a box."""
     return judge_box_and_point(b, a, reach)
 
 
-def _heading(body: MovingBodies, end: float) -> Heading:
-    """The heading at the first (0) or last (1) end of each motion."""
-    theta = body.theta + end * body.turn
-    return np.cos(theta), np.sin(theta)
-
-
-def _along_sides(
-    a: MovingBodies, b: MovingBodies, end: float, heading_a: Heading, heading_b: Heading
-) -> list[tuple[Column, Column]]:
+def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
     """Offset of the centers, and what the bodies fill of it, along two sides of ``a`` and two of ``b``."""
-    (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = heading_a, heading_b, a.size, b.size
+    (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
-    x, y = b.x - a.x + end * (b.dx - a.dx), b.y - a.y + end * (b.dy - a.dy)
+    x, y = _offset(a, b, end)
     return [
         (ca * x + sa * y, length_a + length_b * c + width_b * s),
         (ca * y - sa * x, width_a + length_b * s + width_b * c),
@@ -178,15 +166,7 @@ def _along_sides(
     ]
 
 
-def _gap_across(a: MovingBodies, b: MovingBodies, headings: list[tuple[Heading, Heading]]) -> Column:
-    """Gap along the normal of the relative motion; a lower bound."""
-    nx, ny = across_motion(a, b)
-    supports = [_support(a, of_a, nx, ny) + _support(b, of_b, nx, ny) for of_a, of_b in headings]
-    bulge = (np.hypot(*a.size) * a.turn**2 + np.hypot(*b.size) * b.turn**2) / 8
-    return np.abs(nx * (b.x - a.x) + ny * (b.y - a.y)) - np.maximum(supports[0], supports[1]) - bulge
-
-
-def _support(body: MovingBodies, heading: Heading, nx: Column, ny: Column) -> Column:
+def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Column:
     """How far a box reaches from its center along a direction."""
     (c, s), (half_length, half_width) = heading, body.size
     return half_length * np.abs(c * nx + s * ny) + half_width * np.abs(c * ny - s * nx)

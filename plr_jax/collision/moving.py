@@ -24,6 +24,7 @@ _MAX_BISECTIONS = 12
 _CORNERS = 1 << 16  # of bodies at a time, between two looks at the clock, which bounds the temporaries as well
 
 Column: TypeAlias = Float[np.ndarray, "n"]
+Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
@@ -52,7 +53,7 @@ class MovingBodies(NamedTuple):
 
     def bisected(self) -> "MovingBodies":
         """The first and the second half of each motion, side by side."""
-        half = [0.5 * rate for rate in (self.dx, self.dy, self.turn)]
+        half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 
@@ -66,13 +67,13 @@ def moving(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]]
-"""A kernel: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not."""
+# What a kernel says: which motions certainly keep a distance, below 0 a depth of overlap, and which certainly do not.
+Booleans: TypeAlias = Bool[np.ndarray, "n"]
+Verdict: TypeAlias = tuple[Booleans, Booleans]
+Judge: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
 
 
-def bisect(
-    judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
-) -> Bool[np.ndarray, "n"]:
+def bisect(judge: Judge, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf) -> Booleans:
     """Whether bodies certainly keep a distance, their motions bisected until the kernel is certain.
 
     Below 0, ``reach`` is a depth to which they may overlap. A few are judged at a time, their halves before the
@@ -89,8 +90,8 @@ def bisect(
     while waiting:
         a, b, owner, bisections = waiting.pop()
         if len(owner) > size:
-            parts = [slice(begin, begin + size) for begin in range(0, len(owner), size)]
-            waiting += [(a.take(part), b.take(part), owner[part], bisections) for part in parts]
+            for part in (slice(begin, begin + size) for begin in range(0, len(owner), size)):
+                waiting.append((a.take(part), b.take(part), owner[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
         clear, hit = judge(a, b, reach)
@@ -104,7 +105,7 @@ def bisect(
     return apart
 
 
-def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> tuple[Column, Column]:
+def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
     """How far below its chord a gap along an axis can be that rides with ``a``, and with ``b``.
 
     These are the bulges of the offset between the two and of the other body's turn, as seen from the one. Their
@@ -113,14 +114,12 @@ def riding_bulges(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
-    of_a, of_b = (
-        (far * body.turn**2 + 2 * speed * np.abs(body.turn) + rim * relative) / 8
-        for body, rim in ((a, rim_b), (b, rim_a))
-    )
+    turns = (a.turn, rim_b), (b.turn, rim_a)
+    of_a, of_b = ((far * turn**2 + 2 * speed * np.abs(turn) + rim * relative) / 8 for turn, rim in turns)
     return of_a, of_b
 
 
-def across_motion(a: MovingBodies, b: MovingBodies) -> tuple[Column, Column]:
+def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     """The unit normal of the relative motion, the y axis where there is none."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._deadline import require_time
+from plr_jax._types import JointConfigurations
 from plr_jax.collision.kernels import judge_box_and_point, judge_boxes, judge_convex, judge_point_and_box
-from plr_jax.collision.moving import Judge, bisect, moving
+from plr_jax.collision.moving import Column, bisect, moving
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -34,9 +35,9 @@ _CHUNK = 1 << 13  # distances at a time, whose temporaries stay in cache
 class Circles(NamedTuple):
     """Circles, by centers and radii."""
 
-    x: Float[np.ndarray, "n"]
-    y: Float[np.ndarray, "n"]
-    radius: Float[np.ndarray, "n"]
+    x: Column
+    y: Column
+    radius: Column
 
 
 class Traffic:
@@ -45,12 +46,6 @@ class Traffic:
     Attributes:
         path: The joint configurations ``(steps, robots, dof)``, a copy of those given; :meth:`move` changes them.
     """
-
-    path: Float[np.ndarray, "steps robots dof"]
-    _size: Float[np.ndarray, "robots"]
-    _x: Float[np.ndarray, "motions robots"]
-    _y: Float[np.ndarray, "motions robots"]
-    _radius: Float[np.ndarray, "motions robots"]
 
     def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
         self.path = path.copy()
@@ -67,11 +62,7 @@ class Traffic:
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
     def near(
-        self,
-        i: int,
-        around: Circles,
-        motion: Int[np.ndarray, "n"],
-        excluded: Sequence[int] = (),
+        self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         """Whom robot ``i`` may meet of the others, but those ``excluded``, while these make a motion of the path.
 
@@ -94,8 +85,7 @@ class Traffic:
             reach[:, apart] = 0.0
             reach *= reach
             found.append(first * num_robots + np.flatnonzero(squared < reach))
-        row, other = np.divmod(np.concatenate(found), num_robots)
-        return row, other
+        return np.divmod(np.concatenate(found), num_robots)
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
@@ -106,19 +96,18 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
     """Circles around the ways from any of ``k`` positions to any of ``l``, in each row."""
-    return _between(_around(begin), _around(end))
+    return _between(*_around(begin), *_around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
     """Circles around the ways from any of the positions in a row to any in the next."""
     around = _around(q)
-    return _between(Circles(*(column[:-1] for column in around)), Circles(*(column[1:] for column in around)))
+    return _between(*(column[:-1] for column in around), *(column[1:] for column in around))
 
 
-def _between(begin: Circles, end: Circles) -> Circles:
+def _between(x0: Column, y0: Column, radius0: Column, x1: Column, y1: Column, radius1: Column) -> Circles:
     """Circles around the ways from anywhere within some circles to anywhere within others."""
-    half = np.hypot(end.x - begin.x, end.y - begin.y) / 2
-    return Circles((begin.x + end.x) / 2, (begin.y + end.y) / 2, half + np.maximum(begin.radius, end.radius))
+    return Circles((x0 + x1) / 2, (y0 + y1) / 2, np.hypot(x1 - x0, y1 - y0) / 2 + np.maximum(radius0, radius1))
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
@@ -135,17 +124,16 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 
 _MOST, _CHUNK_PAIRS = 1 << 18, 1 << 13  # pairs of motions at a time: whose circles are compared, that are gathered
 
+OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
+OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
+Motions: TypeAlias = Float[np.ndarray, "m dof"]
+Rows: TypeAlias = Int[np.ndarray, "m"]
+Apart: TypeAlias = Bool[np.ndarray, "*batch"]
+
 
 def motions_apart(
-    robot_a: Robot,
-    a0: Float[np.ndarray, "*#batch dof_a"],
-    a1: Float[np.ndarray, "*#batch dof_a"],
-    robot_b: Robot,
-    b0: Float[np.ndarray, "*#batch dof_b"],
-    b1: Float[np.ndarray, "*#batch dof_b"],
-    tolerance: float,
-    deadline: float = math.inf,
-) -> Bool[np.ndarray, "*batch"]:
+    robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
+) -> Apart:
     """Whether two robots stay clear of one another while both move, from ``a0`` to ``a1`` and from ``b0`` to ``b1``.
 
     The batch shapes broadcast, so that every motion of one robot can be tested against every motion of the
@@ -179,27 +167,18 @@ def motions_apart(
         return apart
     where = np.nonzero(~apart & (distance >= inner - tolerance))
     reach = robot_a.rounding + robot_b.rounding - tolerance
-    judge, size_a, size_b = _kernel(robot_a, robot_b, reach)
+    # The fastest kernel that answers for two robots, and their sizes as it takes them.
+    half_a, half_b = robot_a.half_sides, robot_b.half_sides
+    judge, size_a, size_b = judge_convex, robot_a.core.T, robot_b.core.T
+    if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
+        kernels = {(True, True): judge_boxes, (True, False): judge_box_and_point, (False, True): judge_point_and_box}
+        judge, size_a, size_b = kernels[bool(half_a.any()), bool(half_b.any())], half_a, half_b
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving(robot_a, qa0, qa1).sized(size_a), moving(robot_b, qb0, qb1).sized(size_b)
         apart[rows] = bisect(judge, a, b, reach, deadline)
     return apart
-
-
-def _kernel(robot_a: Robot, robot_b: Robot, reach: float) -> tuple[Judge, np.ndarray, np.ndarray]:
-    """The fastest kernel that answers for two robots, and their sizes as it takes them."""
-    half_a, half_b = robot_a.half_sides, robot_b.half_sides
-    if half_a is None or half_b is None:
-        return judge_convex, robot_a.core.T, robot_b.core.T
-    if not half_b.any():
-        return judge_box_and_point, half_a, half_b
-    if not half_a.any():
-        return judge_point_and_box, half_a, half_b
-    if reach <= 0:
-        return judge_boxes, half_a, half_b
-    return judge_convex, robot_a.core.T, robot_b.core.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,39 +203,21 @@ class JointMotionTest:
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
-    def __call__(
-        self, q0: Float[np.ndarray, "n robots dof"], q1: Float[np.ndarray, "n robots dof"]
-    ) -> Bool[np.ndarray, "n"]:
+    def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
         """Whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
-        left = np.arange(len(q0))
+        free = np.ones(len(q0), dtype=bool)
         for i, test in enumerate(self.of_walls):
-            left = left[test(q0[left, i], q1[left, i], self.deadline)]
+            free[free] = test(q0[free, i], q1[free, i], self.deadline)
         for i, j in combinations(range(len(self.robots)), 2):
-            left = left[self.apart(i, q0[left, i], q1[left, i], j, q0[left, j], q1[left, j])]
-        free = np.zeros(len(q0), dtype=bool)
-        free[left] = True
+            free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
         return free
 
-    def apart(
-        self,
-        i: int,
-        a0: Float[np.ndarray, "*#batch dof_a"],
-        a1: Float[np.ndarray, "*#batch dof_a"],
-        j: int,
-        b0: Float[np.ndarray, "*#batch dof_b"],
-        b1: Float[np.ndarray, "*#batch dof_b"],
-    ) -> Bool[np.ndarray, "*batch"]:
+    def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
         """Whether robots ``i`` and ``j`` keep clear of one another, as :func:`motions_apart` says."""
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
-        self,
-        i: int,
-        begin: Float[np.ndarray, "m dof"],
-        end: Float[np.ndarray, "m dof"],
-        traffic: Traffic,
-        motion: Int[np.ndarray, "m"],
-        other: Int[np.ndarray, "m"],
+        self, i: int, begin: Motions, end: Motions, traffic: Traffic, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
         """Whether motions of robot ``i`` collide with others, each with one as that makes a motion of a path."""
         others_begin, others_end = traffic.path[motion, other], traffic.path[motion + 1, other]

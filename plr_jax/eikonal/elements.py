@@ -72,7 +72,13 @@ class FunctionSpace:
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
         operators = []
         for axis in range(mesh.dim):
-            control = _derivative(self.degree, mesh.dim, axis)
+            # Maps values at nodes to control values of a partial derivative, its degree raised to that of the others.
+            degree = self.degree
+            difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
+            share = np.arange(degree + 1)[:, None] / degree
+            raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
+            along = raised @ difference @ _TO_BERNSTEIN[degree]
+            control = reduce(np.kron, [along if each == axis else _TO_BERNSTEIN[degree] for each in range(mesh.dim)])
             num, (i, j) = len(width), np.nonzero(control)
             entries = control[i, j] / width[:, axis, None]
             first = np.arange(num)[:, None] * size
@@ -155,15 +161,6 @@ def _resolved(
 
 def _lattice(degree: int, dim: int) -> Float[np.ndarray, "nodes dim"]:
     return np.array(list(product(np.arange(degree + 1) / degree, repeat=dim)))
-
-
-def _derivative(degree: int, dim: int, axis: int) -> Float[np.ndarray, "controls nodes"]:
-    """Maps values at nodes to control values of a partial derivative, its degree raised to that of the others."""
-    difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
-    share = np.arange(degree + 1)[:, None] / degree
-    raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
-    along = raised @ difference @ _TO_BERNSTEIN[degree]
-    return reduce(np.kron, [along if each == axis else _TO_BERNSTEIN[degree] for each in range(dim)])
 
 
 def _ties(mesh: Mesh, degree: int, lattice: Float[np.ndarray, "nodes dim"]) -> _Ties:

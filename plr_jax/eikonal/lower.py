@@ -3,7 +3,7 @@
 import warnings
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from tqdm import tqdm
 
@@ -84,7 +84,11 @@ class SlopeSolver:
             progress.update(len(finer.space.mesh.state) - len(self.mesh.state))
             if len(finer.space.mesh.state) + 2**self.mesh.dim - 1 <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
-            self._through = _kept(self._through, self.mesh, finer.space.mesh)
+            # What motions through cells are, for cells that were there before; MIXED for the others.
+            fine = finer.space.mesh
+            before = self.mesh.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
+            is_same = (self.mesh.cells.depth[before] == fine.cells.depth).all(axis=1)
+            self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
             self.program, self._iterate = finer, iterate
         loose = self.program.solve(_NEXT, self._iterate)
         self._iterate, has_converged = self.program.solve_tightly(loose, _MOST)
@@ -154,18 +158,14 @@ def slope_program(
         state[home] = CellState.MIXED
         mesh = mesh.with_state(state)
     mesh = mesh.without(~mesh.connected_to(int(home[0])))
-    functions = function_space(mesh, _degree(mesh.dim))
+    # Of the polynomials: 2 errs far less for its cells, but takes too long in more than two dimensions.
+    functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
     gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
     num_controls = len(functions.lattice)
     volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
     value_at_goal = functions.interpolation(home, mesh.local(home, goal[None])).toarray()[0]
     costs = cell_costs(space, cost_map, mesh)
     return SlopeProgram(functions, gradient, costs, volume, functions.integrals(), value_at_goal)
-
-
-def _degree(dim: int) -> int:
-    """Of the polynomials: 2 errs far less for its cells, but takes too long in more than two dimensions."""
-    return 2 if dim <= 2 else 1
 
 
 def losses(program: SlopeProgram, iterate: Iterate) -> Float[np.ndarray, "open"]:
@@ -210,10 +210,3 @@ def _prolonged(coarse: SlopeProgram, iterate: Iterate, fine: SlopeProgram) -> It
     place[mesh.open_cells] = np.arange(len(mesh.open_cells))
     flow = iterate.flow.reshape(coarse.dim, -1, size).mean(axis=2)[:, place[parent]]
     return Iterate(values, np.repeat(flow, size, axis=1))
-
-
-def _kept(through: Int8[np.ndarray, "coarse"], coarse: Mesh, fine: Mesh) -> Int8[np.ndarray, "fine"]:
-    """What motions through cells are, for cells that were there before; MIXED for the others."""
-    before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
-    is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
-    return np.where(is_same, through[before], np.int8(CellState.MIXED))

@@ -191,12 +191,9 @@ class _FreeGraph:
 
     def straight_costs(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:
         """What going straight costs at the most; ``inf`` where that leaves free cells."""
-        return self._through_free_cells(self.points[begin], self._changes(begin, end))
-
-    def _through_free_cells(
-        self, x: Float[np.ndarray, "n dim"], change: Float[np.ndarray, "n dim"]
-    ) -> Float[np.ndarray, "n"]:
-        """What straight motions cost at the most, cell by cell; ``inf`` if one of their cells is not free."""
+        # What straight motions cost at the most, cell by cell; ``inf`` if one of their cells is not free.
+        x = self.points[begin]
+        change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
         length, rate = self.costs.motion.norm(change), change / mesh.domain.width
         ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)

@@ -144,7 +144,16 @@ def boundary_of(region: Any, tolerance: float) -> Boundary:
     """The boundary of a valid Shapely (Multi)Polygon, edges split where a vertex lies on one, to the tolerance."""
     vertices, edges = _vertices_and_edges(region)
     edges = _split(vertices, edges, *_near(vertices, edges, tolerance))
-    return Boundary(vertices, edges, _sector_ends(vertices, edges))
+    # A sector closes at the start of the arriving edge that comes first counterclockwise. Around a vertex leaving and
+    # arriving edges alternate, so a leaving one is closed by its successor.
+    at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
+    direction = vertices[other] - vertices[at]
+    order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
+    first, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
+    successor = order[first + (np.arange(len(order)) - first + 1) % (end - first)]
+    ends = np.empty(len(order), dtype=np.intp)
+    ends[order] = other[successor]
+    return Boundary(vertices, edges, ends[: len(edges)])
 
 
 def is_told_apart(region: Any, tolerance: float) -> bool:
@@ -196,24 +205,6 @@ def _split(
     return np.stack([start, np.where(last, edges[owner, 1], np.roll(start, -1))], axis=1)
 
 
-def _sector_ends(
-    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"]
-) -> Int[np.ndarray, "edges"]:
-    """For each edge, the start of the arriving edge that comes first counterclockwise at its first vertex."""
-    at = np.concatenate([edges[:, 0], edges[:, 1]])
-    other = np.concatenate([edges[:, 1], edges[:, 0]])
-    direction = vertices[other] - vertices[at]
-    order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
-    # Around a vertex leaving and arriving edges alternate, so a leaving one is closed by its successor.
-    rank = np.arange(len(order))
-    first = np.searchsorted(at[order], at[order], side="left")
-    count = np.searchsorted(at[order], at[order], side="right") - first
-    successor = order[first + (rank - first + 1) % count]
-    ends = np.empty(len(order), dtype=np.intp)
-    ends[order] = other[successor]
-    return ends[: len(edges)]
-
-
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline: float) -> Any:
     """What a disc's center must avoid beside a boundary: a strip along each wall and a fan around each reflex corner.
 
@@ -225,7 +216,10 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
     arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
     is_reflex = boundary.is_reflex(tolerance)
-    num_chords = _num_chords(turn_between(offset, offset[arriving]), radius, np.ptp(boundary.vertices, axis=0).max())
+    # ``k`` chords of an arc are shorter than it by ``radius turn^3 / (24 k^2)``.
+    turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
+    most, enough = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
+    num_chords = np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
     regions = []
     # Edges of one ring follow one another, so that most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
@@ -238,13 +232,6 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float, deadline
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     return _united(regions, deadline)
-
-
-def _num_chords(turn: Float[np.ndarray, "n"], radius: float, side: np.floating) -> Int[np.ndarray, "n"]:
-    """Chords of arcs: ``k`` of them are shorter than the arc by ``radius turn^3 / (24 k^2)``."""
-    most = _MOST_CHORDS * turn / (np.pi / 2)
-    enough = np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
-    return np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
 
 
 def _united(regions: list[Any], deadline: float) -> Any:

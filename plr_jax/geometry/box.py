@@ -47,7 +47,12 @@ class Box:
                 f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
                 f"on axis {axis}."
             )
-        vars(self).update(lo=lo, hi=hi, periodic=_checked_periodic(periodic, lo.size))
+        axes = (False,) * lo.size if periodic is None else periodic
+        axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
+        if len(axes) != lo.size:
+            raise ValueError(f"Box periodic must be {lo.size} bools, one an axis, got {shortened(periodic)}.")
+        periodic = tuple(as_bool("Each of Box periodic", axis) for axis in axes)
+        vars(self).update(lo=lo, hi=hi, periodic=periodic)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
@@ -128,7 +133,11 @@ class Box:
             if column.size and not (lo <= column.min() and column.max() < hi):
                 wrapped = x.copy() if wrapped is x else wrapped
                 outside = np.isfinite(column) & ((column < lo) | (column >= hi))
-                wrapped[outside, axis] = _wrapped_coordinates(column[outside], lo, hi)
+                column, period = column[outside], hi - lo
+                above = np.mod(np.fmod(column, period) - lo, period)
+                rounding = 2 * np.spacing(np.maximum(np.abs(column), max(abs(lo), abs(hi))))
+                is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
+                wrapped[outside, axis] = np.where(is_at_seam, lo, lo + above)
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
@@ -265,20 +274,3 @@ class Slice:
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers
         return points
-
-
-def _checked_periodic(periodic: ArrayLike | None, dim: int) -> tuple[bool, ...]:
-    if periodic is None:
-        return (False,) * dim
-    axes = tuple(periodic) if isinstance(periodic, Iterable) else (periodic,)
-    if len(axes) != dim:
-        raise ValueError(f"Box periodic must be {dim} bools, one an axis, got {shortened(periodic)}.")
-    return tuple(as_bool("Each of Box periodic", axis) for axis in axes)
-
-
-def _wrapped_coordinates(x: Float[np.ndarray, "n"], lo: float, hi: float) -> Float[np.ndarray, "n"]:
-    period = hi - lo
-    above = np.mod(np.fmod(x, period) - lo, period)
-    rounding = 2 * np.spacing(np.maximum(np.abs(x), max(abs(lo), abs(hi))))
-    is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
-    return np.where(is_at_seam, lo, lo + above)

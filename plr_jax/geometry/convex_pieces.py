@@ -13,6 +13,9 @@ from plr_jax._arrays import run_members
 from plr_jax.geometry.vectors import cross_product
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
+PartIndex: TypeAlias = Int[np.ndarray, "parts"]
+PartSide: TypeAlias = Bool[np.ndarray, "parts"]
+PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
 ROOM = 8
 """Corners of a triangle cut by a box, at most 7, and one more."""
 
@@ -97,11 +100,11 @@ def contain(
 def cut_parts(
     pieces: Pieces,
     first_piece: Int[np.ndarray, "cells_plus_one"],
-    parent: Int[np.ndarray, "parts"],
-    axis: Int[np.ndarray, "parts"],
-    is_upper: Bool[np.ndarray, "parts"],
-    lo: Float[np.ndarray, "parts 2"],
-    hi: Float[np.ndarray, "parts 2"],
+    parent: PartIndex,
+    axis: PartIndex,
+    is_upper: PartSide,
+    lo: PartCorner,
+    hi: PartCorner,
 ) -> tuple[
     Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
 ]:
@@ -136,14 +139,25 @@ def clip_to_box(
     pieces: Pieces, lo: Float[np.ndarray, "2"], hi: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "2 kept room"], Int[np.ndarray, "kept"]]:
     """What of the pieces lies in a box, in their order, but nothing without area; and which pieces these are."""
-    rows = np.arange(pieces.shape[1])
-    for axis in range(2):
-        for sign, bound in ((1, lo[axis]), (-1, hi[axis])):
-            reaches = (sign * (pieces[axis] - bound) > 0).any(axis=1)
-            pieces, rows = pieces[:, reaches], rows[reaches]
-            pieces = clip(pieces, sign * (pieces[axis] - bound))
+    pieces, _, rows = clip_to_boxes(pieces, lo[None], hi[None])
     some = areas(pieces) > 0
     return pieces[:, some], rows[some]
+
+
+def clip_to_boxes(
+    pieces: Pieces, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
+) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
+    """What of the pieces lies in each box, box by box, some without area; the box of each, and which piece it was."""
+    (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
+    box, rows = np.nonzero((x0 < hi[:, :1]) & (x1 > lo[:, :1]) & (y0 < hi[:, 1:]) & (y1 > lo[:, 1:]))
+    pieces = pieces[:, rows]
+    for axis in range(2):
+        for sign, bound in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
+            height = sign * (pieces[axis] - bound[box, None])
+            reaches = (height > 0).any(axis=1)
+            box, rows = box[reaches], rows[reaches]
+            pieces = clip(pieces[:, reaches], height[reaches])
+    return pieces, box, rows
 
 
 def following(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:

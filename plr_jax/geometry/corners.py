@@ -116,7 +116,15 @@ def corner_visibility(workspace: Workspace, deadline: float = math.inf) -> Corne
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views, deadline)
     seen = _corner_of_vertex(workspace.boundary, views)[vertex]
-    return CornerVisibility(corners, views, table, _tangent_edges(corners, view, seen))
+    other = (seen >= 0) & (seen != view)
+    view, seen = view[other], seen[other]
+    tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
+    view, seen = view[tangent], seen[tangent]
+    # Both must see one another: a corner where obstacles touch may be seen from sectors that it does not look into.
+    size = np.int64(len(corners.points))
+    pair = _distinct(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
+    both = pair[1:][pair[1:] == pair[:-1]]
+    return CornerVisibility(corners, views, table, np.stack(np.divmod(both, size), axis=1))
 
 
 def _corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
@@ -125,22 +133,10 @@ def _corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, 
     return corner
 
 
-def _tangent_edges(
-    corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
-) -> Int[np.ndarray, "edges 2"]:
-    """Pairs of corners that see one another and whose line is tangent to the obstacle at one of them, each once.
-
-    A corner where obstacles touch may be seen from sectors that it does not look into itself.
-    """
-    other = (seen >= 0) & (seen != view)
-    view, seen = view[other], seen[other]
-    tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
-    view, seen = view[tangent], seen[tangent]
-    size = np.int64(len(corners.points))
-    key = np.sort(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen))
-    pair = key[np.append(True, key[1:] != key[:-1])[: len(key)]] >> 1
-    both = pair[1:][pair[1:] == pair[:-1]]
-    return np.stack(np.divmod(both, size), axis=1)
+def _distinct(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
+    """As ``np.unique``, which hashes integers: that takes longer where most are distinct."""
+    keys = np.sort(keys)
+    return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,29 +271,17 @@ class TurnRegions:
         for part in parts(counts, _PAIRS):
             turn = self.turn[run_members(self.first, triangle[first[part.start] : first[part.stop]])[0]]
             rows = point[part]
-            way, length[rows] = self._first_visible(x, rows, counts[part], turn, sees)
-            vertex[rows] = np.append(self.turns.vertex, -1)[way]
+            dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
+            lengths, vertices = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
+            pair, length[rows] = first_visible_of_some(
+                lengths, counts[part], lambda at, pair, rows=rows, vertices=vertices: sees(rows[at], vertices[pair])
+            )
+            vertex[rows] = np.append(vertices, -1)[pair]
         rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
         vertex[rest], length[rest] = self.turns.first_visible(
             x[rest], lambda point, vertex: sees(rest[point], vertex)
         )
         return vertex, length
-
-    def _first_visible(
-        self,
-        x: Float[np.ndarray, "n 2"],
-        rows: Int[np.ndarray, "rows"],
-        counts: Int[np.ndarray, "rows"],
-        turn: Int[np.ndarray, "pairs"],
-        sees: Sees,
-    ) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"]]:
-        """The best turn in sight of some points, each with its own candidates one after the other, and the length."""
-        dx, dy = (np.repeat(x[rows], counts, axis=0) - self.turns.points[turn]).T
-        lengths = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn]
-        found, length = first_visible_of_some(
-            lengths, counts, lambda point, pair: sees(rows[point], self.turns.vertex[turn[pair]])
-        )
-        return np.append(turn, -1)[found], length
 
 
 def turn_regions(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> TurnRegions:
@@ -312,9 +296,7 @@ def views_by_triangle(
     """Where the viewpoints of each triangle begin, and these, of pairs of both of which some are repeated."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
-    key = np.sort(triangle * np.int64(count) + view)
-    key = key[np.append(True, key[1:] != key[:-1])[: len(key)]]
-    triangle, view = np.divmod(key, count)
+    triangle, view = np.divmod(_distinct(triangle * np.int64(count) + view), count)
     return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
 
 

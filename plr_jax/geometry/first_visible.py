@@ -33,8 +33,14 @@ def first_visible(
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(2, count)
     while pending.size and lengths.shape[1]:
-        tests = _shortest(lengths, num_tests)
-        length = lengths[np.arange(len(lengths))[:, None], tests]
+        # The columns of the smallest entries of each row, ascending, NaN last.
+        rows = np.arange(len(lengths))[:, None]
+        if num_tests < lengths.shape[1]:
+            tests = np.argpartition(lengths, num_tests - 1, axis=1)[:, :num_tests]
+            tests = tests[rows, np.argsort(lengths[rows, tests], axis=1)]
+        else:
+            tests = np.argsort(lengths, axis=1)
+        length = lengths[rows, tests]
         row, column = np.nonzero(~np.isnan(length))
         visible = np.zeros(tests.shape, dtype=bool)
         visible[row, column] = sees(pending[row], tests[row, column])
@@ -92,12 +98,3 @@ def first_visible_of_some(
         kept = np.repeat(more, counts)
         pending, counts, lengths, pair = pending[more], counts[more], lengths[kept], pair[kept]
     return found, shortest
-
-
-def _shortest(lengths: Float[np.ndarray, "n ways"], count: int) -> Int[np.ndarray, "n tests"]:
-    """Columns of the smallest entries of each row, ascending, NaN last."""
-    if count >= lengths.shape[1]:
-        return np.argsort(lengths, axis=1)
-    rows = np.arange(len(lengths))[:, None]
-    columns = np.argpartition(lengths, count - 1, axis=1)[:, :count]
-    return columns[rows, np.argsort(lengths[rows, columns], axis=1)]

@@ -65,7 +65,8 @@ def near_edges(segments: Segments, corner: Float[np.ndarray, "2"], side: float, 
         place = 2 * place[owner] + np.tile([[0, 0], [1, 0], [0, 1], [1, 1]], (splits.sum(), 1))
         half = side * (0.5 ** (depth + 2) + _MARGIN)
         center = corner + side * (place + 0.5) * 0.5 ** (depth + 1)
-        first, edge = _nearest_of_cells(segments, center, half, *run_members(first, owner), edge)
+        member, cell = run_members(first, owner)
+        first, edge = _nearest_of_cells(segments, center, half, cell, edge[member])
     depths, places, counts, edges = (np.concatenate(column) for column in zip(*done, strict=True))
     return NearEdges(depths, places, np.concatenate([[0], np.cumsum(counts)]), edges)
 
@@ -74,16 +75,15 @@ def _nearest_of_cells(
     segments: Segments,
     center: Float[np.ndarray, "cells 2"],
     half: float,
-    member: Int[np.ndarray, "pairs"],
     cell: Int[np.ndarray, "pairs"],
-    edge: Int[np.ndarray, "entries"],
+    edge: Int[np.ndarray, "pairs"],
 ) -> tuple[Int[np.ndarray, "cells+1"], Int[np.ndarray, "kept"]]:
     """Lists of the edges that can be the nearest in cells of one size, of those that are candidates of each."""
     first = np.searchsorted(cell, np.arange(len(center) + 1))
     counts, kept = [], []
     for part in parts(np.diff(first), _AT_ONCE):
         begin, pairs = first[part.start], slice(first[part.start], first[part.stop])
-        candidates, of_cell = edge[member[pairs]], cell[pairs]
+        candidates, of_cell = edge[pairs], cell[pairs]
         least, most = _distances(segments[candidates] - center[of_cell, None], half)
         reach = np.minimum.reduceat(most, first[part] - begin)
         is_near = least <= reach[of_cell - part.start]
@@ -99,9 +99,7 @@ def _distances(
     (ax, ay), (bx, by) = segments[:, 0].T, segments[:, 1].T
     dx, dy = bx - ax, by - ay
     corners = [distance_to_segment(ax - x, ay - y, dx, dy) for x in (-half, half) for y in (-half, half)]
-    ends = [
-        np.hypot(np.maximum(np.abs(x) - half, 0), np.maximum(np.abs(y) - half, 0)) for x, y in ((ax, ay), (bx, by))
-    ]
+    ends = np.hypot(*np.maximum(np.abs(segments) - half, 0).T)
     meets = np.abs(ax * dy - ay * dx) <= half * (np.abs(dx) + np.abs(dy))
     for a, b in ((ax, bx), (ay, by)):
         meets &= (np.minimum(a, b) <= half) & (np.maximum(a, b) >= -half)
@@ -214,14 +212,11 @@ class FreeSpace:
         x = np.asarray(x, np.float64) if on_host else jnp.asarray(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"x must be points of shape (..., 2), got {x.shape}.")
-        return _clearance(self, x - np.asarray(self.origin, np.float64).sum(axis=0) if on_host else _placed(self, x))
-
-
-def _placed(space: FreeSpace, x: Array) -> Float[Array, "*batch 2"]:
-    """Points counted from the origin of the tables."""
-    x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
-    first, rest = (jnp.broadcast_to(part, x.shape) for part in space.origin.astype(x.dtype))
-    return (x - first) - rest
+        if on_host:
+            return _clearance(self, x - np.asarray(self.origin, np.float64).sum(axis=0))
+        x = x.astype(x.dtype if x.dtype == jnp.float64 else jnp.float32)
+        first, rest = (jnp.broadcast_to(part, x.shape) for part in self.origin.astype(x.dtype))
+        return _clearance(self, (x - first) - rest)
 
 
 @jax.jit

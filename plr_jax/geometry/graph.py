@@ -102,6 +102,12 @@ def path_from_root(parents: Int[np.ndarray, "v"], vertex: int) -> list[int]:
     return path[::-1]
 
 
+def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
+    """The path from a point by way of a vertex to the root of a shortest-path tree, no two points in a row equal."""
+    path = np.concatenate([start[None], graph.vertices[path_from_root(parents, vertex)[::-1]]])
+    return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
+
+
 def to_networkx(graph: Graph) -> "networkx.Graph":
     """The graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, a tuple, and edges with their length as ``weight``."""
     import networkx  # a tenth of a second, which nothing else needs

@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, shortened
+from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, runs, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
@@ -22,6 +23,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 
 _MOST_CORNERS = 2**18
+Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class PixelRings:
     is_contact: Bool[np.ndarray, "n"]
 
 
-def pixel_rings(free: Bool[np.ndarray, "rows columns"]) -> PixelRings:
+def pixel_rings(free: Mask) -> PixelRings:
     """The outlines of the free pixels of a grid; ``ValueError`` if they have too many corners."""
     padded = np.pad(free, 1)
     (lower_left, lower_right), (upper_left, upper_right) = (
@@ -128,8 +130,13 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
-    farthest = _farthest(stations, tolerance * (1 - 1e-9))
-    is_kept = _greedy(stations, farthest)
+    # The longest links are kept, one after the other from the first station of each ring.
+    onward, kept = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
+    for at in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
+        kept.append(at)
+        while onward[kept[-1]] != kept[-1]:
+            kept.append(onward[kept[-1]])
+    is_kept = np.isin(np.arange(len(onward)), kept)
     while (undone := _unwanted(stations, is_kept, tolerance)).any():
         first, last = _links(stations, is_kept)
         for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
@@ -143,8 +150,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
     """The stations of outlines, each ring from a contact on if it has one; and which stations are contacts."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
-    ring = np.repeat(np.arange(num_rings), size)
-    place = np.arange(len(ring)) - outlines.start[ring]
+    ring, place = runs(size)
     shift = np.zeros(num_rings, dtype=int)
     contacts = np.flatnonzero(outlines.is_contact)[::-1]  # the first of a ring is written last
     shift[ring[contacts]] = place[contacts]
@@ -213,20 +219,6 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
     return farthest
 
 
-def _greedy(stations: _Stations, farthest: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Which stations the longest links join, one after the other from the first of each ring."""
-    onward, is_kept = farthest.tolist(), np.zeros(len(farthest), dtype=bool)
-    firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
-    kept = []
-    for at in firsts.tolist():
-        kept.append(at)
-        while onward[at] != at:
-            at = onward[at]
-            kept.append(at)
-    is_kept[kept] = True
-    return is_kept
-
-
 def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
     """First and last station of each link."""
     kept = np.flatnonzero(is_kept)
@@ -241,7 +233,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
     is_inexact = num_corners[last] > num_corners[first + 1]
     near = _near(stations.points[np.stack([first, last], axis=1)])
     if tolerance > 0.5:  # below, what is apart by a pixel cannot change sides
-        near |= _surrounding(stations, first, last, is_inexact)
+        near[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
     return is_inexact & near
 
 
@@ -250,18 +242,14 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
-    is_near, is_joined = np.zeros(len(links), dtype=bool), np.zeros(len(a), dtype=bool)
-    folded = np.zeros(len(a), dtype=bool)
-    for end in (0, 1):
-        for other in (0, 1):
-            shared = (links[a, end] == links[b, other]).all(axis=1)
-            is_joined |= shared
-            to_a = _distance(links[b, 1 - other], links[a])
-            to_b = _distance(links[a, 1 - end], links[b])
-            folded |= shared & (np.minimum(to_a, to_b) < CLEARANCE)
+    is_joined, folded = np.zeros((2, len(a)), dtype=bool)
+    for end, other in product((0, 1), repeat=2):
+        shared = (links[a, end] == links[b, other]).all(axis=1)
+        is_joined |= shared
+        to_a, to_b = _distance(links[b, 1 - other], links[a]), _distance(links[a, 1 - end], links[b])
+        folded |= shared & (np.minimum(to_a, to_b) < CLEARANCE)
     is_bad = folded | ~is_joined
-    is_near[a[is_bad]] = is_near[b[is_bad]] = True
-    return is_near
+    return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
 
 def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
@@ -270,21 +258,16 @@ def _distance(points: Float[np.ndarray, "n 2"], segments: Float[np.ndarray, "n 2
 
 
 def _surrounding(
-    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"], is_inexact: Bool[np.ndarray, "m"]
+    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
 ) -> Bool[np.ndarray, "m"]:
     """Which links have another ring between them and the outline that they replace."""
-    links = np.flatnonzero(is_inexact)
-    size = last[links] - first[links] + 1
-    owner = np.repeat(np.arange(len(links)), size)
-    at = first[links][owner] + np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    between: Any = shapely.polygons(shapely.linearrings(stations.points[at], indices=owner))
+    owner, place = runs(last - first + 1)
+    between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
     points = shapely.points(stations.points[firsts])
-    point, polygon = shapely.STRtree(between).query(points, predicate="within")
-    other = stations.ring[firsts[point]] != stations.ring[first[links[polygon]]]
-    result = np.zeros(len(first), dtype=bool)
-    result[links[polygon[other]]] = True
-    return result
+    point, link = shapely.STRtree(between).query(points, predicate="within")
+    other = stations.ring[firsts[point]] != stations.ring[first[link]]
+    return np.isin(np.arange(len(first)), link[other])
 
 
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
@@ -292,13 +275,7 @@ _LEAST_PIXEL = 8e3  # roundings of its side: the tolerance of a workspace is 1e3
 
 
 def placed_region(
-    free: ArrayLike,
-    resolution: float | int,
-    origin: ArrayLike,
-    *,
-    row0: str,
-    tolerance: float | int,
-    drop_specks: int,
+    free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
     """The free pixels of a grid as a Shapely MultiPolygon; the arguments are those of ``Workspace.from_mask``.
 
@@ -353,7 +330,7 @@ def _require_resolved(shape: tuple[int, ...], resolution: float, origin: float) 
         )
 
 
-def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
+def _as_mask(free: ArrayLike) -> Mask:
     mask = np.asarray(free)
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
@@ -364,7 +341,7 @@ def _as_mask(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
     return mask
 
 
-def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | int) -> Any:
+def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     """The free pixels as a valid Shapely MultiPolygon, in pixels, the first row lowest.
 
     Args:
@@ -372,7 +349,12 @@ def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | in
         tolerance: How far, in pixels, its outline may be from theirs, and theirs from it.
     """
     outlines = pixel_rings(free)
-    component = _components(free, outlines)
+    # The number of the connected free pixels on the left of each ring.
+    begin = outlines.points[outlines.start[:-1]].astype(int)
+    ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    column, row = (begin + (ahead + left - 1) // 2).T
+    component = _labels(free)[row, column]
     rings = simplified(outlines, tolerance)
     loops, ring = _simple_loops(rings)
     component = component[ring]
@@ -385,38 +367,22 @@ def region_of_mask(free: Bool[np.ndarray, "rows columns"], tolerance: float | in
     return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
 
 
-def without_specks(free: Bool[np.ndarray, "rows columns"], num_pixels: int) -> Bool[np.ndarray, "rows columns"]:
+def without_specks(free: Mask, num_pixels: int) -> Mask:
     """The grid less components of at most so many pixels: blocked ones become free, and then free ones blocked."""
-    free = free | _is_small(~free, num_pixels, _ALL_AROUND)
-    return free & ~_is_small(free, num_pixels, None)
+    for value, structure in ((False, _ALL_AROUND), (True, None)):
+        label = _labels(free == value, structure)
+        is_small = np.bincount(label.ravel()) <= num_pixels
+        is_small[0] = False
+        free = free ^ is_small[label]
+    return free
 
 
-def _is_small(
-    pixels: Bool[np.ndarray, "rows columns"], num_pixels: int, structure: Bool[np.ndarray, "3 3"] | None
-) -> Bool[np.ndarray, "rows columns"]:
-    label = _labels(pixels, structure)
-    is_small = np.bincount(label.ravel()) <= num_pixels
-    is_small[0] = False
-    return is_small[label]
-
-
-def _labels(
-    pixels: Bool[np.ndarray, "rows columns"], structure: Bool[np.ndarray, "3 3"] | None = None
-) -> Int[np.ndarray, "rows columns"]:
+def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:
     """The number of each pixel's connected component, from 1, and 0 for the other pixels."""
     import scipy.ndimage  # which takes longer to import than most workspaces need
 
     found: Any = scipy.ndimage.label(pixels, structure)
     return found[0]
-
-
-def _components(free: Bool[np.ndarray, "rows columns"], rings: PixelRings) -> Int[np.ndarray, "rings"]:
-    """The number of the connected free pixels on the left of each ring."""
-    begin = rings.points[rings.start[:-1]].astype(int)
-    ahead = np.sign(rings.points[rings.start[:-1] + 1].astype(int) - begin)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    column, row = (begin + (ahead + left - 1) // 2).T
-    return _labels(free)[row, column]
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:

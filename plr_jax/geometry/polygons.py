@@ -181,7 +181,13 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     try:
         triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
     except shapely.errors.GEOSException:
-        return np.concatenate([triangulate(polygon) for polygon in _cut(region)])
+        if len(parts := polygons_of(region)) == 1:
+            lo, hi = np.array(region.bounds).reshape(2, 2)
+            upper, lower, axis = hi.copy(), lo.copy(), np.argmax(hi - lo)
+            upper[axis] = lower[axis] = (lo[axis] + hi[axis]) / 2
+            halves = shapely.intersection(region, [shapely.box(*lo, *upper), shapely.box(*lower, *hi)])
+            parts = [polygon for half in halves for polygon in polygons_of(half)]
+        return np.concatenate([triangulate(polygon) for polygon in parts])
     return shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
 
 
@@ -198,17 +204,6 @@ def sample_triangles(triangles: Float[np.ndarray, "triangles 3 2"], n: int, seed
     return corner[pick] + u * first[pick] + v * second[pick]
 
 
-def _cut(region: Any) -> tuple[Polygon, ...]:
-    """The polygons of a region, of its two halves if it is but one."""
-    if len(polygons := polygons_of(region)) > 1:
-        return polygons
-    lo, hi = np.array(region.bounds).reshape(2, 2)
-    upper, lower, axis = hi.copy(), lo.copy(), np.argmax(hi - lo)
-    upper[axis] = lower[axis] = (lo[axis] + hi[axis]) / 2
-    halves = shapely.box(*lo, *upper), shapely.box(*lower, *hi)
-    return tuple(polygon for half in halves for polygon in polygons_of(shapely.intersection(region, half)))
-
-
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     """Geometries in which vertices as near to one another as the tolerance are the same, none of them dropped."""
     points, index = np.unique(shapely.get_coordinates(geometries), axis=0, return_inverse=True)
@@ -218,19 +213,12 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
-class _Prepared(threading.local):
-    """By owner and name, what a thread has prepared."""
-
-    def __init__(self) -> None:
-        self.geometries: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
-
-
-_PREPARED = _Prepared()
+_PREPARED = threading.local()
 
 
 def prepared(owner: Any, name: str, make: Callable[[], Any]) -> Any:
     """An owner's geometry, prepared for many queries of this thread alone: GEOS may crash where two query one."""
-    of_owner = _PREPARED.geometries.setdefault(owner, {})
+    of_owner = vars(_PREPARED).setdefault("geometries", WeakKeyDictionary()).setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])

@@ -101,7 +101,12 @@ def shadows_of(table: VisibilityTable) -> Shadows:
     view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
     row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
     view = view[row]
-    unit = _unit_of_pseudo_angle(table.key[row] - 4.0 * view, table.cut[view])
+    # Directions from their pseudo-angles, counted from the cut.
+    angle, (cx, cy) = table.key[row] - 4.0 * view, table.cut[view].T
+    x = np.where(angle <= 2, 1 - angle, angle - 3)
+    y = np.where(angle <= 2, 1, -1) * (1 - np.abs(x))
+    unit = np.stack([cx * x - cy * y, cx * y + cy * x], axis=1)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     before = _distance_along(table, view, unit, table.edge[row - 1])
     after = _distance_along(table, view, unit, table.edge[row])
     start, end = np.minimum(before, after), np.maximum(before, after)
@@ -109,19 +114,8 @@ def shadows_of(table: VisibilityTable) -> Shadows:
     return Shadows(table, table.key[row[parts]], unit[parts], start[parts], end[parts])
 
 
-def _unit_of_pseudo_angle(angle: Float[np.ndarray, "n"], cut: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Directions from their pseudo-angles, counted from the cut."""
-    x = np.where(angle <= 2, 1 - angle, angle - 3)
-    y = np.where(angle <= 2, 1, -1) * (1 - np.abs(x))
-    unit = np.stack([cut[:, 0] * x - cut[:, 1] * y, cut[:, 0] * y + cut[:, 1] * x], axis=1)
-    return unit / np.linalg.norm(unit, axis=1, keepdims=True)
-
-
 def _distance_along(
-    table: VisibilityTable,
-    view: Int[np.ndarray, "n"],
-    unit: Float[np.ndarray, "n 2"],
-    edge: Int[np.ndarray, "n"],
+    table: VisibilityTable, view: Int[np.ndarray, "n"], unit: Float[np.ndarray, "n 2"], edge: Int[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"]:
     """Distance from each viewpoint to an edge's line along a direction; 0 where it does not look."""
     normal, offset = table.boundary.normal[edge], table.boundary.offset[edge]

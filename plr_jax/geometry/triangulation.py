@@ -64,29 +64,6 @@ class Locator:
         return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
 
 
-def locator_of(triangles: Float[np.ndarray, "triangles 3 2"], tolerance: float) -> Locator:
-    """A grid over triangles, which stand counterclockwise, of about as many cells.
-
-    A triangle also counts for the cells that it meets but for the tolerance.
-    """
-    lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    side = np.sqrt(np.prod(hi - lo) / len(triangles))
-    count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
-    width = (hi - lo) / count
-    corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
-    cells: Any = shapely.box(*(corner - tolerance).T, *(corner + width + tolerance).T)
-    polygons: Any = shapely.polygons(triangles)
-    cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
-    order = np.argsort(cell, kind="stable")
-    first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
-    normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
-    offset = (normal * triangles).sum(axis=2, keepdims=True)
-    shape = int(count[0]), int(count[1])
-    return Locator(
-        lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
-    )
-
-
 _BITS = 46
 """Bits of a coordinate in integers: fine enough to hold the grid that a workspace rounds to."""
 
@@ -120,7 +97,26 @@ class Triangulation:
     @cached_property
     def locator(self) -> Locator:
         """Which triangle holds a point."""
-        return locator_of(self.triangles, self.tolerance)
+        # A grid over triangles, which stand counterclockwise, of about as many cells.
+        #
+        # A triangle also counts for the cells that it meets but for the tolerance.
+        triangles = self.triangles
+        lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        side = np.sqrt(np.prod(hi - lo) / len(triangles))
+        count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
+        width = (hi - lo) / count
+        corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
+        cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
+        polygons: Any = shapely.polygons(triangles)
+        cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
+        order = np.argsort(cell, kind="stable")
+        first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
+        normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
+        offset = (normal * triangles).sum(axis=2, keepdims=True)
+        shape = int(count[0]), int(count[1])
+        return Locator(
+            lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
+        )
 
     @property
     def num_bytes(self) -> int:
@@ -150,22 +146,27 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     Raises:
         ValueError: If walls cross one another.
     """
-    vertices = _framed(boundary.vertices)
+    # Four vertices beyond them all, so that those of the region have triangles all around.
+    lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
+    (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
+    vertices = np.concatenate([boundary.vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
     triangles = _delaunay(vertices)
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
-        triangles = _with_edges(_in_integers(vertices), triangles, crossed)
+        # The triangulation after edges are put in one by one.
+        #
+        # References:
+        # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
+        offset = vertices - vertices.min(axis=0)
+        unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
+        mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)
+        for start, end in crossed.tolist():
+            if (start, end) not in mesh.apex:
+                mesh.insert(start, end)
+        triangles = np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
         if len(_crossed(triangles, boundary.edges, len(vertices))):
             raise ValueError("Walls of the region cross one another.")
     return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
-
-
-def _framed(vertices: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "framed 2"]:
-    """The vertices and four beyond them all, so that those of the region have triangles all around."""
-    lo, hi = vertices.min(axis=0), vertices.max(axis=0)
-    width = (hi - lo).max()
-    (x0, y0), (x1, y1) = lo - width, hi + width
-    return np.concatenate([vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
 
 
 def _delaunay(vertices: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "triangles 3"]:
@@ -173,7 +174,8 @@ def _delaunay(vertices: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "triangles 
     triangles: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    corners[u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]] = corners[u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0], ::-1]
+    clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
+    corners[clockwise] = corners[clockwise, ::-1]
     flat, known = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
     order = np.argsort(known)
     return order[np.searchsorted(known, flat, sorter=order)]
@@ -195,55 +197,31 @@ def _crossed(
     return edges[_found(keys, np.argsort(keys), _keys(edges, num_vertices)) < 0]
 
 
-def _in_integers(vertices: Float[np.ndarray, "n 2"]) -> list[tuple[int, int]]:
-    """The vertices in units of a power of two, from their smallest coordinates."""
-    offset = vertices - vertices.min(axis=0)
-    unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
-    return [(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()]
-
-
-def _with_edges(
-    points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"]
-) -> Int[np.ndarray, "triangles 3"]:
-    """The triangulation after edges are put in one by one.
-
-    References:
-        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
-    """
-    mesh = _Mesh(points, triangles)
-    for start, end in edges.tolist():
-        if (start, end) not in mesh.apex:
-            mesh.insert(start, end)
-    return np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
-
-
 class _Mesh:
     """A triangulation that can be changed: the third corner of the triangle on the left of each half-edge."""
 
     def __init__(self, points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"]):
         self.points = points
         u, v, w = triangles.T.tolist()
-        self.apex = {**dict(zip(zip(u, v, strict=True), w, strict=True))}
-        self.apex.update(zip(zip(v, w, strict=True), u, strict=True))
-        self.apex.update(zip(zip(w, u, strict=True), v, strict=True))
-        self.neighbor = dict(zip(u + v + w, v + w + u, strict=True))
+        self.apex = dict(zip(zip(u + v + w, v + w + u, strict=True), w + u + v, strict=True))
+        self.neighbor = dict(self.apex.keys())
 
     def insert(self, start: int, end: int) -> None:
         """Take out the triangles that an edge crosses, and fill what is left of it and what is right."""
         right, left = self._towards(start, end)
-        chains = [left], [right]
+        on_left, on_right = [left], [right]
         self._remove(start, right, left)
         while (ahead := self.apex[left, right]) != end:
             self._remove(left, right, ahead)
             if self._turn(start, end, ahead) > 0:
                 left = ahead
-                chains[0].append(ahead)
+                on_left.append(ahead)
             else:
                 right = ahead
-                chains[1].append(ahead)
+                on_right.append(ahead)
         self._remove(left, right, ahead)
-        self._fill(start, end, chains[0][::-1])
-        self._fill(end, start, chains[1])
+        self._fill(start, end, on_left[::-1])
+        self._fill(end, start, on_right)
 
     def _towards(self, start: int, end: int) -> tuple[int, int]:
         """The edge opposite of a vertex through which one leaves for another, its right and its left end."""

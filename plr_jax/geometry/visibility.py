@@ -7,6 +7,7 @@ of directions with the nearest edge after each.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,6 +29,8 @@ from plr_jax.geometry.vectors import pseudo_angle
 
 
 _MOST = 1 << 18  # cones that advance at a time
+Vectors: TypeAlias = Float[np.ndarray, "views 2"]
+
 _BLUR = 0.01
 """How far a vertex may have to move, in tolerances, to lie on a bound."""
 
@@ -74,23 +77,6 @@ class Viewpoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
-    """What viewpoints see.
-
-    Args:
-        view: The viewpoint of each cone that ends at a wall, ``(cones,)``. The cones fill what it looks into.
-        right: A vector from the viewpoint along the right bound of the cone, ``(cones, 2)``.
-        wall: The edge at which it ends, ``(cones,)``.
-        seen: Viewpoint and vertex of each pair that see one another, some repeatedly, ``(2, pairs)``.
-    """
-
-    view: Int[np.ndarray, "cones"]
-    right: Float[np.ndarray, "cones 2"]
-    wall: Int[np.ndarray, "cones"]
-    seen: Int[np.ndarray, "2 pairs"]
-
-
-@dataclass(frozen=True, eq=False)
 class _Cones:
     """Cones of sight: viewpoint, half-edge of the triangle they look out by, right and left bound as vectors."""
 
@@ -106,26 +92,24 @@ class _Cones:
         return _Cones(self.view[rows], self.half_edge[rows], self.right[:, rows], self.left[:, rows])
 
 
-def look_around(triangulation: Triangulation, views: Viewpoints) -> Sights:
-    """What viewpoints see of the region that is triangulated."""
+def look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[_Cones, Int[np.ndarray, "2 pairs"]]:
+    """The cones that end at walls, which fill what viewpoints look into; and viewpoints and vertices in sight.
+
+    Some of these pairs are there repeatedly.
+    """
     first = _first_cones(triangulation, views)
-    ended, seen = [], [_first_seen(triangulation, first)]
+    # The corners of the triangles at the viewpoints, the vertex at which one lies among them, are seen.
+    corners = triangulation.origin.reshape(-1, 3)[first.half_edge // 3]
+    ended, seen = [first[:0]], [np.stack([np.repeat(first.view, 3), corners.ravel()])]
     for walls, new_seen, _ in _expansion(triangulation, views, first):
         ended.append(walls)
         seen.append(new_seen)
-    return Sights(
-        np.concatenate([np.empty(0, np.int32)] + [cones.view for cones in ended]),
-        np.concatenate([np.empty((2, 0))] + [cones.right for cones in ended], axis=1).T,
-        triangulation.wall[np.concatenate([np.empty(0, np.int32)] + [cones.half_edge for cones in ended])],
-        np.concatenate(seen, axis=1),
-    )
+    columns = zip(*((cones.view, cones.half_edge, cones.right, cones.left) for cones in ended), strict=True)
+    return _Cones(*(np.concatenate(column, axis=-1) for column in columns)), np.concatenate(seen, axis=1)
 
 
 def triangles_within(
-    triangulation: Triangulation,
-    views: Viewpoints,
-    right: Float[np.ndarray, "views 2"],
-    left: Float[np.ndarray, "views 2"],
+    triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors
 ) -> Int[np.ndarray, "2 visits"]:
     """Viewpoint and triangle of each pair of which one sees a part of the other inside of a cone, some repeatedly.
 
@@ -142,7 +126,7 @@ def triangles_within(
     return np.concatenate(visited, axis=1)
 
 
-def _clipped(cones: _Cones, right: Float[np.ndarray, "views 2"], left: Float[np.ndarray, "views 2"]) -> _Cones:
+def _clipped(cones: _Cones, right: Vectors, left: Vectors) -> _Cones:
     """What of the cones lies in another one for each viewpoint."""
     right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
     whole = ~right.any(axis=0)
@@ -193,12 +177,6 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     return _Cones(view, half_edge, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
-def _first_seen(triangulation: Triangulation, first: _Cones) -> Int[np.ndarray, "2 pairs"]:
-    """The corners of the triangles at the viewpoints, the vertex at which one lies among them."""
-    corners = triangulation.origin.reshape(-1, 3)[first.half_edge // 3]
-    return np.stack([np.repeat(first.view, 3), corners.ravel()])
-
-
 def _advanced(
     triangulation: Triangulation, views: Viewpoints, cones: _Cones
 ) -> tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]:
@@ -217,8 +195,8 @@ def _advanced(
     goes_right |= ~goes_left & (from_right >= from_left)  # never nowhere
     goes_left |= ~goes_right
     parted = goes_right & goes_left
-    right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
     middle = np.stack([x, y])
+    right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
     onward = _Cones(
         np.concatenate([view[right], view[left]]),
         np.concatenate([right_exit[right], left_exit[left]]),
@@ -270,49 +248,38 @@ class VisibilityTable:
         cx, cy = self.cut[v].T
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
-        seen = self._in_front(row, x)
+        seen = self._in_front(row, v, x)
         rest = np.flatnonzero(~seen)
-        if rest.size:
-            distance = np.hypot(dx[rest], dy[rest])
-            seen[rest] = self._seen_beside(v[rest], x[rest], row[rest], key[rest], distance)
-        return seen
-
-    def _seen_beside(
-        self,
-        v: Int[np.ndarray, "n"],
-        x: Float[np.ndarray, "n 2"],
-        row: Int[np.ndarray, "n"],
-        key: Float[np.ndarray, "n"],
-        distance: Float[np.ndarray, "n"],
-    ) -> Bool[np.ndarray, "n"]:
-        """Whether points are the viewpoint itself, or within rounding of a neighboring interval and seen there."""
-        tolerance = self.tolerance
-        seen = distance <= tolerance
-        slack = tolerance / np.maximum(distance, tolerance)
+        if not rest.size:
+            return seen
+        # Of the others some are the viewpoint itself, or within rounding of a neighboring interval and seen there.
+        v, x, row, key, distance = v[rest], x[rest], row[rest], key[rest], np.hypot(dx[rest], dy[rest])
+        seen[rest] = distance <= self.tolerance
+        slack = self.tolerance / np.maximum(distance, self.tolerance)
         before, after = np.maximum(row - 1, self.first[v]), np.minimum(row + 1, self.first[v + 1] - 1)
         for neighbor, gap in ((before, key - self.key[row]), (after, self.key[after] - key)):
             near = np.flatnonzero((gap <= slack) & (neighbor != row))
-            if near.size:
-                seen[near] |= self._seen_in(neighbor[near], v[near], x[near], distance[near])
+            seen[rest[near]] |= self._in_front(neighbor[near], v[near], x[near])
         return seen
 
-    def _seen_in(
-        self,
-        row: Int[np.ndarray, "n"],
-        v: Int[np.ndarray, "n"],
-        x: Float[np.ndarray, "n 2"],
-        distance: Float[np.ndarray, "n"],
+    def _in_front(
+        self, row: Int[np.ndarray, "n"], v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]
     ) -> Bool[np.ndarray, "n"]:
-        """Whether points beside an interval are in front of its edge, and not on the edge's line beyond its ends."""
-        ends = self.boundary.segments[self.edge[row]]
-        farthest = np.linalg.norm(ends - self.points[v][:, None], axis=-1).max(axis=1)
-        return self._in_front(row, x) & (distance <= farthest + self.tolerance)
-
-    def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """Whether points are in front of the edges of intervals, and not on their lines beyond where they end."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
-        return (height >= -self.tolerance) & (edge >= 0)
+        seen = (height >= -self.tolerance) & (edge >= 0)
+        on_line = np.flatnonzero(seen & (height <= self.tolerance))
+        if on_line.size:
+            x, view, ends = x[on_line], self.points[v[on_line]], self.boundary.segments[edge[on_line]]
+            along = ends[:, 1] - ends[:, 0]
+            along /= np.linalg.norm(along, axis=1, keepdims=True)
+            distance = np.linalg.norm(x - view, axis=1) - self.tolerance
+            for end, outward in ((ends[:, 0], -along), (ends[:, 1], along)):
+                is_beyond = ((x - end) * outward).sum(axis=1) > self.tolerance
+                seen[on_line[is_beyond & (distance > np.linalg.norm(end - view, axis=1))]] = False
+        return seen
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
@@ -346,21 +313,21 @@ def visibility_of(
         for begin in range(0, num_views, _VIEWS):
             require_time(deadline, f"all viewpoints had looked around: {begin:,} of {num_views:,} had")
             part = views[begin : begin + _VIEWS]
-            sights = look_around(triangulation, part)
+            cones, of_part_seen = look_around(triangulation, part)
             of_part = slice(begin, begin + len(part.points))
-            cut[of_part] = _cuts(boundary, part, sights)
-            view, key, edge = _intervals(boundary, part, sights, cut[of_part])
+            cut[of_part] = _cuts(boundary, part, cones)
+            view, key, edge = _intervals(boundary, part, cones, triangulation.wall[cones.half_edge], cut[of_part])
             counts[of_part] = np.bincount(view, minlength=len(part.points))
             keys.append(4.0 * begin + key)
             edges.append(edge)
-            seen.append(sights.seen + np.array([[begin], [0]], np.int32))
+            seen.append(of_part_seen + np.array([[begin], [0]], np.int32))
             progress.update(len(part.points))
     first = np.concatenate([[0], np.cumsum(counts)])
     polygons = views.points, cut, first, np.concatenate(keys), np.concatenate(edges)
     return VisibilityTable(boundary, triangulation.tolerance, *polygons), np.concatenate(seen, axis=1)
 
 
-def _cuts(boundary: Boundary, views: Viewpoints, sights: Sights) -> Float[np.ndarray, "views 2"]:
+def _cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
     """For each viewpoint a direction in which it sees no vertex.
 
     Of one with sectors the middle between the end of its first one and the start of the next, of any other the middle
@@ -368,17 +335,13 @@ def _cuts(boundary: Boundary, views: Viewpoints, sights: Sights) -> Float[np.nda
     """
     opens, closes = (_angle(towards(boundary)) for towards in (views.opens, views.closes))
     order = np.lexsort((opens, views.owner))
-    owner = views.owner[order]
-    first = np.searchsorted(owner, np.unique(owner))
-    following = np.where(
-        np.append(owner[1:], -1) == owner, np.arange(1, len(owner) + 1), np.searchsorted(owner, owner)
-    )
+    owner, first = np.unique(views.owner[order], return_index=True)
+    second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
     end = closes[order[first]]
-    gap = (opens[order[following[first]]] - end) % (2 * np.pi)
     angle = np.empty(len(views.points))
-    angle[owner[first]] = end + gap / 2
+    angle[owner] = end + (opens[order[second]] - end) % (2 * np.pi) / 2
     for view in np.flatnonzero(views.looks_around):
-        directions = np.sort(_angle(sights.right[sights.view == view]))
+        directions = np.sort(_angle(cones.right[:, cones.view == view].T))
         gaps = np.diff(directions, append=directions[0] + 2 * np.pi)
         angle[view] = directions[gaps.argmax()] + gaps.max() / 2
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -389,13 +352,13 @@ def _angle(u: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
 
 
 def _intervals(
-    boundary: Boundary, views: Viewpoints, sights: Sights, cut: Float[np.ndarray, "views 2"]
+    boundary: Boundary, views: Viewpoints, cones: _Cones, wall: Int[np.ndarray, "n"], cut: Vectors
 ) -> tuple[Int[np.ndarray, "rows"], Float[np.ndarray, "rows"], Int[np.ndarray, "rows"]]:
     """Viewpoint, key and edge of each interval in order: of cones, beyond sectors, and from the cut on."""
-    view = np.concatenate([sights.view, views.owner])
-    (dx, dy), (cx, cy) = np.concatenate([sights.right, views.closes(boundary)]).T, cut[view].T
+    view = np.concatenate([cones.view, views.owner])
+    (dx, dy), (cx, cy) = np.concatenate([cones.right, views.closes(boundary).T], axis=1), cut[view].T
     key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
-    edge = np.concatenate([sights.wall, np.full(len(views.owner), -1, np.int32)])
+    edge = np.concatenate([wall, np.full(len(views.owner), -1, np.int32)])
     order = np.argsort(key)
     view, key, edge = view[order], key[order], edge[order]
     # From the cut on, it sees what it does at the end of the turn.

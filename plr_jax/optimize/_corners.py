@@ -43,7 +43,16 @@ def along_corners(
     # A start that is a corner begins with the leg that follows.
     at_corner = (first > 0) & (starts == places.points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
-    return _assemble(starts, free, first, places.points, onward)
+    # The paths that go from each start to its first place and on from there.
+    points = places.points
+    chains = [np.arange(len(points))]
+    while (chains[-1][first[first >= 0]] != 0).any():
+        chains.append(onward[chains[-1]])
+    chain = np.stack(chains, axis=1)[first]
+    vertices = np.concatenate([starts[:, None], points[chain]], axis=1)
+    counts = 2 + (chain != 0).sum(axis=1) - (starts == points[0]).all(axis=1)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
+    return Descent.of(vertices, np.where(first < 0, 0, counts), lengths, lengths, free)
 
 
 def _ways_to_goal(
@@ -136,24 +145,6 @@ def _first_places(
 
         first[pending] = options.first_visible(x, sees)[0]
     return first
-
-
-def _assemble(
-    starts: Float[np.ndarray, "n 2"],
-    free: Bool[np.ndarray, "n"],
-    first: Int[np.ndarray, "n"],
-    points: Float[np.ndarray, "places 2"],
-    onward: Int[np.ndarray, "places"],
-) -> Descent:
-    """The paths that go from each start to its first place and on from there."""
-    chains = [np.arange(len(points))]
-    while (chains[-1][first[first >= 0]] != 0).any():
-        chains.append(onward[chains[-1]])
-    chain = np.stack(chains, axis=1)[first]
-    vertices = np.concatenate([starts[:, None], points[chain]], axis=1)
-    counts = 2 + (chain != 0).sum(axis=1) - (starts == points[0]).all(axis=1)
-    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
-    return Descent.of(vertices, np.where(first < 0, 0, counts), lengths, lengths, free)
 
 
 def _distinct(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:

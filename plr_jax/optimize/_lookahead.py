@@ -42,7 +42,22 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
     steps = _Lookahead(field, costs, goal)
     nodes, onward, first = steps.follow(starts[is_free])
     nodes, onward = made_cheap(costs, nodes, onward, first)
-    return _assemble(costs, starts, is_free, first, nodes, onward)
+    # The paths from the nodes of free starts along the next nodes to the goal, node 0.
+    chain = [np.full(len(starts), -1)]
+    chain[0][is_free] = first
+    while (chain[-1] > 0).any():
+        chain.append(np.where(chain[-1] < 0, -1, onward[chain[-1]]))
+    chains = np.stack(chain, axis=1)
+    reached = chains[:, -1] == 0
+    at_goal = (starts == nodes[0]).all(axis=1)
+    vertices = nodes[chains]
+    counts = np.where(reached, 1 + (chains > 0).sum(axis=1) - at_goal, 0)
+    begin, end = vertices[:, :-1].reshape(-1, starts.shape[1]), vertices[:, 1:].reshape(-1, starts.shape[1])
+    lengths = costs.lengths(begin, end).reshape(vertices.shape[0], vertices.shape[1] - 1)
+    prices = np.zeros(lengths.shape)
+    moves = reached[:, None] & (lengths > 0)
+    prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
+    return Descent.of(vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free)
 
 
 class _Lookahead:
@@ -147,29 +162,3 @@ class _Lookahead:
         """Where ways from configurations lead; the first is that to the goal."""
         there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
         return np.where(way[:, None] == 0, self.goal, there)
-
-
-def _assemble(
-    costs: PathCosts,
-    starts: Points,
-    is_free: Bool[np.ndarray, "n"],
-    first: Int[np.ndarray, "free"],
-    nodes: Nodes,
-    onward: Next,
-) -> Descent:
-    """The paths from the nodes of free starts along the next nodes to the goal, node 0."""
-    chain = [np.full(len(starts), -1)]
-    chain[0][is_free] = first
-    while (chain[-1] > 0).any():
-        chain.append(np.where(chain[-1] < 0, -1, onward[chain[-1]]))
-    chains = np.stack(chain, axis=1)
-    reached = chains[:, -1] == 0
-    at_goal = (starts == nodes[0]).all(axis=1)
-    vertices = nodes[chains]
-    counts = np.where(reached, 1 + (chains > 0).sum(axis=1) - at_goal, 0)
-    begin, end = vertices[:, :-1].reshape(-1, starts.shape[1]), vertices[:, 1:].reshape(-1, starts.shape[1])
-    lengths = costs.lengths(begin, end).reshape(vertices.shape[0], vertices.shape[1] - 1)
-    prices = np.zeros(lengths.shape)
-    moves = reached[:, None] & (lengths > 0)
-    prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
-    return Descent.of(vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free)

@@ -9,10 +9,11 @@ A turn goes around a circle on the left or right of the car. Words follow from t
 vectors between the circles of the beginning and those of the end.
 """
 
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -21,32 +22,11 @@ from plr_jax._arrays import as_finite, as_finite_point, as_points
 from plr_jax._types import ArrayLike, Distances, RadialPart, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, "n"]
+Vectors: TypeAlias = tuple[Batch, Batch]
 Pose: TypeAlias = Float[np.ndarray, "3"]
 
 _AT_ONCE = 4096  # poses, of which all that is computed stays in the cache
 _MIRRORED = str.maketrans("LR", "RL")
-
-
-class EndPoses(NamedTuple):
-    """Poses where words end that begin at ``(0, 0, 0)``; ``versine`` is 1 - cosine, exact for small headings."""
-
-    x: Batch
-    y: Batch
-    heading: Batch
-    sine: Batch
-    versine: Batch
-
-    def mirrored(self) -> "EndPoses":
-        """Where the same words end when left is right."""
-        return self._replace(y=-self.y, heading=-self.heading, sine=-self.sine)
-
-    def left_to_left(self) -> tuple[Batch, Batch]:
-        """The vector from the beginning's left circle to the end's."""
-        return self.x - self.sine, self.y - self.versine
-
-    def left_to_right(self) -> tuple[Batch, Batch]:
-        """The vector from the beginning's left circle to the end's right one, but for 2 to be taken off its ``y``."""
-        return self.x + self.sine, self.y + self.versine
 
 
 class Word(NamedTuple):
@@ -58,18 +38,10 @@ class Word(NamedTuple):
     letters: str
     segments: tuple[Batch | float, ...]
 
-    def mirrored(self) -> "Word":
-        """The path to the mirrored end."""
-        return Word(self.letters.translate(_MIRRORED), self.segments)
-
     @property
     def length(self) -> Batch:
         """Of the whole path."""
         return reduce(np.add, map(np.abs, self.segments))
-
-
-Speller: TypeAlias = Callable[[EndPoses], Iterator[Word]]
-"""Words that begin with a turn to the left. Of these and the mirrored ones the shortest is a shortest path."""
 
 
 def wrapped(angle: Batch) -> Batch:
@@ -77,59 +49,106 @@ def wrapped(angle: Batch) -> Batch:
     return angle - 2 * np.pi * np.rint(angle * (0.5 / np.pi))
 
 
-def shortest_lengths(spell: Speller, goal: Pose, radius: float, x: Float[np.ndarray, "n 3"]) -> Distances:
-    """Length of the shortest word from each pose to the goal; ``inf`` where a coordinate is not finite."""
-    lengths = np.empty(len(x))
-    with np.errstate(all="ignore"):
-        for begin in range(0, len(x), _AT_ONCE):
-            part = slice(begin, begin + _AT_ONCE)
-            words = _words(spell, _ends(goal, radius, x[part]))
-            lengths[part] = reduce(np.fmin, (word.length for word in words)) * radius
-        rest = ~np.isfinite(lengths)
-        lengths[rest] = _straight_lengths(goal, x[rest])
-    return lengths
+@dataclass(frozen=True, eq=False, init=False)
+class _Car(ABC):
+    """What cars share: a goal, a turning radius, and that the shortest of some words is a shortest path."""
 
+    goal: Pose
+    radius: float
+    is_lower_bound: ClassVar[bool] = True
+    """True: obstacles make no path shorter."""
+    dim: ClassVar[int] = 3
+    """Number of coordinates of a pose: 3."""
 
-def shortest_path(spell: Speller, goal: Pose, radius: float, pose: Pose) -> list[tuple[str, float]]:
-    """Segments of the shortest word from a pose to the goal, each a letter and a length; none of length 0."""
-    with np.errstate(all="ignore"):
-        words = list(_words(spell, _ends(goal, radius, pose[None])))
-        lengths = np.array([word.length[0] for word in words])
-    best = np.argmin(np.where(np.isnan(lengths), np.inf, lengths))
-    if not np.isfinite(lengths[best] * radius):
-        raise ValueError(f"The pose {pose.tolist()} must be nearer to the goal, of which it is 1e154 radii away.")
-    letters, segments = words[best]
-    in_order = zip(reversed(letters), reversed(segments), strict=True)
-    return [(letter, radius * float(np.squeeze(length))) for letter, length in in_order if length != 0]
+    def __init__(self, goal: ArrayLike, radius: float | int):
+        goal = as_finite_point("The goal pose", goal, 3)
+        vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
 
+    @property
+    def radial_part(self) -> RadialPart:
+        """The straight line to the goal, than which no path is shorter."""
+        return RadialPart(self.goal, (True, True, False))
 
-def reflection(goal: Pose, direction: float) -> Symmetry:
-    """Of poses, in the line through the goal that has a direction; a goal along or across it stays as it is."""
-    cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
-    return Symmetry.about(goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
+    def __call__(self, x: ArrayLike) -> Distances:
+        """Length of the shortest path from each pose to the goal.
 
+        Args:
+            x: Poses ``(x, y, theta)``, ``(n, 3)``; any number of whole turns may be part of a heading.
 
-def _words(spell: Speller, ends: EndPoses) -> Iterator[Word]:
-    yield from spell(ends)
-    yield from (word.mirrored() for word in spell(ends.mirrored()))
+        Returns:
+            Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
 
+        Raises:
+            ValueError: If ``x`` has another shape.
+        """
+        x = as_points("x", x, 3)
+        lengths = np.empty(len(x))
+        with np.errstate(all="ignore"):
+            for begin in range(0, len(x), _AT_ONCE):
+                part = slice(begin, begin + _AT_ONCE)
+                lengths[part] = reduce(np.fmin, (word.length for word in self._words(x[part]))) * self.radius
+            # Of poses so far away that a square is infinite turns add nothing to the straight line.
+            rest = x[far := ~np.isfinite(lengths)]
+            straight = np.hypot(rest[:, 0] - self.goal[0], rest[:, 1] - self.goal[1])
+            lengths[far] = np.where(np.isfinite(rest).all(axis=1), straight, np.inf)
+        return lengths
 
-def _ends(goal: Pose, radius: float, x: Float[np.ndarray, "n 3"]) -> EndPoses:
-    """Where words end that, read backward, lead from poses to the goal."""
-    cosine, sine = np.cos(goal[2]), np.sin(goal[2])
-    dx, dy = (x[:, 0] - goal[0]) / radius, (x[:, 1] - goal[1]) / radius
-    heading = wrapped(np.fmod(goal[2] - x[:, 2], 2 * np.pi))  # of many turns the remainder is exact, wrapping is not
-    half = np.tan(heading / 2)
-    sine_of_heading = 2 * half / (1 + half * half)
-    return EndPoses(
-        -cosine * dx - sine * dy, cosine * dy - sine * dx, heading, sine_of_heading, half * sine_of_heading
-    )
+    def shortest_path(self, x: ArrayLike) -> list[tuple[str, float]]:
+        """The path whose length the query answers.
 
+        Args:
+            x: A pose ``(x, y, theta)``, ``(3,)``, finite.
 
-def _straight_lengths(goal: Pose, x: Float[np.ndarray, "n 3"]) -> Distances:
-    """Those of poses so far away that a square is infinite and turns add nothing."""
-    lengths = np.hypot(x[:, 0] - goal[0], x[:, 1] - goal[1])
-    return np.where(np.isfinite(x).all(axis=1), lengths, np.inf)
+        Returns:
+            Its segments in order, each a letter, ``"L"`` (a turn to the left), ``"R"`` (to the right) or ``"S"``
+            (straight), and a length in workspace units along the path, negative where the car reverses. None if
+            ``x`` is the goal.
+
+        Raises:
+            ValueError: If ``x`` is no finite pose, or 1e154 turning radii away.
+        """
+        pose = as_finite_point("The start pose", x, 3)
+        with np.errstate(all="ignore"):
+            words = list(self._words(pose[None]))
+            lengths = np.array([word.length[0] for word in words])
+        best = np.argmin(np.where(np.isnan(lengths), np.inf, lengths))
+        if not np.isfinite(lengths[best] * self.radius):
+            raise ValueError(f"The pose {pose.tolist()} must be nearer to the goal, of which it is 1e154 radii away.")
+        in_order = zip(*(reversed(each) for each in words[best]), strict=True)
+        return [(letter, self.radius * float(np.squeeze(length))) for letter, length in in_order if length != 0]
+
+    @staticmethod
+    @abstractmethod
+    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+        """Words that begin with a turn to the left; of these and the mirrored ones the shortest is a shortest path.
+
+        Args:
+            to_left: The vector from the beginning's left circle to the end's.
+            to_right: That to the end's right one, but for 2 to be taken off its ``y``.
+            heading: Of the end.
+        """
+
+    def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
+        """Those that, read backward, lead from poses to the goal."""
+        cosine, sine = np.cos(self.goal[2]), np.sin(self.goal[2])
+        dx, dy = ((x[:, axis] - self.goal[axis]) / self.radius for axis in range(2))
+        along, across = -cosine * dx - sine * dy, cosine * dy - sine * dx
+        # Of many turns the remainder is exact, wrapping is not.
+        heading = wrapped(np.fmod(self.goal[2] - x[:, 2], 2 * np.pi))
+        half = np.tan(heading / 2)
+        sine_of_heading = 2 * half / (1 + half * half)
+        versine = half * sine_of_heading
+        for side in (1.0, -1.0):  # and those that begin with a turn to the right: where left is right
+            y, sine = side * across, side * sine_of_heading
+            for letters, segments in self._spelled(
+                (along - sine, y - versine), (along + sine, y + versine), side * heading
+            ):
+                yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
+
+    def _reflection(self, direction: float) -> Symmetry:
+        """Of poses, in the line through the goal that has a direction; a goal along or across it stays as it is."""
+        cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
+        return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
 
 # Shortest paths of a car that drives both ways.
@@ -140,7 +159,7 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class ReedsShepp:
+class ReedsShepp(_Car):
     """Length of the shortest path of a car that drives forward and backward, as if there were no obstacles.
 
     The car follows its heading and turns no sharper than its turning radius. The shortest path is one of 48 words of
@@ -160,73 +179,20 @@ class ReedsShepp:
         flip), in a mirror (reflect) and from its end to its beginning (backwards).
     """
 
-    goal: Float[np.ndarray, "3"]
-    radius: float
-
-    def __init__(self, goal: ArrayLike, radius: float | int):
-        goal = as_finite_point("The goal pose", goal, 3)
-        vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: obstacles make no path shorter."""
-        return True
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a pose: 3."""
-        return 3
-
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
         """Reflections of poses in the line along the goal's heading, and in the one across it."""
-        return reflection(self.goal, self.goal[2]), reflection(self.goal, self.goal[2] + _QUARTER)
+        return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
-    @property
-    def radial_part(self) -> RadialPart:
-        """The straight line to the goal, than which no path is shorter."""
-        return RadialPart(self.goal, (True, True, False))
+    @staticmethod
+    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+        """The words of Reeds and Shepp, free of the rule in which gear a first or last turn is.
 
-    def __call__(self, x: ArrayLike) -> Distances:
-        """Length of the shortest path from each pose to the goal.
-
-        Args:
-            x: Poses ``(x, y, theta)``, ``(n, 3)``; any number of whole turns may be part of a heading.
-
-        Returns:
-            Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
+        Each is the shorter way around, in whichever gear: a path all the same, and one that the rule allows if it is
+        shortest.
         """
-        return shortest_lengths(_words_reeds_shepp, self.goal, self.radius, as_points("x", x, self.dim))
-
-    def shortest_path(self, x: ArrayLike) -> list[tuple[str, float]]:
-        """The path whose length the query answers.
-
-        Args:
-            x: A pose ``(x, y, theta)``, ``(3,)``, finite.
-
-        Returns:
-            Its segments in order, each a letter, ``"L"`` (a turn to the left), ``"R"`` (to the right) or ``"S"``
-            (straight), and a length in workspace units along the path, negative where the car reverses. None if
-            ``x`` is the goal.
-
-        Raises:
-            ValueError: If ``x`` is no finite pose, or 1e154 turning radii away.
-        """
-        return shortest_path(
-            _words_reeds_shepp, self.goal, self.radius, as_finite_point("The start pose", x, self.dim)
-        )
-
-
-def _words_reeds_shepp(ends: EndPoses) -> Iterator[Word]:
-    """The words of Reeds and Shepp, free of the rule in which gear a first or last turn is.
-
-    Each is the shorter way around, in whichever gear: a path all the same, and one that the rule allows if shortest.
-    """
-    yield from _words_to_left(*ends.left_to_left(), ends.heading)
-    yield from _words_to_right(*ends.left_to_right(), ends.heading)
+        yield from _words_to_left(*to_left, heading)
+        yield from _words_to_right(*to_right, heading)
 
 
 def _word(letters: str, first: Batch, *middle_and_last: Batch | float) -> Word:
@@ -261,7 +227,9 @@ def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
 
     Angles are of its normal, whose direction is exact where both circles touch in the goal.
     """
-    q, square = _QUARTER, _rounded_to_0(x * x + y * (y - 4), x * x + y * y + 4 * np.abs(y))
+    q, square = _QUARTER, x * x + y * (y - 4)
+    # Nothing, where it is no more than what rounding makes of its terms.
+    square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
     distance, tangent = np.sqrt(4 + square), np.sqrt(square)
     angle, lean = np.arctan2(x, 2 - y), np.arctan(tangent / 2)
     rest = angle - heading
@@ -294,11 +262,6 @@ def _existing(length: Batch) -> Batch:
     return np.where(length >= 0, length, np.nan)
 
 
-def _rounded_to_0(difference: Batch, total: Batch) -> Batch:
-    """A difference, 0 where it is no more than what rounding makes of its terms."""
-    return np.where(np.abs(difference) < _ROUNDING * total, 0.0, difference)
-
-
 # Shortest paths of a car that drives forward only.
 
 
@@ -307,7 +270,7 @@ _CIRCLE = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Dubins:
+class Dubins(_Car):
     """Length of the shortest path of a car that only drives forward, as if there were no obstacles.
 
     The car follows its heading and turns no sharper than its turning radius. The shortest path is one of six words:
@@ -327,77 +290,28 @@ class Dubins:
         terminal positions and tangents", American Journal of Mathematics 79, 1957.
     """
 
-    goal: Float[np.ndarray, "3"]
-    radius: float
-
-    def __init__(self, goal: ArrayLike, radius: float | int):
-        goal = as_finite_point("The goal pose", goal, 3)
-        vars(self).update(goal=goal, radius=as_finite("radius", radius, positive=True))
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: obstacles make no path shorter."""
-        return True
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a pose: 3."""
-        return 3
-
     @property
     def symmetries(self) -> tuple[Symmetry]:
         """The reflection of poses in the line along the goal's heading."""
-        return (reflection(self.goal, self.goal[2]),)
+        return (self._reflection(self.goal[2]),)
 
-    @property
-    def radial_part(self) -> RadialPart:
-        """The straight line to the goal, than which no path is shorter."""
-        return RadialPart(self.goal, (True, True, False))
+    @staticmethod
+    def _spelled(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
+        x, y = to_left
+        distance = np.sqrt(x * x + y * y)
+        angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any
+        yield Word("LSL", _turns_around(angle, distance, _forward(heading, _SLACK)))
 
-    def __call__(self, x: ArrayLike) -> Distances:
-        """Length of the shortest path from each pose to the goal.
+        half = np.pi - np.arcsin(
+            distance / 4
+        )  # of the turn in the middle: the shorter one is never on a shortest path
+        yield Word("LRL", (_forward(angle + half), 2 * half, _forward(heading - angle + half)))
 
-        Args:
-            x: Poses ``(x, y, theta)``, ``(n, 3)``; any number of whole turns may be part of a heading.
-
-        Returns:
-            Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
-
-        Raises:
-            ValueError: If ``x`` has another shape.
-        """
-        return shortest_lengths(_words_dubins, self.goal, self.radius, as_points("x", x, self.dim))
-
-    def shortest_path(self, x: ArrayLike) -> list[tuple[str, float]]:
-        """The path whose length the query answers.
-
-        Args:
-            x: A pose ``(x, y, theta)``, ``(3,)``, finite.
-
-        Returns:
-            Its segments in order, each a letter, ``"L"`` (a turn to the left), ``"R"`` (to the right) or ``"S"``
-            (straight), and a length in workspace units along the path. None if ``x`` is the goal.
-
-        Raises:
-            ValueError: If ``x`` is no finite pose, or 1e154 turning radii away.
-        """
-        return shortest_path(_words_dubins, self.goal, self.radius, as_finite_point("The start pose", x, self.dim))
-
-
-def _words_dubins(ends: EndPoses) -> Iterator[Word]:
-    x, y = ends.left_to_left()
-    distance = np.sqrt(x * x + y * y)
-    angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any
-    yield Word("LSL", _turns_around(angle, distance, _forward(ends.heading, _SLACK)))
-
-    half = np.pi - np.arcsin(distance / 4)  # of the turn in the middle: the shorter one is never on a shortest path
-    yield Word("LRL", (_forward(angle + half), 2 * half, _forward(ends.heading - angle + half)))
-
-    x, y = ends.left_to_right()
-    square = x * x + y * (y - 4)  # of the circles' distance, less 4
-    tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
-    angle = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)
-    yield Word("LSR", (_forward(angle), tangent, _forward(angle - ends.heading)))
+        x, y = to_right
+        square = x * x + y * (y - 4)  # of the circles' distance, less 4
+        tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
+        angle = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)
+        yield Word("LSR", (_forward(angle), tangent, _forward(angle - heading)))
 
 
 def _turns_around(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:

@@ -1,6 +1,7 @@
 """Straight-line distance."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -21,14 +22,11 @@ class Euclidean:
     """
 
     goal: Float[np.ndarray, "dim"]
+    is_lower_bound: ClassVar[bool] = True
+    """True: no path of a robot whose reference point keeps to its free space is shorter."""
 
     def __init__(self, goal: ArrayLike):
         object.__setattr__(self, "goal", as_finite_point("The goal", goal))
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: no path of a robot whose reference point keeps to its free space is shorter."""
-        return True
 
     @property
     def dim(self) -> int:

@@ -48,7 +48,21 @@ class GridField:
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike):
         bounds = Box.of(bounds, "The bounds")
-        vars(self).update(values=_checked_values(values, bounds.dim), bounds=bounds)
+        expected = f"distances on a grid of {bounds.dim} axes"
+        numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
+        if numbers.ndim != bounds.dim or numbers.size == 0:
+            raise ValueError(
+                f"values must be {expected}, as the bounds have, at least one, got shape {numbers.shape}."
+            )
+        numbers[np.isnan(numbers)] = np.inf
+        if numbers.min() < 0:
+            cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
+            raise ValueError(
+                f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance, and "
+                "give np.maximum(values, 0) of a field that is negative within the goal."
+            )
+        numbers.flags.writeable = False
+        vars(self).update(values=numbers, bounds=bounds)
 
     def __repr__(self) -> str:
         return f"GridField({' x '.join(map(str, self.values.shape))} cells, {self.bounds})"
@@ -83,8 +97,16 @@ class GridField:
         """Distances at points of the box."""
         sizes = self.values.shape[::-1]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width * sizes).T
-        nearest = [np.minimum(place.astype(np.intp), size - 1) for place, size in zip(places, sizes, strict=True)]
-        sides = [_sides(*axis) for axis in zip(places, sizes, self.bounds.periodic, strict=True)]
+        nearest, sides = [], []
+        for place, size, is_periodic in zip(places, sizes, self.bounds.periodic, strict=True):
+            nearest.append(np.minimum(place.astype(np.intp), size - 1))
+            # The cells whose centers are below and above, and their weights.
+            lower = np.floor(place - 0.5).astype(np.intp)
+            beyond = place - 0.5 - lower
+            below, above = (
+                (each % size if is_periodic else np.clip(each, 0, size - 1)) for each in (lower, lower + 1)
+            )
+            sides.append([(below, 1 - beyond), (above, beyond)])
         total, total_weight = np.zeros(len(x)), np.zeros(len(x))
         for corner in product(*sides):
             value = self._at([cell for cell, _ in corner])
@@ -97,29 +119,3 @@ class GridField:
     def _at(self, cell: Sequence[Int[np.ndarray, "n"]]) -> Float[np.ndarray, "n"]:
         """Values of cells, given by their number along each coordinate."""
         return self.values.take(np.ravel_multi_index(tuple(cell[::-1]), self.values.shape))
-
-
-def _sides(
-    place: Float[np.ndarray, "n"], size: int, is_periodic: bool
-) -> list[tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]]:
-    """Of places along an axis, in cells: the cells whose centers are below and above, and their weights."""
-    lower = np.floor(place - 0.5).astype(np.intp)
-    beyond = place - 0.5 - lower
-    below, above = ((cell % size if is_periodic else np.clip(cell, 0, size - 1)) for cell in (lower, lower + 1))
-    return [(below, 1 - beyond), (above, beyond)]
-
-
-def _checked_values(values: ArrayLike, dim: int) -> Float[np.ndarray, "..."]:
-    expected = f"distances on a grid of {dim} axes"
-    numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
-    if numbers.ndim != dim or numbers.size == 0:
-        raise ValueError(f"values must be {expected}, as the bounds have, at least one, got shape {numbers.shape}.")
-    numbers[np.isnan(numbers)] = np.inf
-    if numbers.min() < 0:
-        cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
-        raise ValueError(
-            f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask what has no distance, and "
-            "give np.maximum(values, 0) of a field that is negative within the goal."
-        )
-    numbers.flags.writeable = False
-    return numbers

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,22 +48,26 @@ class GridGraph:
     free: Bool[np.ndarray, "rows columns"]
     connectivity: int
     goal: Float[np.ndarray, "2"] | None
+    dim: ClassVar[int] = 2
+    """Number of coordinates of a point."""
 
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
-        vars(self).update(free=_checked_cells(free), connectivity=int(connectivity), goal=None)
+        cells = np.array(free)
+        if cells.dtype != bool or cells.ndim != 2 or not cells.size or np.ma.is_masked(free):
+            raise ValueError(
+                "free must be an array of booleans (rows, columns), true where a cell is free, at least one, got "
+                f"{cells.dtype} of shape {cells.shape}."
+            )
+        cells.flags.writeable = False
+        vars(self).update(free=cells, connectivity=int(connectivity), goal=None)
         if goal is not None:
             vars(self).update(goal=self._checked_goal(goal))
 
     def __repr__(self) -> str:
         rows, columns = self.free.shape
         return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a point."""
-        return 2
 
     def with_goal(self, goal: ArrayLike) -> "GridGraph":
         """The same grid with another goal.
@@ -171,15 +176,3 @@ class GridGraph:
         if cell == _OUTSIDE or not bool(self.free.ravel().take(cell)):
             raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")
         return goal
-
-
-def _checked_cells(free: ArrayLike) -> Bool[np.ndarray, "rows columns"]:
-    cells = np.asarray(free)
-    if cells.dtype != bool or cells.ndim != 2 or not cells.size or np.ma.is_masked(free):
-        raise ValueError(
-            "free must be an array of booleans (rows, columns), true where a cell is free, at least one, got "
-            f"{cells.dtype} of shape {cells.shape}."
-        )
-    cells = cells.copy()
-    cells.flags.writeable = False
-    return cells

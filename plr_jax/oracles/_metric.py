@@ -29,14 +29,9 @@ class Metric:
         return not self.domain.is_periodic and bool((self.weights == 1).all())
 
     @property
-    def volume(self) -> float:
-        """Volume of the domain."""
-        return float(np.prod(self.weights * self.domain.width))
-
-    @property
-    def diameter(self) -> float:
-        """No two configurations of the domain are farther apart."""
-        return float(np.linalg.norm(self.weights * self.domain.width))
+    def widths(self) -> Float[np.ndarray, "dim"]:
+        """Weighted widths of the domain: of a periodic axis its period."""
+        return self.weights * self.domain.width
 
     def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
         """Lengths of the motions from some configurations to others."""
@@ -44,21 +39,14 @@ class Metric:
 
     def tree(self, vertices: Points) -> KDTree:
         """A k-d tree of configurations, to be asked for :meth:`places`; its distances are those of the metric."""
-        if not self.domain.is_periodic:
-            return KDTree(self.places(vertices))
-        return KDTree(self.places(vertices), boxsize=np.where(self.domain.periodic, self._periods, 0.0))
+        periods = np.where(self.domain.periodic, self.widths, 0.0) if self.domain.is_periodic else None
+        return KDTree(self.places(vertices), boxsize=periods)
 
     def places(self, x: Points) -> Points:
         """Coordinates in the k-d tree, where periodic axes run from 0 to below their weighted period."""
-        if not self.domain.is_periodic:
-            return self.weights * x
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
-        around = np.where(around < self._periods, around, 0.0)  # rounding may close the circle
+        around = np.where(around < self.widths, around, 0.0)  # rounding may close the circle
         return np.where(self.domain.periodic, around, self.weights * x)
-
-    @property
-    def _periods(self) -> Float[np.ndarray, "dim"]:
-        return self.weights * self.domain.width
 
 
 def metric_of(domain: Box, weights: ArrayLike | None) -> Metric:

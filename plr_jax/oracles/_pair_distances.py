@@ -54,39 +54,6 @@ class _Lists:
         return _Lists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.leg[kept])
 
 
-class CornerDistances:
-    """Distances between corners, searched from each corner when it is first asked for.
-
-    Args:
-        visibility: The corners, and which of them see one another.
-    """
-
-    def __init__(self, visibility: CornerVisibility):
-        self._graph = Graph(visibility.corners.points, visibility.edges)
-        self._known = np.zeros(self._graph.num_vertices, bool)
-
-    @property
-    def at_once(self) -> int:
-        """Corners to ask for at a time."""
-        return max(1, _DISTANCES // max(1, self._graph.num_vertices))
-
-    def __call__(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some all"]:
-        """Distances from some corners to all of them."""
-        if self._graph.num_vertices > self.at_once:
-            return self._search(corners)
-        missing = corners[~self._known[corners]]
-        self._table[missing] = self._search(missing)
-        self._known[missing] = True
-        return self._table[corners]
-
-    @cached_property
-    def _table(self) -> Float[np.ndarray, "all all"]:
-        return np.empty(2 * (self._graph.num_vertices,))
-
-    def _search(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some all"]:
-        return csgraph.dijkstra(self._graph.adjacency, indices=corners)
-
-
 class PairDistances:
     """Distances between points of a workspace. What is found on the way is kept, but not pickled.
 
@@ -102,8 +69,28 @@ class PairDistances:
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
-    def _ways(self) -> CornerDistances:
-        return CornerDistances(self.visibility)
+    def _graph(self) -> Graph:
+        return Graph(self.visibility.corners.points, self.visibility.edges)
+
+    @cached_property
+    def _known(self) -> tuple[Bool[np.ndarray, "corners"], Float[np.ndarray, "corners corners"]]:
+        """Corners whose distances to all of them are known, where all are to be kept, and these."""
+        return np.zeros(self._graph.num_vertices, bool), np.empty(2 * (self._graph.num_vertices,))
+
+    def _ways(self, corners: Int[np.ndarray, "some"]) -> Float[np.ndarray, "some corners"]:
+        """Distances from some corners to all of them."""
+        if self._graph.num_vertices > self._at_once:
+            return csgraph.dijkstra(self._graph.adjacency, indices=corners)
+        is_known, table = self._known
+        missing = corners[~is_known[corners]]
+        table[missing] = csgraph.dijkstra(self._graph.adjacency, indices=missing)
+        is_known[missing] = True
+        return table[corners]
+
+    @property
+    def _at_once(self) -> int:
+        """Corners to ask for at a time."""
+        return max(1, _DISTANCES // max(1, self._graph.num_vertices))
 
     @cached_property
     def _regions(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
@@ -152,7 +139,7 @@ class PairDistances:
     def _shortest(self, at_x: _Lists, at_y: _Lists) -> Distances:
         """Length of the shortest way of each pair by a corner of either list."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
-        length, at_once = np.full(len(at_x.corner), np.inf), self._ways.at_once
+        length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
             between = self._ways(corners[begin : begin + at_once])
             of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))

@@ -1,7 +1,7 @@
 """Probabilistic roadmaps (PRM*): near-optimal distances in any dimension, and the parts they are made of."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -15,7 +15,7 @@ from plr_jax._arrays import as_booleans, as_finite, as_finite_point, as_point, a
 from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
-from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._metric import Metric, metric_of
 
@@ -63,7 +63,7 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
                 f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
                 f"tighten the domain around free space, or check is_free."
             )
-    return np.concatenate(accepted)[:num_samples], metric.volume * num_free / num_drawn
+    return np.concatenate(accepted)[:num_samples], float(np.prod(metric.widths)) * num_free / num_drawn
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
@@ -212,7 +212,8 @@ class Roadmap:
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
         tree = metric.tree(vertices)
         graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
-        _assign(self, metric, is_free, is_visible, radius, graph, tree)
+        vars(self).update(domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
+        self._assign(graph, tree)
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
@@ -254,8 +255,15 @@ class Roadmap:
         edges = np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]])
         graph, tree = Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices)
         oracle = object.__new__(Roadmap)
-        _assign(oracle, self._metric, self.is_free, self.is_visible, self.radius, graph, tree)
+        shared = ("domain", "is_free", "is_visible", "radius", "_metric")
+        vars(oracle).update({name: getattr(self, name) for name in shared})
+        oracle._assign(graph, tree)
         return oracle
+
+    def _assign(self, graph: Graph, tree: KDTree) -> None:
+        distances, parents = dijkstra(graph, 0)
+        graph.vertices.flags.writeable = distances.flags.writeable = False
+        vars(self).update(graph=graph, distances=distances, _parents=parents, _tree=tree)
 
     @property
     def goal(self) -> Float[np.ndarray, "dim"]:
@@ -330,69 +338,40 @@ class Roadmap:
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
-        onward = path_from_root(self._parents, int(first[0]))[::-1]
-        path = np.concatenate([x, self.graph.vertices[onward]])
-        return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
-
-    def _rings(self) -> Iterator[tuple[float, float]]:
-        """Inner and outer radii of the rings in which a query looks for vertices, until all are in."""
-        inner, outer = -1.0, self.radius
-        while inner < self._metric.diameter:
-            yield inner, outer
-            inner, outer = outer, 2 * outer
+        return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance of points, and the vertex that each goes to first: -1 if it is not free or sees none."""
         answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
-        pending = np.flatnonzero(self.is_free(x))
-        for inner, outer in self._rings():
-            if pending.size == 0:
-                break
+        pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
+        diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
+        while pending.size and inner < diameter:
             answer[pending], first[pending] = self._connect(x[pending], inner, outer)
             pending = pending[first[pending] < 0]
+            inner, outer = outer, 2 * outer
         return answer, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance by way of the vertices seen between two radii, and the best of them, -1 where there are none."""
-        count = self._tree.query_ball_point(self._metric.places(x), outer, return_length=True)
+        places, vertices, distances = self._metric.places(x), self.graph.vertices, np.append(self.distances, np.inf)
+        count = self._tree.query_ball_point(places, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)
-        for begin in range(0, len(x), step):
-            rows = slice(begin, begin + step)
-            distance[rows], first[rows] = self._connect_batch(x[rows], inner, outer, int(count[rows].max()))
-        return distance, first
-
-    def _connect_batch(
-        self, x: Points, inner: float, outer: float, count: int
-    ) -> tuple[Distances, Int[np.ndarray, "n"]]:
         # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
         limit = np.nextafter(outer, np.inf)
-        length, vertex = self._tree.query(
-            self._metric.places(x), k=np.arange(1, 1 + count), distance_upper_bound=limit
-        )
-        through = length + np.append(self.distances, np.inf)[vertex]
-        through[(length <= inner) | np.isinf(length)] = np.nan
-
-        way, distance = first_visible(
-            through, lambda point, way: self.is_visible(x[point], self.graph.vertices[vertex[point, way]])
-        )
-        first = np.append(vertex, np.full((len(x), 1), -1), axis=1)[np.arange(len(x)), way[:, 0]]
-        return distance[:, 0], first
-
-
-def _assign(
-    roadmap: Roadmap,
-    metric: Metric,
-    is_free: IsFree,
-    is_visible: IsVisible,
-    radius: float,
-    graph: Graph,
-    tree: KDTree,
-) -> None:
-    distances, parents = dijkstra(graph, 0)
-    graph.vertices.flags.writeable = distances.flags.writeable = False
-    vars(roadmap).update(domain=metric.domain, _metric=metric, is_free=is_free, is_visible=is_visible, radius=radius)
-    vars(roadmap).update(graph=graph, distances=distances, _parents=parents, _tree=tree)
+        for begin in range(0, len(x), step):
+            rows = slice(begin, begin + step)
+            some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+            length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
+            through = length + distances[vertex]
+            through[(length <= inner) | np.isinf(length)] = np.nan
+            way, shortest = first_visible(
+                through,
+                lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
+            )
+            vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
+            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
+        return distance, first
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import shapely
@@ -31,7 +31,7 @@ from plr_jax.geometry.corners import (
     find_turn_points,
     turn_regions,
 )
-from plr_jax.geometry.graph import Graph, dijkstra, path_from_root, rooted, to_networkx
+from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
 from plr_jax.geometry.polygons import as_polygons
 from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.vectors import turned_left
@@ -39,8 +39,8 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tabl
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
-from plr_jax.oracles.cells.family_sources import FamilySources, GoalDistances, SharedCells
-from plr_jax.oracles.cells.sight import GoalCones, Sight, Walls
+from plr_jax.oracles.cells.family_sources import FamilySources, SharedCells
+from plr_jax.oracles.cells.sight import GoalCones, Sight
 
 if TYPE_CHECKING:
     import networkx
@@ -75,20 +75,12 @@ def write_visibility(
 ) -> None:
     """Write what :func:`read_visibility` reads."""
     table, file = corners.table, io.BytesIO()
-    np.savez(
-        file,
-        version=_VERSION,
-        bounds=np.stack([workspace.bounds.lo, workspace.bounds.hi]),
-        squeeze=workspace.squeeze,
-        free_space=_as_bytes(workspace.free_space),
-        obstacles=_as_bytes(shapely.geometrycollections(list(workspace.obstacles))),
-        goal=goal,
-        cut=table.cut,
-        first=table.first,
-        key=table.key,
-        edge=table.edge,
-        edges=corners.edges,
-    )
+    geometries: Any = workspace.free_space, shapely.geometrycollections(list(workspace.obstacles))
+    geometries = [np.frombuffer(shapely.to_wkb(each), np.uint8) for each in geometries]
+    bounds = np.stack([workspace.bounds.lo, workspace.bounds.hi])
+    of_corners = table.cut, table.first, table.key, table.edge, corners.edges
+    values: Any = _VERSION, bounds, workspace.squeeze, *geometries, goal, *of_corners
+    np.savez(file, **dict(zip(_ARRAYS, values, strict=True)))
     write_atomically(path, file.getvalue())
 
 
@@ -96,43 +88,41 @@ def read_visibility(path: Path) -> tuple[Workspace, Float[np.ndarray, "2"], Corn
     """The workspace, the goal, and what the corners see, of a file.
 
     Raises:
-        ValueError: If the file is truncated, corrupt, of another kind or of another version.
+        ValueError, EOFError, BadZipFile, ShapelyError: If the file is truncated, corrupt, of another kind or version.
         OSError: If it cannot be read.
     """
-    try:
-        arrays = _arrays(path)
-        if arrays["version"] != _VERSION:
-            raise ValueError(f"it is of version {arrays['version']}, this release reads version {_VERSION}")
-        workspace = _workspace(arrays)
-        return workspace, arrays["goal"], _corners(arrays, workspace)
-    except (ValueError, EOFError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
-        raise ValueError(f"{path} cannot be read as a visibility graph: {error}.") from error
-
-
-def _as_bytes(geometry: Any) -> Shaped[np.ndarray, "bytes"]:
-    return np.frombuffer(shapely.to_wkb(geometry), np.uint8)
+    arrays = _arrays(path)
+    if arrays["version"] != _VERSION:
+        raise ValueError(f"it is of version {arrays['version']}, this release reads version {_VERSION}")
+    free: Any
+    free, obstacles = (shapely.from_wkb(arrays[name].tobytes()) for name in ("free_space", "obstacles"))
+    polygons = as_polygons("Obstacle", obstacles)
+    if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
+        raise ValueError("its free space is no valid polygon")
+    workspace = Workspace.restored(Box(*arrays["bounds"]), polygons, bool(arrays["squeeze"]), free)
+    return workspace, arrays["goal"], _corners(arrays, workspace)
 
 
 def _arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
     """The arrays of a file, of the kinds and shapes that they must have, and no larger than the file."""
     data = io.BytesIO(path.read_bytes())  # so that only what cannot be read, and no wrong place in it, is an OSError
+    arrays = {}
     try:
         with zipfile.ZipFile(data) as archive:
             missing = {f"{name}.npy" for name in _ARRAYS} - set(archive.namelist())
             if missing:
                 raise ValueError(f"it has no {min(missing)}")
-            return {name: _array(archive, name, *expected) for name, expected in _ARRAYS.items()}
+            for name, (kind, shape) in _ARRAYS.items():
+                member = archive.getinfo(f"{name}.npy")
+                if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
+                    raise ValueError(f"{name} is compressed")
+                arrays[name] = _array(name, kind, shape, io.BytesIO(archive.read(member)))
     except RuntimeError as error:  # so zipfile calls what it has no code for, and what is encrypted
         raise ValueError(f"it cannot be unpacked: {error}") from error
+    return arrays
 
 
-def _array(
-    archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int | None, ...]
-) -> Shaped[np.ndarray, "..."]:
-    member = archive.getinfo(f"{name}.npy")
-    if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
-        raise ValueError(f"{name} is compressed")
-    data = io.BytesIO(archive.read(member))
+def _array(name: str, kind: str, shape: tuple[int | None, ...], data: io.BytesIO) -> Shaped[np.ndarray, "..."]:
     np.lib.format.read_magic(data)
     try:
         found, _, dtype = np.lib.format.read_array_header_1_0(data)
@@ -141,19 +131,10 @@ def _array(
     fits = len(found) == len(shape) and all(n in (None, m) for n, m in zip(shape, found, strict=True))
     if dtype.kind != kind or not fits:
         raise ValueError(f"{name} has numbers of kind {dtype.kind} and shape {found}")
-    array = np.frombuffer(data.getvalue()[data.tell() :], dtype)
+    array = np.frombuffer(data.read(), dtype)
     if array.size != np.prod(found, dtype=object) or (kind == "f" and not np.isfinite(array).all()):
         raise ValueError(f"{name} is incomplete or has numbers that are not finite")
     return array.reshape(found)
-
-
-def _workspace(arrays: dict[str, Shaped[np.ndarray, "..."]]) -> Workspace:
-    free: Any
-    free, obstacles = (shapely.from_wkb(arrays[name].tobytes()) for name in ("free_space", "obstacles"))
-    polygons = as_polygons("Obstacle", obstacles)
-    if not isinstance(free, Polygon | MultiPolygon) or free.is_empty or not free.is_valid:
-        raise ValueError("its free space is no valid polygon")
-    return Workspace.restored(Box(*arrays["bounds"]), polygons, bool(arrays["squeeze"]), free)
 
 
 def _corners(arrays: dict[str, Shaped[np.ndarray, "..."]], workspace: Workspace) -> CornerVisibility:
@@ -212,6 +193,10 @@ class VisibilityGraph:
     _turns: TurnPoints
     _goal_edges: Int[np.ndarray, "edges 2"]
     _pairs: PairDistances
+    is_lower_bound: ClassVar[bool] = True
+    """True: no path of a robot whose reference point keeps to its free space is shorter."""
+    dim: ClassVar[int] = 2
+    """Number of coordinates of a point: 2."""
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
         deadline = deadline_after(time_limit)
@@ -259,11 +244,12 @@ class VisibilityGraph:
             OSError: If the file cannot be read.
         """
         oracle = object.__new__(cls)
-        workspace, goal, corners = read_visibility(Path(path))
         try:
+            workspace, goal, corners = read_visibility(Path(path))
             _assign(oracle, _free_goal(workspace, goal), PairDistances(workspace, corners))
-        except ValueError as error:  # such as a goal in an obstacle
-            raise ValueError(f"{path} cannot be read as a visibility graph: {error}") from error
+        except (ValueError, EOFError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
+            reason = str(error).rstrip(".")
+            raise ValueError(f"{path} cannot be read as a visibility graph: {reason}.") from error
         return oracle
 
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
@@ -272,16 +258,6 @@ class VisibilityGraph:
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
-
-    @property
-    def is_lower_bound(self) -> bool:
-        """True: no path of a robot whose reference point keeps to its free space is shorter."""
-        return True
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates of a point: 2."""
-        return 2
 
     @property
     def num_bytes(self) -> int:
@@ -317,8 +293,7 @@ class VisibilityGraph:
             The pieces of free space in the box from which the goal can be reached, and their sources.
         """
         shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
-        cones, walls = GoalCones.of(self.sources, self._turns), Walls(self.workspace.boundary)
-        sight = Sight(cones, shadows, self._turns, walls)
+        sight = Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
         return visible_sources(sight, self._regions, domain)
 
     @property
@@ -337,14 +312,13 @@ class VisibilityGraph:
         shared: SharedCells, fns: Sequence["VisibilityGraph"]
     ) -> tuple[FamilySources, UInt64[np.ndarray, "distinct"], Int[np.ndarray, "fns cells"]]:
         """The distinct sources of these boxes for some of the family, their keys, and which ones are each one's."""
-        return shared.of_goals([fn._goal_distances for fn in fns])
-
-    @property
-    def _goal_distances(self) -> GoalDistances:
-        corner, turns = self._turns.vertex - 1, self._turns
-        opens = self._corners.corners.walls[0, corner]
-        side = (turns.normal[1] == turned_left(opens)).all(axis=1)
-        return GoalDistances(self._goal_table, corner, side.astype(np.int64), turns.distance)
+        goals = []
+        for fn in fns:
+            corner, turns = fn._turns.vertex - 1, fn._turns
+            # Paths come around the wall that opens a corner's sector, or around the one that closes it.
+            side = (turns.normal[1] == turned_left(fn._corners.corners.walls[0, corner])).all(axis=1)
+            goals.append((fn._goal_table, 2 * corner + side, turns.distance))
+        return shared.of_goals(goals)
 
     def to_networkx(self) -> "networkx.Graph":
         """The graph in NetworkX: position as ``pos`` of a node, length as ``weight`` of an edge."""
@@ -401,9 +375,7 @@ class VisibilityGraph:
         distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
-        onward = path_from_root(self._parents, int(turn[0]))[::-1]
-        path = np.concatenate([x[None], self.graph.vertices[onward]])
-        return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
+        return path_to_root(self.graph, self._parents, x, int(turn[0]))
 
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """The directions in which the shortest paths set out: where the exact distance falls at a rate of one.
@@ -449,8 +421,12 @@ def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> 
     workspace, corners = pairs.workspace, pairs.visibility
     view = _goal_view(workspace.boundary, workspace.tolerance, goal)
     goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
+    # The goal, vertex 0, is joined to the corners that it sees and that see it.
+    corner = np.setdiff1d(corners.of_vertex[seen], [-1])
+    corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
+    edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
     vars(oracle).update(workspace=workspace, goal=goal, _corners=corners, _pairs=pairs)
-    vars(oracle).update(_goal_table=goal_table, _goal_edges=_goal_edges(corners, seen, goal))
+    vars(oracle).update(_goal_table=goal_table, _goal_edges=edges)
     distances, parents = dijkstra(oracle.graph, 0)
     turns = find_turn_points(corners.corners.with_goal(goal), distances, parents)
     vars(oracle).update(distances=distances, _parents=parents, _turns=turns)
@@ -482,12 +458,3 @@ def _goal_view(boundary: Boundary, tolerance: float, goal: Float[np.ndarray, "2"
         return Viewpoints(foot[[near]], np.zeros(1, int), np.array([near]))
     none = np.empty(0, int)
     return Viewpoints(goal[None], none, none)
-
-
-def _goal_edges(
-    corners: CornerVisibility, seen: Int[np.ndarray, "vertices"], goal: Float[np.ndarray, "2"]
-) -> Int[np.ndarray, "edges 2"]:
-    """Edges from the goal, vertex 0, to the corners: those that see one another are joined."""
-    corner = np.setdiff1d(corners.of_vertex[seen], [-1])
-    corner = corner[corners.table.sees(corner, np.tile(goal, (len(corner), 1)))]
-    return np.stack([np.zeros_like(corner), 1 + corner], axis=1)

@@ -220,9 +220,9 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     which the first is enough to answer (see ``file_marks``). Distances are exact but for the rounding of 32-bit
     floats, whatever the budget, and but for points nearer to a wall than 4e-6 of the domain's width: these may see
     past its ends, and be told up to 2e-5 of the width too little; and beside a wall thinner than 8e-6, or where walls
-    touch, they see what is on both sides, and are told the lesser distance. On the base of an obstacle whose end is
-    narrower than the outline's lattice, bounds may be those of one side alone. More bytes make queries faster, up to
-    a point, as fewer corners need to be looked at.
+    touch, they see what is on both sides, and are told the lesser distance. Beside a part that thin which grows out
+    of where obstacles overlap, a lower bound may be the distance around its other end. More bytes make queries
+    faster, up to a point, as fewer corners need to be looked at.
 
     Args:
         workspace: The free space, with at most 8,192 corners that stand out into it.
@@ -255,7 +255,7 @@ def construct_pairs(workspace: Workspace, *, max_bytes: int | None = None) -> Pa
     outline, vertex = outline_of(
         boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
     )
-    if outline.is_turned_around(RECEDING * float(domain.width.max())):
+    if outline.is_turned_around(RECEDING * float(domain.width.max()), boundary.vertices[vertex]):
         raise ValueError(
             f"An obstacle is thinner than {2 * RECEDING:.1e} of the domain's width, or has a sharp end that short, "
             "which 32-bit floats do not resolve: make it thicker, or ask a VisibilityGraph."

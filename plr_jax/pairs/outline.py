@@ -102,11 +102,14 @@ class Outline:
         moved = self.moved_points(distance)
         return np.concatenate([moved, moved[self._following]], axis=1)
 
-    def is_turned_around(self, distance: float) -> bool:
-        """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that."""
-        ax, ay, bx, by = self.moved_walls(0.0).T
-        cx, cy, dx, dy = self.moved_walls(distance).T
-        return bool(((bx - ax) * (dx - cx) + (by - ay) * (dy - cy) < 0).any())
+    def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
+        """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
+
+        Walls point as they do between the vertices, of which the lattice may have made one point.
+        """
+        moved, following = self.moved_points(distance), self._following
+        walls, moved_walls = vertices[following] - vertices, moved[following] - moved
+        return bool(((walls * moved_walls).sum(axis=1) < 0).any())
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.

@@ -338,9 +338,10 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     x, y, shape, answer = _checked(tables, x, y)
     x, y = jax.lax.stop_gradient((x, y))
+    # The largest coordinate of the domain.
     relative, absolute = (
         _ROUNDINGS * jnp.finfo(jnp.float32).eps,
-        _ROUNDINGS * jnp.finfo(jnp.float32).eps * _far(tables),
+        _ROUNDINGS * jnp.finfo(jnp.float32).eps * (jnp.abs(tables.middle[0]) + tables.half).max(),
     )
     least = shortest_ways(tables, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
@@ -361,11 +362,6 @@ def _clamped(
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > half * (1 + _ENDS))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
     return nearest, length_of([(x - nearest)[..., axis] for axis in range(2)])
-
-
-def _far(tables: PairTables) -> Float[Array, ""]:
-    """The largest coordinate of the domain."""
-    return (jnp.abs(tables.middle[0]) + tables.half).max()
 
 
 def _checked(

@@ -126,19 +126,15 @@ def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "
 
 
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    search = _begun(tables, x, y)
+    # The search before its first round: pairs that see one another are done.
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
+    words = jnp.zeros((x.shape[0], -(-tables.x.shape[1] // 32)), jnp.uint32)
+    leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
+    search = Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
     at_least = jax.lax.optimization_barrier(_at_least(tables, search))
     search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)))
     least = jnp.minimum(search.length, search.least)
     return Ways(search.length, least, search.from_x, search.from_y)
-
-
-def _begun(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Search:
-    """The search before its first round: pairs that see one another are done."""
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
-    words = jnp.zeros((x.shape[0], -(-tables.x.shape[1] // 32)), jnp.uint32)
-    leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
-    return Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
 
 
 def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:

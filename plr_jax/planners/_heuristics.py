@@ -10,20 +10,11 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened, with_inf_for_masked
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._types import (
-    ArrayLike,
-    BoundingFn,
-    DimensionedFn,
-    DistanceFn,
-    Distances,
-    HeuristicFn,
-    JointConfigurations,
-    Points,
-    StackableDistanceFn,
-)
+from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
+AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # that answers in NumPy or JAX
+# Terms of a heuristic: one a joint configuration and robot, never NaN.
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]
-"""Terms of a heuristic: one a joint configuration and robot, never NaN."""
 
 # Batches in which distance functions are called one by one: few sizes, as one that is compiled is compiled for each,
 # and near to one another where points are many, as those of an oracle that are not asked for take time.
@@ -89,7 +80,7 @@ def straight_line(problem: Problem) -> SumOverRobots:
     return SumOverRobots(per_robot, is_lower_bound=True)
 
 
-def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> SumOverRobots:
+def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     """Sum of the robots' distances, each found as if the robot were alone (Section V-B of the paper).
 
     A distance function of fewer dimensions than a configuration sees its leading coordinates. How many, an
@@ -120,7 +111,15 @@ def sum_of_distances(distance_fns: Sequence[Callable[[Points], ArrayLike]]) -> S
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
-        return _without_nan(q, with_inf_for_masked(evaluate(q)))
+        distances = with_inf_for_masked(evaluate(q))
+        if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
+            return distances
+        # A NaN where the configuration is to blame is no way; one that the function made is refused.
+        broken = np.isnan(distances)
+        for row, i in np.argwhere(broken & np.isfinite(q).all(axis=2)):
+            at = f"at {q[row, i].tolist()}; it must return inf where there is no way"
+            raise ValueError(f"The distance function of robot {i} returned NaN {at}.")
+        return np.where(broken, np.inf, distances)
 
     bounds = all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns)
     return SumOverRobots(per_robot, is_lower_bound=bounds)
@@ -135,8 +134,8 @@ def require_heuristic(heuristic: object) -> None:
         raise ValueError(message)
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
-            call = f"{factory.__name__}({arguments})"
-            raise ValueError(f"heuristic must be what {call} returns, got {factory.__name__} itself: call it.")
+            name = factory.__name__
+            raise ValueError(f"heuristic must be what {name}({arguments}) returns, got {name} itself: call it.")
 
 
 def estimates(heuristic: HeuristicFn, q: JointConfigurations) -> Float[np.ndarray, "n"]:
@@ -160,49 +159,29 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
     return np.maximum(numbers, 0.0)  # planes that fit a distance near the goal may dip below 0
 
 
-def _one_by_one(distance_fns: Sequence[DistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    distances = np.empty(q.shape[:2])
+def _one_by_one(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
+    """What each robot's distance function says, shown the leading coordinates that it wants."""
+    distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]
         batch = padded(part, padded_size(len(part), _BATCH_SIZES), part[-1])
         for i, fn in enumerate(distance_fns):
-            distances[begin : begin + len(part), i] = _distances_of_robot(i, fn, batch[:, i])[: len(part)]
+            name, dim = f"The distance function of robot {i}", fn.dim if isinstance(fn, DimensionedFn) else None
+            if dim is not None and dim > dof:
+                raise ValueError(f"{name} takes {dim} coordinates, configurations have {dof}.")
+            try:
+                distances[begin : begin + len(part), i] = as_values(name, fn(batch[:, i, :dim]), len(batch))[
+                    : len(part)
+                ]
+            except Exception as error:
+                if dim is None and dof == 3:
+                    hint = "If it is one of (x, y), give it an attribute `dim` of 2, as in `fn.dim = 2`."
+                    error.add_note(f"{name} was given (x, y, theta). {hint}")
+                raise
     return distances
 
 
-def _distances_of_robot(i: int, fn: DistanceFn, q: Float[np.ndarray, "n dof"]) -> Distances:
-    """What a robot's distance function says, shown the leading coordinates that it wants."""
-    name, dof = f"The distance function of robot {i}", q.shape[1]
-    dim = fn.dim if isinstance(fn, DimensionedFn) else None
-    if dim is not None and dim > dof:
-        raise ValueError(f"{name} takes {dim} coordinates, configurations have {dof}.")
-    try:
-        return as_values(name, fn(q[:, :dim]), len(q))
-    except Exception as error:
-        if dim is None and dof == 3:
-            error.add_note(
-                f"{name} was given (x, y, theta). If it is one of (x, y), give it an attribute `dim` of 2, as in "
-                "`fn.dim = 2`."
-            )
-        raise
-
-
-def _without_nan(q: JointConfigurations, distances: Float[np.ndarray, "n robots"]) -> Float[np.ndarray, "n robots"]:
-    """The distances, ``inf`` for NaN where the configuration is to blame; a NaN that the function made is refused."""
-    if not np.isnan(distances.min(initial=np.inf)):  # which NaN would be
-        return distances
-    broken = np.isnan(distances)
-    unexplained = np.argwhere(broken & np.isfinite(q).all(axis=2))
-    if len(unexplained):
-        row, i = unexplained[0]
-        raise ValueError(
-            f"The distance function of robot {i} returned NaN at {q[row, i].tolist()}; "
-            "it must return inf where there is no way."
-        )
-    return np.where(broken, np.inf, distances)
-
-
-def _distance_fns(distance_fns: Any) -> tuple[DistanceFn, ...]:
+def _distance_fns(distance_fns: Any) -> tuple[AnyDistanceFn, ...]:
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
         raise ValueError(f"distance_fns must be a sequence of functions, one a robot, got {shortened(distance_fns)}.")
     distance_fns = tuple(distance_fns)

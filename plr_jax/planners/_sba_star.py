@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_number, require_integer
+from plr_jax._arrays import as_number, require_integer, runs
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, HeuristicFn, JointConfigurations
 from plr_jax.collision.team import JointMotionTest
@@ -88,8 +88,7 @@ class Neighbors(NamedTuple):
     def nearest(self, count: int) -> "Neighbors":
         """Of each point, that many nearest."""
         pairs = self.take(np.lexsort((self.distance, self.point)))
-        rank = np.arange(len(pairs.point)) - np.searchsorted(pairs.point, pairs.point)
-        return pairs.take(rank < count)
+        return pairs.take(runs(np.bincount(pairs.point))[1] < count)
 
 
 class _SBAStarSearch:
@@ -99,7 +98,10 @@ class _SBAStarSearch:
         self.problem, self.heuristic, self.max_nodes = problem, heuristic, max_nodes
         self.random = np.random.default_rng(seed)
         self.is_free = JointMotionTest(problem.workspace, problem.robots)
-        self.unit = _lengths_of_units(problem)
+        # How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner.
+        self.unit = np.ones(problem.starts.shape)
+        for i, robot in enumerate(problem.robots):
+            self.unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
         self.radius = _RADIUS * float(problem.workspace.bounds.width.max()) * np.sqrt(len(problem.robots))
         capacity = max_nodes + _NUM_EXPANDED * _NUM_SAMPLES
         self.near = _Neighborhoods(capacity, problem.starts.size, self.radius)
@@ -170,20 +172,17 @@ class _SBAStarSearch:
         self.q[rows] = q
         with self.timed("neighbors"):
             neighbors = self.near.insert((q * self.unit).reshape(len(q), -1))
-            self.count_neighbors(rows, neighbors)
+            # Count each neighbor by a Gaussian of its distance, for the new vertices and for the old ones near them.
+            weight = np.exp(-2 * (neighbors.distance / self.radius) ** 2)
+            np.add.at(self.crowd, rows[neighbors.point], weight)
+            old = neighbors.row < rows[0]
+            np.add.at(self.crowd, neighbors.row[old], weight[old])
         with self.timed("join"):
-            self.join(rows, owner, neighbors.take(neighbors.row < rows[0]).nearest(_NUM_PARENTS))
+            self.join(rows, owner, neighbors.take(old).nearest(_NUM_PARENTS))
         with self.timed("heuristic"):
             to_go = estimates(self.heuristic, q)
         self.to_go[rows] = np.where(np.isfinite(to_go), to_go, inherited)
         self.size += len(q)
-
-    def count_neighbors(self, rows: Int[np.ndarray, "n"], neighbors: Neighbors) -> None:
-        """Count each neighbor by a Gaussian of its distance, for the new vertices and for the old ones near them."""
-        weight = np.exp(-2 * (neighbors.distance / self.radius) ** 2)
-        np.add.at(self.crowd, rows[neighbors.point], weight)
-        old = neighbors.row < rows[0]
-        np.add.at(self.crowd, neighbors.row[old], weight[old])
 
     def join(self, rows: Int[np.ndarray, "n"], owner: Int[np.ndarray, "n"], neighbors: Neighbors) -> None:
         """Give each new vertex the parent by which its cost is least, of its owner and its old neighbors."""
@@ -217,16 +216,15 @@ class _SBAStarSearch:
 
     def path_to(self, row: int) -> Path:
         """The path through the tree to a vertex."""
-        path = []
-        while row >= 0:
-            path.append(row)
-            row = int(self.parent[row])
+        path = [row]
+        while self.parent[path[-1]] >= 0:
+            path.append(int(self.parent[path[-1]]))
         return self.q[path[::-1]]
 
     def stats(self) -> Stats:
         """What was done so far."""
-        counts = self.num_expansions, self.num_scored, self.num_valid
-        return Stats(self.size, *counts, dict(self.seconds), self.history)
+        counts = self.size, self.num_expansions, self.num_scored, self.num_valid
+        return Stats(*counts, dict(self.seconds), self.history)
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:
@@ -234,14 +232,6 @@ class _SBAStarSearch:
         began = time.perf_counter()
         yield
         self.seconds[phase] += time.perf_counter() - began
-
-
-def _lengths_of_units(problem: Problem) -> Float[np.ndarray, "robots dof"]:
-    """How far a unit of each coordinate moves a robot: of a heading, the robot's farthest corner."""
-    unit = np.ones(problem.starts.shape)
-    for i, robot in enumerate(problem.robots):
-        unit[i, 2:] = robot.circumscribed_radius if robot.dof == 3 else 0.0
-    return unit
 
 
 class _Neighborhoods:

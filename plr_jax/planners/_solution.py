@@ -2,10 +2,11 @@
 
 import enum
 import json
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,8 @@ from plr_jax.robots.robot import between, motions_under_way
 
 _KIND = "solution"
 _VERSION = 1
-_KEYS = ("status", "cost", "makespan", "lower_bound", "motions_factor", "path", "times", "stats")
+_NUMBERS = ("cost", "makespan", "lower_bound", "motions_factor")
+_KEYS = ("status", *_NUMBERS, "path", "times", "stats")
 _COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
 _MOST_BYTES = 2**26  # of a file: a path of about three million numbers
 
@@ -64,7 +66,10 @@ class Stats:
     @property
     def first_solution(self) -> float:
         """Seconds to the first path; ``inf`` if there is none."""
-        return self.history[0][0] if self.history else float("inf")
+        return self.history[0][0] if self.history else math.inf
+
+
+JointPath: TypeAlias = Float[np.ndarray, "steps robots dof"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +94,14 @@ class Solution:
             path was found.
     """
 
-    path: Float[np.ndarray, "steps robots dof"] | None
+    path: JointPath | None
     cost: float
     makespan: float
     lower_bound: float
     status: Status
     stats: Stats
     samples: Float[np.ndarray, "nodes robots dof"]
-    motions_factor: float = float("inf")
+    motions_factor: float = math.inf
     times: Float[np.ndarray, "steps"] | None = None
 
     @property
@@ -107,7 +112,7 @@ class Solution:
         """
         if self.cost == 0:
             return 1.0
-        return self.cost / self.lower_bound if self.lower_bound > 0 else float("inf")
+        return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf
 
     @property
     def solved(self) -> bool:
@@ -198,25 +203,23 @@ class Solution:
             return _solution_in(json_of(path, _MOST_BYTES))
 
     def __repr__(self) -> str:
-        return (
-            f"Solution({self.status.name}: cost {self.cost:.4g}, makespan {self.makespan:.4g}, "
-            f"lower bound {self.lower_bound:.4g}, "
-            f"{self.stats.num_nodes:,} nodes, {sum(self.stats.seconds.values()):.3g} s)"
-        )
+        costs = f"cost {self.cost:.4g}, makespan {self.makespan:.4g}, lower bound {self.lower_bound:.4g}"
+        effort = f"{self.stats.num_nodes:,} nodes, {sum(self.stats.seconds.values()):.3g} s"
+        return f"Solution({self.status.name}: {costs}, {effort})"
 
 
 def solution_of(
     problem: Problem,
-    path: Float[np.ndarray, "steps robots dof"] | None,
+    path: JointPath | None,
     lower_bound: float,
     status: Status,
     stats: Stats,
     samples: Float[np.ndarray, "nodes robots dof"],
-    motions_factor: float = float("inf"),
+    motions_factor: float = math.inf,
 ) -> Solution:
     """A solution, its costs computed from the path."""
     if path is None:
-        return Solution(None, float("inf"), float("inf"), lower_bound, status, stats, samples)
+        return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
     return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, motions_factor, times)
 
@@ -233,7 +236,7 @@ def save_solution(solution: Solution, path: str | os.PathLike[str], **more: Any)
         "format": format_name(_KIND),
         "version": _VERSION,
         "status": solution.status.name,
-        **{name: _or_null(getattr(solution, name)) for name in ("cost", "makespan", "lower_bound", "motions_factor")},
+        **{name: None if (number := getattr(solution, name)) == math.inf else float(number) for name in _NUMBERS},
         **more,
         "stats": {
             **{name: int(getattr(stats, name)) for name in _COUNTS},
@@ -251,29 +254,20 @@ def save_solution(solution: Solution, path: str | os.PathLike[str], **more: Any)
     write_atomically(Path(path), data)
 
 
-def _or_null(value: float) -> float | None:
-    return None if value == float("inf") else float(value)
-
-
 def _solution_in(entry: Any) -> Solution:
     """The solution that a document stands for; ``ValueError`` if it stands for none."""
     require_format(entry, _KIND, _VERSION, _KEYS)
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
         raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
-    cost, span, bound, factor = (
-        _finite_or_inf(name, entry[name]) for name in ("cost", "makespan", "lower_bound", "motions_factor")
-    )
+    numbers = (math.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
+    cost, span, bound, factor = numbers
     path, times = _motion_in(entry)
     if times is not None and (times[0] != 0 or times[-1] != span):
         raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
     samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
     stats = _stats_in(entry["stats"])
     return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
-
-
-def _finite_or_inf(name: str, value: Any) -> float:
-    return float("inf") if value is None else as_finite(f'"{name}"', value)
 
 
 def _motion_in(entry: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -299,16 +293,15 @@ def _stats_in(entry: Any) -> Stats:
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
     for name in _COUNTS:
         require_integer(f'"{name}"', entry[name], 0)
-    seconds, history = entry["seconds"], entry["history"]
-    if not isinstance(seconds, dict):
-        raise ValueError(f'expected "seconds" to be an object, got {shortened(seconds)}.')
-    if not isinstance(entry["found_by"], str):
-        raise ValueError(f'expected "found_by" to be a text, got {shortened(entry["found_by"])}.')
-    if not isinstance(history, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in history):
-        raise ValueError(f'expected "history" to be a list of pairs [seconds, cost], got {shortened(history)}.')
-    return Stats(
-        **{name: entry[name] for name in _COUNTS},
-        seconds={phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()},
-        history=tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history),
-        found_by=entry["found_by"],
-    )
+    seconds, history, found_by = entry["seconds"], entry["history"], entry["found_by"]
+    are_pairs = isinstance(history, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in history)
+    for name, fine, expected in (
+        ("seconds", isinstance(seconds, dict), "an object"),
+        ("found_by", isinstance(found_by, str), "a text"),
+        ("history", are_pairs, "a list of pairs [seconds, cost]"),
+    ):
+        if not fine:
+            raise ValueError(f'expected "{name}" to be {expected}, got {shortened(entry[name])}.')
+    seconds = {phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()}
+    history = tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history)
+    return Stats(**{name: entry[name] for name in _COUNTS}, seconds=seconds, history=history, found_by=found_by)

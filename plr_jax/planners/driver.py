@@ -4,6 +4,7 @@ import math
 import time
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,125 +13,18 @@ from tqdm import tqdm
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._budget import Incumbent, SearchBudget
+from plr_jax.planners._budget import BLOptions, Incumbent, SearchBudget
 from plr_jax.planners._heuristics import estimates, require_heuristic
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
-from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.searches import LatticeLevel, Searches, build_level, num_bytes, work
 from plr_jax.planners.smoothing import halved, shorten, shorten_in_corridors
 
-# A path that a search has found made cheaper: along the lattices first, then off them.
-
-
 _WAITING_SHARE = 1 / 4  # rows in which robots may wait, over those of a path
 _NEAR_LEAST = 1.1  # cost of a path over that of the robots alone
 _GAIN = 2e-3  # share of the cost below which replanning neighborhoods is not worth its time
 _ROUNDING = 1e-9
-
-
-class Improvement:
-    """What is done to a path along the lattices of a level; each that becomes the best is offered to the incumbent.
-
-    Args:
-        level: The lattices.
-        found_by: The search that found the path.
-        test: The team's motion test.
-        incumbent: The best path so far.
-        budget: Until when.
-        enough: Cost up to which a path is good enough; ``inf`` if any is, shortened once.
-    """
-
-    def __init__(
-        self,
-        level: LatticeLevel,
-        found_by: str,
-        test: JointMotionTest,
-        incumbent: Incumbent,
-        budget: SearchBudget,
-        enough: float,
-    ):
-        self.level, self.found_by, self.test = level, found_by, test
-        self.incumbent, self.budget, self.enough = incumbent, budget, enough
-        self.problem = level.joint.problem
-
-    def __call__(self, state: State) -> None:
-        """Offer a path, then cheaper ones along the lattices, then shortened ones."""
-        self._offer(state)
-        # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
-        gains = np.isfinite(self.enough) or self._factor(state) > _NEAR_LEAST
-        if len(self.problem.robots) > 1 and len(state) > 1 and gains:
-            state = self._replanned(state)
-        self._shorten(state)
-
-    def _replanned(self, state: State) -> Int[np.ndarray, "rows robots"]:
-        """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
-        waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
-        rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
-        if self.budget.memory + num_bytes_of_table(self.level.kinds, len(rows)) >= self.budget.max_memory:
-            return state
-        try:
-            with self.incumbent.phase("replan"):
-                table = ReservationTable(self.level.kinds, self.level.costs_to_go, rows, tolerance, self.budget)
-        except TimeoutError:
-            return state
-        with suppress(TimeoutError):  # whenever that strikes, the table's paths are free of collisions
-            self._replan(table)
-        self._offer(table.state)
-        table.held.release()
-        return until_arrival(table.state)
-
-    def _replan(self, table: ReservationTable) -> None:
-        with self.incumbent.phase("replan"):
-            replan_each(table)
-        self._offer(table.state)
-        rng = np.random.default_rng(0)
-        while not self._is_enough and not self.budget.exceeded():
-            before = table.cost.sum()
-            with self.incumbent.phase("replan"):
-                replan_neighborhoods(table, len(self.problem.robots), rng)
-            self._offer(table.state)
-            if before - table.cost.sum() <= _GAIN * before:
-                break
-
-    def _shorten(self, state: State) -> None:
-        """Shorten a path, and offer each version, until one is good enough."""
-        problem, test, factor = self.problem, self.test, self._factor(state)
-        path = self._path(state)
-        passes = [lambda path: shorten(problem, path, test)]
-        # Shortcuts leave a lone robot little to gain.
-        if len(problem.robots) > 1 or np.isfinite(self.enough):
-            width = self.level.step / 2
-            passes.append(lambda path: shorten_in_corridors(problem, path, test, width))
-        passes.append(lambda path: shorten(problem, halved(path), test))
-        for cheaper in passes:
-            if np.isfinite(self.enough) and self._is_enough:
-                return
-            with self.incumbent.phase("shorten"):
-                path = cheaper(path)
-            self.incumbent.offer(path, self.found_by, factor)
-
-    def _offer(self, state: State) -> None:
-        self.incumbent.offer(self._path(state), self.found_by, self._factor(state))
-
-    @property
-    def _is_enough(self) -> bool:
-        return self.incumbent.cost <= self.enough
-
-    def _path(self, state: State) -> Float[np.ndarray, "steps robots dof"]:
-        """The path of a state; one that begins with a whole turn if a robot's goal is its start but for that."""
-        path = self.level.joint.configurations(state)
-        if np.array_equal(path[0], self.problem.starts):
-            return path
-        return np.concatenate([self.problem.starts[None], path])
-
-    def _factor(self, state: State) -> float:
-        """Cost of a path over that of each robot's cheapest motions alone: no path along the lattices costs less."""
-        cost, least = path_cost(self.problem, self._path(state)), self.level.least_cost
-        if least > 0:
-            return (1 + _ROUNDING) * cost / least
-        return 1.0 if cost == 0 else float("inf")
 
 
 def until_arrival(state: State) -> Int[np.ndarray, "rows robots"]:
@@ -224,7 +118,10 @@ def bl_plan(
 
 
 class _Run:
-    """One call of the planner: searches on finer and finer lattices, and the best path so far."""
+    """One call of the planner: searches on finer and finer lattices, and the best path so far.
+
+    A path that a search has found is made cheaper along the lattices first, then off them.
+    """
 
     def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float, bar: tqdm):
         self.problem, self.heuristic, self.options, self.progress = problem, heuristic, options, bar
@@ -234,11 +131,13 @@ class _Run:
         self.enough = math.inf
         self.incumbent = Incumbent(problem, began)
         self.samples = problem.starts[None].copy()
-        self.num_bytes = 0.0
+        self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
     def until_done(self) -> Status:
         """Search, then search better, until the path is good enough or a limit is reached."""
-        self.lower_bound = max(self.lower_bound, _proven_cost(self.heuristic, self.problem))
+        if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
+            cost = float(estimates(self.heuristic, self.problem.starts[None].copy())[0])
+            self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
         if self.options.cost_factor < math.inf:
             self.enough = (1 + _ROUNDING) * self.options.cost_factor * self.lower_bound
         options, step, weight = self.options, self.options.step or self._first_step(), self.options.heuristic_weight
@@ -248,8 +147,7 @@ class _Run:
             status, step = self._take_turns(step, weight, options)
             if status is not Status.SOLVED or self.incumbent.cost <= self.enough:
                 return status
-            limit = self.budget.exceeded()
-            if limit:
+            if limit := self.budget.exceeded():
                 return limit
             following = _harder(step, weight, options)
             if following is None:
@@ -265,12 +163,11 @@ class _Run:
         Returns:
             Why they ended, and the step of the one that did.
         """
-        finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
+        finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         try:
             while True:
-                limit = self.budget.exceeded()
-                if limit:
+                if limit := self.budget.exceeded():
                     return limit, step
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
@@ -283,9 +180,8 @@ class _Run:
                 for searches in reversed(running):
                     status = self._search_on(searches)
                     if status is Status.SOLVED:
-                        for other in running:
-                            if other is not searches:
-                                other.release()
+                        for other in set(running) - {searches}:
+                            other.release()
                         self._improve(searches)
                     elif status is Status.EXHAUSTED:
                         searches.release()
@@ -302,20 +198,17 @@ class _Run:
 
         Coarse lattices may close a passage. Where robots go a long way around, halves of the step are tried.
         """
+        build = partial(build_level, self.problem, self.test, primitives=self.options.primitives)
         with self.incumbent.phase("lattice"), suppress(TimeoutError):
-            level = self._build(step)
+            level = build(step=step)
             while level is not None and may_halve and self._goes_around(level):
-                finer = self._build(level.step / 2)
+                finer = build(step=level.step / 2)
                 if finer is None or finer.least_cost > (1 - _SHORTER) * level.least_cost:
                     break
                 level = finer
                 self._fits(level.step)
             return level
         return None
-
-    def _build(self, step: float) -> LatticeLevel | None:
-        """The lattices of one step."""
-        return build_level(self.problem, self.test, step, self.options.primitives)
 
     def _goes_around(self, level: LatticeLevel) -> bool:
         """Whether a robot's way along its lattice is much longer than straight, and a finer lattice is not large."""
@@ -341,9 +234,63 @@ class _Run:
         return status
 
     def _improve(self, searches: Searches) -> None:
-        """Offer a path that was found, and cheaper ones made of it."""
-        found_by, state = searches.found
-        Improvement(searches.level, found_by, self.test, self.incumbent, self.budget, self.enough)(state)
+        """Offer a path that was found, then cheaper ones along the lattices, then shortened ones till one will do."""
+        problem, test, level, (_, state) = self.problem, self.test, searches.level, searches.found
+        path, found_by, factor = self._path(searches, state)
+        self.incumbent.offer(path, found_by, factor)
+        # A path that costs hardly more than the robots alone has nothing to gain that shortening does not find.
+        gains = self.enough < math.inf or factor > _NEAR_LEAST
+        if len(problem.robots) > 1 and len(state) > 1 and gains:
+            path, _, factor = self._path(searches, self._replanned(searches, state))
+        passes = [
+            lambda path: shorten(problem, path, test),
+            lambda path: shorten_in_corridors(problem, path, test, level.step / 2),
+            lambda path: shorten(problem, halved(path), test),
+        ]
+        if len(problem.robots) == 1 and self.enough == math.inf:
+            del passes[1]  # shortcuts leave a lone robot little to gain
+        for cheaper in passes:
+            if self.incumbent.cost <= self.enough < math.inf:
+                return
+            with self.incumbent.phase("shorten"):
+                path = cheaper(path)
+            self.incumbent.offer(path, found_by, factor)
+
+    def _replanned(self, searches: Searches, state: State) -> Int[np.ndarray, "rows robots"]:
+        """Plan robots anew among the others, each alone, then neighborhoods of them while that gains."""
+        level, budget = searches.level, self.budget
+        waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
+        rows, tolerance = np.concatenate([state, waiting]), self.problem.workspace.tolerance
+        if budget.memory + num_bytes_of_table(level.kinds, len(rows)) >= budget.max_memory:
+            return state
+        table = None
+        with self.incumbent.phase("replan"), suppress(TimeoutError):
+            table = ReservationTable(level.kinds, level.costs_to_go, rows, tolerance, budget)
+            # Whenever time is up from here on, the table's paths are free of collisions.
+            replan_each(table)
+            self.incumbent.offer(*self._path(searches, table.state))
+            rng = np.random.default_rng(0)
+            while self.incumbent.cost > self.enough and not budget.exceeded():
+                before = table.cost.sum()
+                replan_neighborhoods(table, len(self.problem.robots), rng)
+                self.incumbent.offer(*self._path(searches, table.state))
+                if before - table.cost.sum() <= _GAIN * before:
+                    break
+        if table is None:
+            return state
+        self.incumbent.offer(*self._path(searches, table.state))
+        table.held.release()
+        return until_arrival(table.state)
+
+    def _path(self, searches: Searches, state: State) -> tuple[Float[np.ndarray, "steps robots dof"], str, float]:
+        """The path of a state, who found it, and its cost over that of each robot's cheapest motions alone."""
+        path, least = searches.level.joint.configurations(state), searches.level.least_cost
+        if not np.array_equal(path[0], self.problem.starts):
+            # A robot's goal is its start but for whole turns: the path begins with these.
+            path = np.concatenate([self.problem.starts[None], path])
+        cost = path_cost(self.problem, path)
+        factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
+        return path, searches.found[0], factor
 
     def _fits(self, step: float) -> bool:
         """Whether the lattices of a step fit into memory beside what is there. What they need is reported."""
@@ -355,10 +302,13 @@ class _Run:
 
     def _first_step(self) -> float:
         """A step to begin with, of lattices that are built soon: the coarsest one tried if memory is short."""
-        step, coarsest = _step_of_robots(self.problem), _COARSEST * float(self.problem.workspace.bounds.width.max())
-        while step < coarsest and work(self.problem, step, len(self.options.primitives)) > _MOST_FIRST:
-            step *= _REFINEMENT
-        while step < coarsest and not self._fits(step):
+        # Cells about as large as the smallest robot, whose lattices have room for it to pass.
+        sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in self.problem.robots]
+        size = min(size or _POINT_STEP * self.extent for size in sizes)
+        step = float(np.clip(size, _FINEST_FIRST * self.extent, _COARSEST_FIRST * self.extent))
+        coarsest = _COARSEST * self.extent
+        num_primitives = len(self.options.primitives)
+        while step < coarsest and (work(self.problem, step, num_primitives) > _MOST_FIRST or not self._fits(step)):
             step *= _REFINEMENT
         return step
 
@@ -371,18 +321,3 @@ def _harder(step: float, weight: float, options: BLOptions) -> tuple[float, floa
     if "lacam" in options.searchers:  # on the same lattice it would do the same again
         return (step, weight, replace(options, searchers=("bl",))) if "bl" in options.searchers else None
     return (step, lighter, options) if lighter < weight else None
-
-
-def _proven_cost(heuristic: HeuristicFn | None, problem: Problem) -> float:
-    """What a heuristic proves of the cost of any path: its value at the starts, if it is a lower bound, else 0."""
-    if not (isinstance(heuristic, BoundingFn) and heuristic.is_lower_bound):
-        return 0.0
-    cost = float(estimates(heuristic, problem.starts[None].copy())[0])
-    return (1 - _ROUNDING) * cost if np.isfinite(cost) else 0.0
-
-
-def _step_of_robots(problem: Problem) -> float:
-    """That of lattices about as fine as the smallest robot is large."""
-    extent = float(problem.workspace.bounds.width.max())
-    sizes = [min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots]
-    return float(np.clip(min(sizes), _FINEST_FIRST * extent, _COARSEST_FIRST * extent))

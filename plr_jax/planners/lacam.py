@@ -2,8 +2,8 @@
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,13 +13,14 @@ from tqdm import tqdm
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._budget import HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
-from plr_jax.planners.lattice.joint import JointLattice, Kind, State
+from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds
 
 # What the robots of a team may do next from a joint configuration, and which of their motions collide.
 
 
-Bits: TypeAlias = int
-"""A set of primitives: bit ``p`` for primitive ``p``."""
+Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
+JointNode: TypeAlias = Int[np.ndarray, "robots"]  # nodes of all robots
+Robots: TypeAlias = Int[np.ndarray, "m"]
 
 _WORD = 62  # bits of a NumPy integer that are safe to use
 _MOST = 1 << 21  # pairs of motions at a time, between two looks at the clock
@@ -50,13 +51,7 @@ class TeamMoves:
         deadline: On the clock of ``time.perf_counter``; a call that passes it raises ``TimeoutError``.
     """
 
-    def __init__(
-        self,
-        kinds: Sequence[Kind],
-        heuristic: Sequence[Float[np.ndarray, "_ _"]],
-        tolerance: float,
-        deadline: float = math.inf,
-    ):
+    def __init__(self, kinds: Sequence[Kind], heuristic: OfKinds, tolerance: float, deadline: float = math.inf):
         self.kinds, self.heuristic, self.tolerance, self.deadline = kinds, heuristic, tolerance, deadline
         self.num_robots = sum(len(kind.members) for kind in kinds)
         self.kind, self.row, self.reach = np.zeros((3, self.num_robots))
@@ -65,11 +60,9 @@ class TeamMoves:
             self.reach[kind.members] = kind.robot.circumscribed_radius + kind.edges.stride
         self.kind, self.row = self.kind.astype(np.intp), self.row.astype(np.intp)
 
-    def __call__(self, state: Int[np.ndarray, "robots"]) -> Moves:
+    def __call__(self, state: JointNode) -> Moves:
         """The moves from a joint configuration."""
-        child: list[list[int]] = [[]] * self.num_robots
-        ranked: list[list[int]] = [[]] * self.num_robots
-        neighbors: list[list[tuple[int, list[Bits]]]] = [[] for _ in range(self.num_robots)]
+        child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, position = [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             node = state[kind.members]
@@ -94,31 +87,27 @@ class TeamMoves:
                 neighbors[other].append((robot, theirs))
         return Moves(child, ranked, neighbors)
 
-    def estimates(self, state: Int[np.ndarray, "robots"]) -> Float[np.ndarray, "robots"]:
+    def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
         """The heuristic of each robot."""
         values = np.empty(self.num_robots)
         for kind, estimate in zip(self.kinds, self.heuristic, strict=True):
             values[kind.members] = estimate[np.arange(len(kind.members)), state[kind.members]]
         return values
 
-    def _near(
-        self, position: Float[np.ndarray, "robots 2"]
-    ) -> list[tuple[int, int, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
+    def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
         """Pairs of robots that primitives may bring together: two kinds, and some robots of each, at a time."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
         first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
-        found = []
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
             size = max(1, _MOST // (self.kinds[a].table.child.shape[1] * self.kinds[b].table.child.shape[1]))
             alike = np.flatnonzero(pairs == pair)
             for begin in range(0, len(alike), size):
                 some = alike[begin : begin + size]
-                found.append((a, b, first[some], second[some]))
-        return found
+                yield a, b, first[some], second[some]
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
@@ -229,14 +218,11 @@ class Node:
         constraints: What to ask of the next steps from here.
     """
 
-    state: Int[np.ndarray, "robots"]
+    state: JointNode
     parent: "Node | None"
     waiting: Float[np.ndarray, "robots"]
-    order: list[int] = field(init=False)
-    constraints: deque[tuple[tuple[int, int], ...]] = field(default_factory=lambda: deque([()]))
-
-    def __post_init__(self) -> None:
-        self.order = np.argsort(-self.waiting, kind="stable").tolist()
+    order: list[int]
+    constraints: deque[tuple[tuple[int, int], ...]]
 
 
 class LaCAM:
@@ -270,22 +256,34 @@ class LaCAM:
         """
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
-            limit = self.budget.exceeded()
-            if limit:
+            if limit := self.budget.exceeded():
                 return limit
             node = self.open[-1]
-            if node.constraints:
-                self._take_step(node)
+            if not node.constraints:
+                self.open.pop()
+            else:
+                # One more step of the team, under the node's next constraints.
+                constraints = node.constraints.popleft()
+                moves = self.moves(node.state)
+                self.num_idle += 1
+                self.budget.num_expansions += 1
+                self.budget.num_children_scored += sum(map(len, moves.child))
+                if len(constraints) < len(node.order):
+                    robot = node.order[len(constraints)]
+                    node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
+                    self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
+                primitives = PIBT(moves).find(node.order, constraints)
+                if primitives is not None:
+                    self.budget.num_children_valid += 1
+                    self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
                     progress.update()
-            else:
-                self.open.pop()
         if self.found is not None:
             return Status.SOLVED
         return None if self.open else Status.EXHAUSTED
 
     @property
-    def branch(self) -> State:
+    def branch(self) -> Int[np.ndarray, "n robots"]:
         """States from the starts to the goals, once these are found."""
         states, node = [], self.found
         while node is not None:
@@ -294,34 +292,20 @@ class LaCAM:
         return np.array(states[::-1])
 
     @property
-    def state(self) -> State:
+    def state(self) -> Int[np.ndarray, "n robots"]:
         """All nodes, in the order of their making."""
         return np.array([node.state for node in self.nodes.values()])
 
-    def _take_step(self, node: Node) -> None:
-        """One more step of the team, under the node's next constraints."""
-        constraints = node.constraints.popleft()
-        moves = self.moves(node.state)
-        self.num_idle += 1
-        self.budget.num_expansions += 1
-        self.budget.num_children_scored += sum(map(len, moves.child))
-        if len(constraints) < len(node.order):
-            robot = node.order[len(constraints)]
-            node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
-            self.held.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
-        primitives = PIBT(moves).find(node.order, constraints)
-        if primitives is not None:
-            self.budget.num_children_valid += 1
-            self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
-
-    def _add(self, state: Int[np.ndarray, "robots"], parent: Node | None) -> None:
+    def _add(self, state: JointNode, parent: Node | None) -> None:
         """Put a state on top, as a new node if it is not known."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:
             arrived: Bool[np.ndarray, robots] = state == self.goal
             before = self.at_rest if parent is None else parent.waiting + 1
-            node = self.nodes[key] = Node(state, parent, np.where(arrived, self.at_rest, before))
+            waiting = np.where(arrived, self.at_rest, before)
+            order = np.argsort(-waiting, kind="stable").tolist()
+            node = self.nodes[key] = Node(state, parent, waiting, order, deque([()]))
             self.budget.num_nodes += 1
             self.held.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():

@@ -6,6 +6,8 @@ References:
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -14,7 +16,7 @@ from scipy.spatial import KDTree
 from plr_jax._arrays import run_members
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._budget import HeldMemory, SearchBudget
-from plr_jax.planners.lattice.joint import Kind
+from plr_jax.planners.lattice.joint import Kind, OfKinds, State
 
 # Which edges of one kind of robot collide with those of another, found when first asked for, and kept.
 
@@ -23,16 +25,19 @@ _CHUNK, _PAIRS = 256, 1 << 13  # edges, and pairs of them, at a time: they stay 
 _ENTRY_BYTES = 200  # what an edge takes, besides those that collide with it
 
 
+EdgeList: TypeAlias = Int[np.ndarray, "_"]
+
+
 class Conflicts:
     """Collisions of simultaneous motions along the edges of a team's lattices; ``held`` counts what it keeps."""
 
     def __init__(self, kinds: Sequence[Kind], tolerance: float, held: HeldMemory):
         self.kinds, self.tolerance, self.held = kinds, tolerance, held
-        pairs = [(a, b) for a in range(len(kinds)) for b in range(len(kinds))]
-        self._known: dict[tuple[int, int], dict[int, Int[np.ndarray, _]]] = {pair: {} for pair in pairs}
+        pairs = list(product(range(len(kinds)), range(len(kinds))))
+        self._known: dict[tuple[int, int], dict[int, EdgeList]] = {pair: {} for pair in pairs}
         self._chunk = dict.fromkeys(pairs, 1)
 
-    def of(self, a: int, edges: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
+    def of(self, a: int, edges: EdgeList, b: int) -> list[EdgeList]:
         """For each of some edges of kind ``a``, the edges of kind ``b`` that collide with it.
 
         Raises:
@@ -49,7 +54,7 @@ class Conflicts:
             self.held.add(sum(_ENTRY_BYTES + edges.nbytes for edges in found))
         return [known[edge] for edge in wanted]
 
-    def _find(self, a: int, motion: Int[np.ndarray, "m"], b: int) -> list[Int[np.ndarray, "_"]]:
+    def _find(self, a: int, motion: EdgeList, b: int) -> list[EdgeList]:
         ours, others = self.kinds[a], self.kinds[b]
         begin, end = (q[motion] for q in ours.edges.q)
         reach = sum(kind.robot.circumscribed_radius + kind.edges.stride for kind in (ours, others))
@@ -104,12 +109,7 @@ class ReservationTable:
     """
 
     def __init__(
-        self,
-        kinds: Sequence[Kind],
-        costs_to_go: Sequence[Float[np.ndarray, "_ _"]],
-        state: Int[np.ndarray, "rows robots"],
-        tolerance: float,
-        budget: SearchBudget,
+        self, kinds: Sequence[Kind], costs_to_go: OfKinds, state: State, tolerance: float, budget: SearchBudget
     ):
         self.kinds, self.costs_to_go, self.state, self.budget = kinds, costs_to_go, state.copy(), budget
         self.held = HeldMemory(budget)
@@ -130,21 +130,10 @@ class ReservationTable:
             self.held.release()
             raise
 
-    @property
-    def num_robots(self) -> int:
-        """Robots of the team."""
-        return self.state.shape[1]
-
     def gaps(self, i: int) -> Float[np.ndarray, "robots"]:
         """The least distance of each robot's position from that of one of them over time, 0 for itself."""
-        gaps = np.empty(self.num_robots)
-        position = self._positions(i)
-        for j in range(self.num_robots):
-            gaps[j] = np.hypot(*(self._positions(j) - position).T).min()
-        return gaps
-
-    def _positions(self, i: int) -> Float[np.ndarray, "rows 2"]:
-        return self.kinds[self.place[i][0]].table.q[self.state[:, i], :2]
+        positions = [self.kinds[self.place[j][0]].table.q[self.state[:, j], :2] for j in range(len(self.cost))]
+        return np.array([np.hypot(*(position - positions[i]).T).min() for position in positions])
 
     def reserve(self, i: int) -> None:
         """Block what collides with the path of a robot; ``TimeoutError`` if time or memory is spent before."""
@@ -192,9 +181,7 @@ class ReservationTable:
             self.state[step, i] = nodes[at]
         return True
 
-    def _collisions(
-        self, i: int
-    ) -> Iterator[tuple[Shaped[np.ndarray, "steps edges"], tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]]:
+    def _collisions(self, i: int) -> Iterator[tuple[Shaped[np.ndarray, "steps edges"], tuple[EdgeList, EdgeList]]]:
         """What is blocked for each kind, and where the path of a robot blocks it: nowhere twice."""
         motions = self._motions(i)
         for b, blocked in enumerate(self.blocked):
@@ -242,24 +229,22 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
         table.release(i)
-    num_reserved = 0
+    reserved = []
     try:
         for done, i in enumerate(robots):
             spent, needed = table.cost[robots[:done]].sum(), table.least[robots[done + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
-                break
+                return False
             table.reserve(i)
-            num_reserved += 1
-        else:
-            return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+            reserved.append(i)
+        return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
     finally:
-        if num_reserved < len(robots):
-            for i in robots[:num_reserved]:
+        if len(reserved) < len(robots):
+            for i in reserved:
                 table.release(i)
             table.state[:, robots], table.cost[robots] = state, cost
             for i in robots:
                 table.reserve(i)
-    return False
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
@@ -268,7 +253,7 @@ def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Gen
         loss = np.maximum(table.cost - table.least, 0.0)
         if table.budget.spent() or loss.sum() <= _ROUNDING * table.least.sum():
             return
-        i = int(rng.choice(table.num_robots, p=loss / loss.sum()))
-        gap = table.gaps(i) * rng.uniform(1, 2, table.num_robots)
+        i = int(rng.choice(len(loss), p=loss / loss.sum()))
+        gap = table.gaps(i) * rng.uniform(1, 2, len(loss))
         neighborhood = np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]
         replan_together(table, rng.permutation(neighborhood).tolist())

@@ -10,16 +10,15 @@ from tqdm import tqdm
 
 from plr_jax._deadline import require_time
 from plr_jax._problem import Problem
-from plr_jax._types import HeuristicFn, SeparableHeuristic
+from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, straight_line
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.options import BLOptions
-from plr_jax.planners.bl.search import BestFirstSearch, HeuristicTable, bytes_of_tables, heuristic_table, tabulate
+from plr_jax.planners.bl.search import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
-from plr_jax.planners.lattice.joint import JointLattice, Kind, State, by_robot, kinds_of
+from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds, State, by_robot, kinds_of
 from plr_jax.robots.robot import Robot
 
 # The lattices of a team that have one step, and the costs along them.
@@ -47,7 +46,7 @@ class LatticeLevel:
     step: float
     joint: JointLattice
     kinds: Sequence[Kind]
-    costs_to_go: Sequence[Float[np.ndarray, "_ _"]]
+    costs_to_go: OfKinds
     num_bytes: int
 
     @property
@@ -91,10 +90,8 @@ def num_bytes(problem: Problem, step: float, num_primitives: int) -> float:
 
 def work(problem: Problem, step: float, num_primitives: int) -> float:
     """About how many motions have to be tested to build the lattices of a step; one that turns counts as several."""
-    each = (
-        (_TURNING if robot.dof == 3 else 1) * num_configurations(problem.workspace, robot, step)
-        for robot, _ in _kinds(problem)
-    )
+    of_dof = {2: 1, 3: _TURNING}
+    each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + num_primitives) * sum(each)
 
 
@@ -137,18 +134,13 @@ class Searches:
     """
 
     def __init__(
-        self,
-        level: LatticeLevel,
-        heuristic: HeuristicFn | None,
-        weight: float,
-        options: BLOptions,
-        budget: SearchBudget,
+        self, level: LatticeLevel, heuristic: Plain, weight: float, options: BLOptions, budget: SearchBudget
     ):
         self.level, self.weight, self.options, self.budget = level, weight, options, budget
         self.held = HeldMemory(budget)
         num_nodes = sum(len(lattice.q) for lattice in level.joint.lattices)
         self.held.add(level.num_bytes + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2))
-        self.plain: HeuristicFn | None = None
+        self.plain: Plain = None
         terms = by_robot(level.kinds, level.costs_to_go)
         self.tables: Sequence[Float[np.ndarray, _]] = terms
         if isinstance(heuristic, SeparableHeuristic):
@@ -157,12 +149,11 @@ class Searches:
             problem = level.joint.problem
             estimates(heuristic, problem.starts[None].copy())  # whether it is one
             self.plain, self.tables = heuristic, tabulate(level.joint, straight_line(problem), budget.deadline)
-        self.lacam: LaCAM | None = None
+        self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in options.searchers:
             by_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in level.kinds]
             moves = TeamMoves(level.kinds, by_kind, level.joint.problem.workspace.tolerance, budget.deadline)
-            self.lacam = LaCAM(level.joint, moves, budget)
-        self.best_first: BestFirstSearch | None = None
+            self.running["lacam"] = LaCAM(level.joint, moves, budget)
         self.turn = 1.0  # length of the next one, in first ones
 
     def run(self, bar: tqdm) -> Status | None:
@@ -174,51 +165,42 @@ class Searches:
         Raises:
             TimeoutError: If the deadline passes within a step.
         """
-        num_robots, status = len(self.level.joint.lattices), None
-        if self.lacam is not None:
-            status = self.lacam.run(int(self.turn * _IDLE_STEPS * num_robots), bar)
-        if self.lacam is None and not self._has_room:
-            return Status.MEMORY_LIMIT
-        if status is None and "bl" in self.options.searchers and self._has_room:
-            if self.best_first is None:
-                self.best_first = BestFirstSearch(self.level.joint, self._table, self.options, self.budget)
+        joint, budget, status = self.level.joint, self.budget, None
+        num_robots, finds_all = len(joint.lattices), "lacam" in self.running
+        if finds_all:
+            status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
+        lacks_path = status is None and "bl" in self.options.searchers
+        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory):
+            if "bl" not in self.running:
+                table = heuristic_table(joint, self.tables, self.weight, self.plain, budget.deadline)
+                self.running["bl"] = BestFirstSearch(joint, table, self.options, budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
-            status = self.best_first.run(max(1, int(self.turn * expansions)), bar)
+            status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
             # Cells that are larger than a configuration may hide a path.
-            if status is Status.EXHAUSTED and self.options.cell_size is not None and self.lacam is not None:
+            if status is Status.EXHAUSTED and self.options.cell_size is not None and finds_all:
                 status = None
+        elif not finds_all:
+            return Status.MEMORY_LIMIT
         self.turn *= _LONGER
         return status
 
     def release(self) -> None:
         """Stop counting what the lattices and the searches hold."""
-        for each in (self, self.lacam, self.best_first):
-            if each is not None:
-                each.held.release()
+        for each in (self, *self.running.values()):
+            each.held.release()
 
     @property
     def found(self) -> tuple[str, State]:
         """The search that has reached the goals, and its states from the starts to them."""
-        for name, search in (("lacam", self.lacam), ("bl", self.best_first)):
-            if search is not None and search.found is not None:
-                return name, search.branch
-        raise AssertionError("No search has reached the goals.")
+        return next((name, search.branch) for name, search in self.running.items() if search.found is not None)
 
     @property
     def state(self) -> State:
         """The nodes of the search that has more of them, or the starts before there is one."""
-        states = [search.state for search in (self.lacam, self.best_first) if search is not None]
-        return max(states, key=len, default=np.array([[lattice.start for lattice in self.level.joint.lattices]]))
+        starts = np.array([[lattice.start for lattice in self.level.joint.lattices]])
+        return max((search.state for search in self.running.values()), key=len, default=starts)
 
     @property
     def num_bytes_needed(self) -> int:
         """What best-first search needs to begin, beside what is held."""
-        return bytes_of_tables(self.level.joint) if self.best_first is None else 0
-
-    @property
-    def _has_room(self) -> bool:
-        return self.budget.memory + self.num_bytes_needed < self.options.max_memory or self.best_first is not None
-
-    @property
-    def _table(self) -> HeuristicTable:
-        return heuristic_table(self.level.joint, self.tables, self.weight, self.plain, self.budget.deadline)
+        return 0 if "bl" in self.running else bytes_of_tables(self.level.joint)

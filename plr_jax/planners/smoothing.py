@@ -6,6 +6,7 @@ its way has moved.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,10 @@ from plr_jax.robots.robot import between
 
 
 Path = Float[np.ndarray, "steps robots dof"]
-Corridor = Float[np.ndarray, "steps size dof"]
+Corridor = Float[np.ndarray, "steps _ dof"]  # robots of several kinds have patterns of several sizes
+Costs = Float[np.ndarray, "motions size size"]
+OfOne = Float[np.ndarray, "motions _ _"]
+Robots = tuple[int, ...]
 
 _STRAIGHT = 1e-9  # share of its length by which a straight way is longer at most
 _GAIN = 3e-3  # share of the cost below which the corridors are narrowed
@@ -47,25 +51,25 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     """
     traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
-    while width > narrowest:
-        for robots, rows in _groups(problem, traffic.path, width):
-            if _is_straight(problem, traffic.path[rows], robots):
-                continue
-            try:
+    with suppress(TimeoutError):
+        while width > narrowest:
+            for robots, rows in _groups(problem, traffic.path, width):
+                own, weights = traffic.path[rows, robots], problem.rotation_weights[list(robots)]
+                least = straight_costs(own[0], own[-1], weights).sum()
+                if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
+                    continue  # they go straight: there is nothing to gain
                 found = _shortened(problem, traffic, rows, robots, test, width, diagonal)
-            except TimeoutError:
-                return traffic.path
-            for i, q in zip(robots, found, strict=True):
-                if (q != traffic.path[rows, i]).any():
-                    traffic.move(i, q, rows)
-        diagonal = not diagonal
-        before, cost = cost, path_cost(problem, traffic.path)
-        if before - cost <= _GAIN * before:
-            width /= 2
+                for i, q in zip(robots, found, strict=True):
+                    if (q != traffic.path[rows, i]).any():
+                        traffic.move(i, q, rows)
+            diagonal = not diagonal
+            before, cost = cost, path_cost(problem, traffic.path)
+            if before - cost <= _GAIN * before:
+                width /= 2
     return traffic.path
 
 
-def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[tuple[int, ...], slice]]:
+def _groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
     """What is shortened together: every robot alone, and each two in the rows in which they touch.
 
     The path may change between one and the next.
@@ -88,19 +92,11 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
 
 
-def _is_straight(problem: Problem, path: Path, robots: tuple[int, ...]) -> bool:
-    """Whether robots go about straight from the first row to the last: there is nothing to gain."""
-    weights = problem.rotation_weights[list(robots)]
-    own = path[:, list(robots)]
-    least = straight_costs(own[0], own[-1], weights).sum()
-    return bool(straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least)
-
-
 def _shortened(
     problem: Problem,
     traffic: Traffic,
     rows: slice,
-    robots: tuple[int, ...],
+    robots: Robots,
     test: JointMotionTest,
     width: float,
     diagonal: bool,
@@ -111,38 +107,55 @@ def _shortened(
     deadline of the test.
     """
     require_time(test.deadline, "all corridors were searched")
-    path = traffic.path[rows]
+    path, motion = traffic.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(own) for own in corridors]
-    motion = np.arange(rows.start, rows.start + len(path) - 1)
-    costs = [
-        straight_costs(own[:-1, :, None], own[1:, None], problem.rotation_weights[i])
-        for i, own in zip(robots, corridors, strict=True)
-    ]
+    own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
+    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
     through = [_least_through(cost) for cost in costs]
     least = [float(cost[0].min()) for cost in through]
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
-    for i, own, reached, cost, total, alone in zip(robots, corridors, around, costs, through, least, strict=True):
-        hopeful = total < (1 - _ROUNDING) * (alone + spare)
-        _block(cost, hopeful, traffic, motion, robots, i, own, reached, test)
-    cost = costs[0]
-    if len(robots) == 2:
-        # From each two of their places to each two.
-        (i, j), (a, b) = robots, corridors
-        cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
-        shape, size = cost.shape, cost.shape[1] * cost.shape[2]
-        cost = cost.reshape(-1, size, size)
-        hopeful = _least_through(cost) < (1 - _ROUNDING) * cost[:, 0, 0].sum()
-        near = np.zeros(len(cost), dtype=bool)
-        near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
-        tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
-        row, a_first, b_first, a_last, b_last = tested
-        apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
+    for i, corridor, reached, cost, total, alone in zip(
+        robots, corridors, around, costs, through, least, strict=True
+    ):
+        # The motions that the robot makes keep their cost. Others must be hopeful, and hit no wall and no other robot
+        # but those that are shortened with it.
+        own, hopeful = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
         cost[~hopeful] = np.inf
-        cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
-        cost[:, 0, 0] = costs[0][:, 0, 0] + costs[1][:, 0, 0]
+        row, first, last = np.nonzero(hopeful)
+        tight = ~test.of_walls[i].has_room(*reached)[row]
+        begin, end = corridor[row, first], corridor[row + 1, last]
+        free = np.ones(len(row), dtype=bool)
+        free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
+        near, other = traffic.near(i, reached, motion, robots)
+        tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
+        free[tested[test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])]] = False
+        cost[row[~free], first[~free], last[~free]] = np.inf
+        cost[:, 0, 0] = own
+    cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
+
+
+def _joint_costs(
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[OfOne], test: JointMotionTest
+) -> Float[np.ndarray, "motions pairs pairs"]:
+    """Costs from each two of two robots' places to each two, ``inf`` where they collide with one another."""
+    (i, j), (a, b) = robots, corridors
+    cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
+    shape, size = cost.shape, cost.shape[1] * cost.shape[2]
+    cost = cost.reshape(-1, size, size)
+    own = cost[:, 0, 0].copy()
+    hopeful = _least_through(cost) < (1 - _ROUNDING) * own.sum()
+    near = np.zeros(len(cost), dtype=bool)
+    near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
+    tested = np.nonzero((hopeful & near[:, None, None]).reshape(shape))
+    row, a_first, b_first, a_last, b_last = tested
+    apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
+    cost[~hopeful] = np.inf
+    cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
+    cost[:, 0, 0] = own
+    return cost
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
@@ -151,45 +164,14 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
     offsets = np.zeros((len(_FIVE), q.shape[1]))
     offsets[:, :2] = width * _FIVE @ axes
     if problem.robots[i].dof == 3:
-        turns = np.zeros((2, 3))
-        turns[:, 2] = np.array([1, -1]) * width / problem.robots[i].circumscribed_radius
-        offsets = np.concatenate([offsets, turns])
+        turn = width / problem.robots[i].circumscribed_radius
+        offsets = np.concatenate([offsets, [(0, 0, turn), (0, 0, -turn)]])
     corridor = q[:, None] + offsets
     corridor[[0, -1]] = q[[0, -1], None]
     return corridor
 
 
-def _block(
-    cost: Float[np.ndarray, "motions size size"],
-    hopeful: Bool[np.ndarray, "motions size size"],
-    traffic: Traffic,
-    motion: Int[np.ndarray, "motions"],
-    robots: tuple[int, ...],
-    i: int,
-    corridor: Corridor,
-    around: Circles,
-    test: JointMotionTest,
-) -> None:
-    """Set the cost of motions within a robot's corridor to ``inf`` that are not hopeful, hit a wall, or hit a robot.
-
-    Those that the robot makes keep theirs. ``robots`` are not tested against one another.
-    """
-    own = cost[:, 0, 0].copy()
-    cost[~hopeful] = np.inf
-    row, first, last = np.nonzero(hopeful)
-    tight = ~test.of_walls[i].has_room(*around)[row]
-    begin, end = corridor[row, first], corridor[row + 1, last]
-    free = np.ones(len(row), dtype=bool)
-    free[tight] = test.of_walls[i](begin[tight], end[tight], test.deadline)
-    near, other = traffic.near(i, around, motion, robots)
-    tested, pair = run_members(np.searchsorted(row, np.arange(len(motion) + 1)), near)
-    meet = test.meet(i, begin[tested], end[tested], traffic, motion[near[pair]], other[pair])
-    free[tested[meet]] = False
-    cost[row[~free], first[~free], last[~free]] = np.inf
-    cost[:, 0, 0] = own
-
-
-def _least_through(cost: Float[np.ndarray, "motions size size"]) -> Float[np.ndarray, "motions size size"]:
+def _least_through(cost: Costs) -> Costs:
     """Cost of the cheapest sequence of motions, from place 0 to place 0, that each motion is part of."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # from the first row on, and from the last one back
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
@@ -199,7 +181,7 @@ def _least_through(cost: Float[np.ndarray, "motions size size"]) -> Float[np.nda
     return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
 
 
-def _cheapest(cost: Float[np.ndarray, "motions size size"]) -> Int[np.ndarray, "steps"]:
+def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
     """Places of the cheapest sequence of motions, from place 0 to place 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
@@ -230,24 +212,24 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     The path has as many rows, solves the problem as well, and is never costlier. It ends early at the deadline
     of the test.
     """
-    traffic, cost, spans = Traffic(test.robots, path), path_cost(problem, path), _spans(len(path))
+    traffic, cost = Traffic(test.robots, path), path_cost(problem, path)
     hopeful = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(hopeful), len(hopeful)), dtype=bool)  # of each robot, who kept it from gaining
-    while True:
-        for i in range(len(hopeful)):
-            if not hopeful[i]:
-                continue
-            try:
-                rows, in_way[i] = _with_shortcuts(problem, traffic, i, test, spans)
-            except TimeoutError:
-                return traffic.path
-            hopeful[i] = len(rows) < len(path)
-            if hopeful[i]:
-                traffic.move(i, _along(traffic.path[:, i], rows))
-                hopeful |= in_way[:, i]
-        before, cost = cost, path_cost(problem, traffic.path)
-        if before - cost <= _LEAST_ROUND_GAIN * before:
-            return traffic.path
+    # First and last rows of the motions and of all that may be a shortcut.
+    begin, place = runs(np.minimum(np.arange(len(path))[::-1], _LONGEST))
+    end, gains = begin + 1 + place, True
+    with suppress(TimeoutError):
+        while gains:
+            for i in range(len(hopeful)):
+                if hopeful[i]:
+                    rows, in_way[i] = _with_shortcuts(problem, traffic, i, test, begin, end)
+                    hopeful[i] = len(rows) < len(path)
+                    if hopeful[i]:
+                        traffic.move(i, _along(traffic.path[:, i], rows))
+                        hopeful |= in_way[:, i]
+            before, cost = cost, path_cost(problem, traffic.path)
+            gains = before - cost > _LEAST_ROUND_GAIN * before
+    return traffic.path
 
 
 def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "finer robots dof"]:
@@ -257,22 +239,15 @@ def halved(path: Float[np.ndarray, "steps robots dof"]) -> Float[np.ndarray, "fi
     return finer
 
 
-def _spans(steps: int) -> tuple[Rows, Rows]:
-    """First and last rows of the motions and of all that may be a shortcut."""
-    begin, place = runs(np.minimum(np.arange(steps)[::-1], _LONGEST))
-    return begin, begin + 1 + place
-
-
 def _with_shortcuts(
-    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, spans: tuple[Rows, Rows]
+    problem: Problem, traffic: Traffic, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], InWay]:
     """Rows on one robot's shortest way from first to last in the graph of shortcuts, and who stands in its way.
 
     ``TimeoutError`` past the deadline of the test.
     """
-    q, weight, (begin, end) = traffic.path[:, i], problem.rotation_weights[i], spans
-    cost = straight_costs(q[begin], q[end], weight)
-    own = end == begin + 1
+    q, own = traffic.path[:, i], end == begin + 1
+    cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
     useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
@@ -280,7 +255,13 @@ def _with_shortcuts(
     shortcuts = shortcuts[test.of_walls[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
     apart, in_way = _apart(test, traffic, i, begin[shortcuts], end[shortcuts])
     own[shortcuts[apart]] = True
-    return _shortest(begin[own], end[own], cost[own], len(q)), in_way
+    # An entry of 0 is an edge of no cost.
+    graph = scipy.sparse.csr_array((cost[own], (begin[own], end[own])), shape=(len(q), len(q)))
+    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
+    rows = [len(q) - 1]
+    while rows[-1] > 0:
+        rows.append(int(previous[rows[-1]]))
+    return rows[::-1], in_way
 
 
 def _apart(
@@ -307,16 +288,6 @@ def _apart(
         meet = test.meet(i, first[piece, 0], last[piece, 0], traffic, motion[now[piece]], other)
         apart[edge[piece[meet]]], in_way[other[meet]] = False, True
     return apart, in_way
-
-
-def _shortest(begin: Rows, end: Rows, cost: Float[np.ndarray, "m"], steps: int) -> list[int]:
-    """Rows on the shortest way from the first to the last, all edges leading forward."""
-    graph = scipy.sparse.csr_array((cost, (begin, end)), shape=(steps, steps))  # an entry of 0 is an edge of no cost
-    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
-    rows = [steps - 1]
-    while rows[-1] > 0:
-        rows.append(int(previous[rows[-1]]))
-    return rows[::-1]
 
 
 def _along(q: Float[np.ndarray, "steps dof"], rows: list[int]) -> Float[np.ndarray, "steps dof"]:

@@ -266,7 +266,19 @@ def _gif(animation: Animation) -> bytes:
     from PIL import Image
 
     frames = list(_frames(animation))
-    palette, nearest = _palette(np.stack(frames[:: max(1, len(frames) // 8)]))
+    # The 256 most frequent colors, and for each cell of 8 x 8 x 8 colors the one to show in its place.
+    #
+    # Pillow's own quantization averages, so that white is not white and flat areas flicker.
+    packed, counts = np.unique(
+        np.stack(frames[:: max(1, len(frames) // 8)]).reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True
+    )
+    packed = packed[np.argsort(-counts, kind="stable")[:256]]
+    palette = ((packed[:, None] // _PACK) % 256).astype(np.uint8)
+    levels = np.arange(4, 256, 8)
+    centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+    nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
+    order = np.arange(len(palette))[::-1]  # of colors in one cell, the most frequent is assigned last and stays
+    nearest[_cells(palette[order])] = order
     paged = [Image.fromarray(nearest[_cells(frame)]) for frame in frames]
     for frame in paged:
         frame.putpalette(palette.tobytes())
@@ -275,24 +287,6 @@ def _gif(animation: Animation) -> bytes:
     data = io.BytesIO()
     paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
     return data.getvalue()
-
-
-def _palette(
-    pixels: UInt8[np.ndarray, "*shape 3"],
-) -> tuple[UInt8[np.ndarray, "colors 3"], UInt8[np.ndarray, "32768"]]:
-    """The 256 most frequent colors, and for each cell of 8 x 8 x 8 colors the one to show in its place.
-
-    Pillow's own quantization averages, so that white is not white and flat areas flicker.
-    """
-    packed, counts = np.unique(pixels.reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True)
-    packed = packed[np.argsort(-counts, kind="stable")[:256]]
-    palette = ((packed[:, None] // _PACK) % 256).astype(np.uint8)
-    levels = np.arange(4, 256, 8)
-    centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
-    nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
-    order = np.arange(len(palette))[::-1]  # of colors in one cell, the most frequent is assigned last and stays
-    nearest[_cells(palette[order])] = order
-    return palette, nearest
 
 
 def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape"]:

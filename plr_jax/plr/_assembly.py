@@ -12,6 +12,7 @@ from plr_jax.plr._file import Contents, decode, encode
 from plr_jax.plr._plr import PLR, tables_of_contents
 from plr_jax.plr.certificate.certificate import Certificate
 from plr_jax.plr.file.held import held
+from plr_jax.plr.query.frame import corner_if_far
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -46,13 +47,16 @@ def plr_of_leaves(contents: Contents) -> PLR:
 
 
 def _assemble(data: bytes, contents: Contents) -> PLR:
-    file = held(data)
-    tables = tables_of_contents(contents, np.zeros(contents.domain.dim), len(data))
-    if contents.certificate is None:
-        return PLR(tables, file, None)
-    band = contents.certificate.bounds().astype(np.float32)
-    rows = band.shape[1] if band.shape[1] == 1 else padded_size(band.shape[1])
-    return PLR(tables, file, jnp.asarray(padded(band.T, rows).T))
+    band = None
+    if contents.certificate is not None:
+        bounds = contents.certificate.bounds().astype(np.float32)
+        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
+        band = jnp.asarray(padded(bounds.T, rows).T)
+    plr = PLR(tables_of_contents(contents, np.zeros(contents.domain.dim), len(data)), held(data), band)
+    # What the first query asks for, and would read from the file again.
+    domain = contents.domain if contents.folding is None else contents.folding.domain
+    vars(plr).update(domain=domain, _corner_if_far=corner_if_far(domain))
+    return plr
 
 
 def with_stored(plr: PLR, stored: Any) -> PLR:

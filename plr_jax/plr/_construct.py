@@ -74,6 +74,11 @@ def construct(
 ) -> Contents:
     """Build a PLR of a distance function: Algorithm 1 of the paper.
 
+    Most calls give a budget, ``max_bytes``, and a leaf: ``"cone"`` for distances among polygons, as of a
+    ``VisibilityGraph``, with ``certified=True`` for proven bounds; ``"plane"``, the paper's, or ``"continuous"`` for
+    any other. ``executor`` and ``checkpoint`` are for distance functions that take long. All else is for experiments
+    with the algorithm itself: its rules of fitting and splitting, samples, and other limits.
+
     The default is best-first: the leaf of the largest sample error is split next, along the axis whose halves
     can be fitted best. The paper's own configuration is ``should_split=maximum_depth`` (or ``center_error`` with
     a tolerance), ``split=cyclic_axis``, ``max_depth=9``.

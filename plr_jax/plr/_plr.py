@@ -227,7 +227,7 @@ class PLR(HeldFile):
         """The file."""
         return Container.from_bytes(self.to_bytes())
 
-    @property
+    @cached_property
     def domain(self) -> Box:
         """The closed box that the PLR covers."""
         return self.container.domain

@@ -17,8 +17,8 @@ from plr_jax.plr._plr import PLR
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Outside, as_outside, in_parts, is_far, require_resolved, unresolved_types
 from plr_jax.plr.query.lookup import evaluate_tables
-from plr_jax.plr.query.picked import Picked
 from plr_jax.plr.query.points import as_array
+from plr_jax.plr.query.primitives import Picked
 from plr_jax.plr.query.tables import Tables, laid_out
 from plr_jax.plr.query.trie import Trie, build_trie, can_be_in_trie, trie_levels
 
@@ -113,22 +113,17 @@ class _InTrie:
         """Those of PLRs of some cells and numbers."""
         rows, distinct, num_rows = [], [], 0
         for of_leaves in numbers:
-            first, row = _distinct_rows(of_leaves)
+            # The first of all rows that are bit for bit alike, and which of these each row is like.
+            key = np.zeros(len(of_leaves), np.uint64)
+            for column in np.ascontiguousarray(of_leaves.T).view(np.uint32):
+                key = mixed(key + column + np.uint64(1))
+            _, first, row = np.unique(key, return_index=True, return_inverse=True)
             rows.append(num_rows + row)
             distinct.append(of_leaves[first])
             num_rows += len(first)
         table = np.concatenate(distinct)
         table = padded(table, size_in_eighths(len(table)))
         return _InTrie(build_trie(partitions, rows, levels), jnp.asarray(laid_out(table)), int(levels[1].sum()))
-
-
-def _distinct_rows(table: Float[np.ndarray, "rows count"]) -> tuple[Int[np.ndarray, "some"], Int[np.ndarray, "rows"]]:
-    """The first of all rows that are bit for bit alike, and which of these each row is like."""
-    key = np.zeros(len(table), np.uint64)
-    for column in np.ascontiguousarray(table.T).view(np.uint32):
-        key = mixed(key + column + np.uint64(1))
-    _, first, row = np.unique(key, return_index=True, return_inverse=True)
-    return first, row
 
 
 @jax.tree_util.register_dataclass
@@ -250,7 +245,8 @@ def _groups(plrs: Sequence[PLR], tables: Sequence[Tables]) -> Iterator[tuple[lis
         inside = [i for i in members if can_be_in_trie(plrs[i].cells, levels)]
         apart |= set(members) - set(inside)
         if inside:
-            numbers = [_numbers_of_leaves(tables[i], plrs[i].num_leaves) for i in inside]
+            # What the leaf model reads of each leaf; the first slots of pages are the leaves, one each.
+            numbers = [np.asarray(tables[i].numbers)[:, : plrs[i].num_leaves].T for i in inside]
             in_trie = _InTrie.of([plrs[i].cells for i in inside], numbers, levels)
             yield inside, _Alike.of([frames[i] for i in inside], in_trie)
     own = {i: _side_by_side(tables[i]) for i in sorted(apart)}
@@ -279,11 +275,6 @@ def _side_by_side(tables: Tables) -> Tables:
     if tables.numbers.ndim == 1:
         return tables
     return replace(tables, numbers=jnp.asarray(np.asarray(tables.numbers).T.ravel()))
-
-
-def _numbers_of_leaves(tables: Tables, num_leaves: int) -> Float[np.ndarray, "leaves count"]:
-    """What the leaf model reads of each leaf; the first slots of pages are the leaves, one each."""
-    return np.asarray(tables.numbers)[:, :num_leaves].T
 
 
 @partial(jax.jit, static_argnames="outside")

@@ -1,9 +1,8 @@
 """What a robot is to the rest of the library: a convex body as data, placed and moved by configurations."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +12,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _ROUNDING = 1e-12  # of the body's size
 
 
-class Robot(ABC):
+class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
     Planners, checks and pictures read these three and what follows from them, never the class, so that a new shape
@@ -21,23 +20,24 @@ class Robot(ABC):
     position, and the heading by which the body is turned about it. It must be a point of the body: where it cannot
     be, the robot cannot be, and its way is what distances measure. Robots of one shape must be equal and hash alike,
     as frozen dataclasses do.
+
+    Attributes:
+        rounding: Radius by which the core is rounded, in workspace units, at least 0.
+        dof: Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading.
+        core: Vertices of the core at heading 0: a convex polygon's, counterclockwise, or a segment's two, or one.
     """
 
     rounding: float
-    """Radius by which the core is rounded, in workspace units, at least 0."""
-
     dof: int
-    """Numbers in a configuration that mean something: 2 for a position, 3 for a position and a heading."""
-
-    @property
-    @abstractmethod
-    def core(self) -> Float[np.ndarray, "vertices 2"]:
-        """Vertices of the core at heading 0: a convex polygon's, counterclockwise, or a segment's two, or one."""
+    core: Float[np.ndarray, "vertices 2"]
 
     @cached_property
     def inscribed_radius(self) -> float:
         """Radius of the largest disc about the reference point within the robot; negative if it is outside."""
-        return self.rounding + _depth_of_origin(self.core)
+        core = self.core
+        if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
+            return self.rounding + float(depth)
+        return self.rounding - float(distance_to_segment(*core.T, *(np.roll(core, -1, axis=0) - core).T).min())
 
     @cached_property
     def circumscribed_radius(self) -> float:
@@ -47,7 +47,7 @@ class Robot(ABC):
     @cached_property
     def breadth(self) -> float:
         """Smallest distance of two parallel lines between which the robot fits."""
-        across = _offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
+        across = side_offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
         return float(across) + 2 * self.rounding
 
     @cached_property
@@ -70,34 +70,23 @@ def check_body(name: str, robot: Robot) -> None:
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
     if not (np.isfinite(rounding) and rounding >= 0 and dof in (2, 3)):
-        raise ValueError(
-            f"{name} must have a finite rounding of at least 0 and a dof of 2 or 3, got {rounding!r} and {dof!r}."
-        )
+        expected = "a finite rounding of at least 0 and a dof of 2 or 3"
+        raise ValueError(f"{name} must have {expected}, got {rounding!r} and {dof!r}.")
     slack = _ROUNDING * robot.circumscribed_radius
     sides = np.roll(core, -1, axis=0) - core
-    if len(core) > 1 and ((sides == 0).all(axis=1).any() or _offsets(core, core).min() < -slack):
-        raise ValueError(
-            f"{name} must be convex, its vertices counterclockwise and each given once, got {core.tolist()}."
-        )
+    if len(core) > 1 and ((sides == 0).all(axis=1).any() or side_offsets(core, core).min() < -slack):
+        expected = "convex, its vertices counterclockwise and each given once"
+        raise ValueError(f"{name} must be {expected}, got {core.tolist()}.")
     if robot.inscribed_radius < -slack:
-        raise ValueError(
-            f"{name} must have its reference point, the origin of its vertices, within it or on its boundary; it is "
-            f"{-robot.inscribed_radius:.3g} outside. Shift the vertices {core.tolist()}."
-        )
+        expected = "its reference point, the origin of its vertices, within it or on its boundary"
+        got = f"it is {-robot.inscribed_radius:.3g} outside. Shift the vertices {core.tolist()}"
+        raise ValueError(f"{name} must have {expected}; {got}.")
 
 
-def _offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
+def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
     """How far points lie to the left of each side of a polygon."""
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
-
-
-def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
-    """Distance of the origin to the boundary of a convex polygon, negative if it is outside."""
-    if len(core) > 2 and (depth := float(_offsets(core, np.zeros((1, 2))).min())) >= 0:
-        return depth
-    side = np.roll(core, -1, axis=0) - core
-    return -float(distance_to_segment(*core.T, *side.T).min())
 
 
 # Configurations: where they place a body, and the straight motions between them.
@@ -106,14 +95,19 @@ def _depth_of_origin(core: Float[np.ndarray, "k 2"]) -> float:
 _HALF_TURN = 0.5 + 1e-10  # of a full turn: what headings as large as 1e5 lose by rounding leaves it half a turn
 
 
+Headings: TypeAlias = Float[np.ndarray, "*#batch"]
+Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
+Shares: TypeAlias = Float[np.ndarray, "*#batch 1"]
+Rows: TypeAlias = Int[np.ndarray, "n"]
+Moments: TypeAlias = Float[np.ndarray, "n"]
+
+
 def team_dof(robots: Sequence[Robot]) -> int:
     """Numbers in a robot's configuration: 2 if none has a heading, else 3, where that of the others is ignored."""
     return max((robot.dof for robot in robots), default=2)
 
 
-def shorter_turn(
-    theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
-) -> Float[np.ndarray, "*batch"]:
+def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Signed shorter turns from one heading to another, counterclockwise positive: nothing else says which way it is.
 
     Half a turn goes counterclockwise, and so does one that falls short of it by at most 1e-10 of a full turn: where
@@ -123,9 +117,7 @@ def shorter_turn(
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
 
 
-def smaller_angle(
-    theta0: Float[np.ndarray, "*#batch"], theta1: Float[np.ndarray, "*#batch"]
-) -> Float[np.ndarray, "*batch"]:
+def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Angles between headings, from 0 to pi: what the shorter turn costs, whichever way half a turn goes.
 
     Unlike the turn, the angle is a metric, so that a detour is never cheaper.
@@ -135,7 +127,7 @@ def smaller_angle(
 
 
 def between(
-    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], t: Float[np.ndarray, "*#batch 1"]
+    q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
     """Configurations at a share from 0 to 1 of straight motions, which turn the shorter way.
 
@@ -146,9 +138,7 @@ def between(
     return q0 + t * change
 
 
-def motions_under_way(
-    times: Float[np.ndarray, "steps"], when: Float[np.ndarray, "n"]
-) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
     """Which motion of a path is under way at some moments: its rows, and the share of it that is done.
 
     Args:

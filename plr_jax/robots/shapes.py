@@ -1,7 +1,6 @@
 """The shapes of robots: a point, a disc, a rectangle, a convex polygon."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,13 +49,8 @@ class PolygonRobot(Robot):
         if len(ring) > _MOST_VERTICES:
             raise ValueError(f"{name} must be at most {_MOST_VERTICES:,}, got {len(ring):,}; simplify the outline.")
         ring.flags.writeable = False
-        object.__setattr__(self, "vertices", ring)
+        vars(self).update(vertices=ring, core=ring)
         check_body(name, self)
-
-    @property
-    def core(self) -> Float[np.ndarray, "n 2"]:
-        """Its vertices."""
-        return self.vertices
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, PolygonRobot) and np.array_equal(self.vertices, other.vertices)
@@ -95,16 +89,25 @@ class RectangleRobot(Robot):
     dof = 3
 
     def __init__(self, length: Any, width: Any):
-        object.__setattr__(self, "length", as_finite("RectangleRobot length", length, positive=True))
-        object.__setattr__(self, "width", as_finite("RectangleRobot width", width, positive=True))
-
-    @cached_property
-    def core(self) -> Float[np.ndarray, "4 2"]:
-        """Its corners, the one ahead to the left first."""
-        return _CORNERS * np.array([self.length, self.width]) / 2
+        for name, side in (("length", length), ("width", width)):
+            vars(self)[name] = as_finite(f"RectangleRobot {name}", side, positive=True)
+        # The corner ahead to the left first.
+        vars(self)["core"] = _CORNERS * np.array([self.length, self.width]) / 2
 
 
-# A disc.
+# A point, and a disc.
+
+
+@dataclass(frozen=True)
+class PointRobot(Robot):
+    """A point that translates in the plane: its configuration is its position ``(x, y)``.
+
+    Points never collide with one another, nor with a wall that they only touch.
+    """
+
+    rounding = 0.0
+    dof = 2
+    core = np.zeros((1, 2))
 
 
 @dataclass(frozen=True, init=False)
@@ -120,28 +123,8 @@ class DiscRobot(Robot):
 
     radius: float
     dof = 2
+    core = PointRobot.core
 
     def __init__(self, radius: Any):
-        object.__setattr__(self, "radius", as_finite("DiscRobot radius", radius, positive=True))
-        object.__setattr__(self, "rounding", self.radius)
-
-    @property
-    def core(self) -> Float[np.ndarray, "1 2"]:
-        """Its center."""
-        return np.zeros((1, 2))
-
-
-@dataclass(frozen=True)
-class PointRobot(Robot):
-    """A point that translates in the plane: its configuration is its position ``(x, y)``.
-
-    Points never collide with one another, nor with a wall that they only touch.
-    """
-
-    rounding = 0.0
-    dof = 2
-
-    @property
-    def core(self) -> Float[np.ndarray, "1 2"]:
-        """The point itself."""
-        return np.zeros((1, 2))
+        radius = as_finite("DiscRobot radius", radius, positive=True)
+        vars(self).update(radius=radius, rounding=radius)

@@ -55,20 +55,16 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
         case ".geojson":
             return read_geojson
         case ".json":
-            return _reader_of_json(path)
+            if is_scene(path):
+                return _workspace_of_scene
+            with errors_named(path):
+                return read_geojson if is_geojson(json_of(path)) else read_polygons
         case ".yaml" | ".yml":
             with errors_named(path):
                 return read_map_server if is_map_server(yaml_of(path)) else _workspace_of_problem
         case ending if ending in PICTURE_ENDINGS:
             return read_image
     raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_ENDINGS)}.")
-
-
-def _reader_of_json(path: Path) -> Callable[..., Workspace]:
-    if is_scene(path):
-        return _workspace_of_scene
-    with errors_named(path):
-        return read_geojson if is_geojson(json_of(path)) else read_polygons
 
 
 def _workspace_of_scene(path: Path) -> Workspace:

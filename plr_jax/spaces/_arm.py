@@ -15,19 +15,16 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import shorter_turn
-from plr_jax.spaces._plane import Links, come_near, crosses_walls, distances_of_segments, have_walls_within
+from plr_jax.spaces._plane import come_near, crosses_walls, distances_of_segments, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # at a time, which bounds the memory
 _MOST_BISECTIONS = 12
-_SIDES = 12
-"""Corners of the polygons around what ends of links sweep: they reach 3.5 % farther than the discs within them."""
-
+_SIDES = 12  # of the polygons around what ends of links sweep, which reach 3.5 % farther than the discs within them
 _PROBES = np.array([0.0, 0.5, 1.0])  # shares of each link at which it is looked for in obstacles
 
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
 Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
-Positions: TypeAlias = Float[np.ndarray, "n 2"]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -80,10 +77,8 @@ class PlanarArm:
             raise ValueError("Links keep off one another by their width: give one above 0, or no self_collision.")
         clearance = workspace.clearance(base[None])[0]
         if clearance < width / 2 - workspace.tolerance:
-            raise ValueError(
-                f"The base of the arm at {base.tolist()} has no room for links of width {width:g}: its clearance is "
-                f"{clearance:.3g}."
-            )
+            has_no_room = f"has no room for links of width {width:g}: its clearance is {clearance:.3g}"
+            raise ValueError(f"The base of the arm at {base.tolist()} {has_no_room}.")
         vars(self).update(workspace=workspace, lengths=lengths, base=base, width=width, self_collision=self_collision)
 
     @property
@@ -135,10 +130,12 @@ class PlanarArm:
         ends = self.forward(np.where(free[:, None], q, 0.0))
         for i in range(self.dof):
             rows = np.flatnonzero(free)
-            free[rows] = self._is_clear(ends[rows, i], ends[rows, i + 1])
-        if self.self_collision:
-            free &= (self._distances_within(ends) >= self.width - self.workspace.tolerance).all(axis=1)
-        return free
+            free[rows] = self.workspace.is_visible(ends[rows, i], ends[rows, i + 1])
+            if self.width > 0:
+                rows = rows[free[rows]]
+                links: Any = shapely.linestrings(ends[rows, i : i + 2])
+                free[rows] = ~come_near(self.workspace, links, self.width / 2 - self.workspace.tolerance)
+        return free & (self._distances_within(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Whether straight motions, which turn each joint the shorter way, are proven free all along.
@@ -185,15 +182,6 @@ class PlanarArm:
         state[rows[self._is_hit(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
-    def _is_clear(self, start: Positions, end: Positions) -> Bool[np.ndarray, "n"]:
-        """Whether a link between two points keeps off obstacles and within the bounds."""
-        clear = self.workspace.is_visible(start, end)
-        if self.width > 0:
-            links = shapely.linestrings(np.stack([start, end], axis=1)[clear])
-            reach = self.width / 2 - self.workspace.tolerance
-            clear[clear] = ~come_near(self.workspace, links, reach)
-        return clear
-
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
         """Whether motions are proven free, in pieces that are bisected until each is, or the middle of one is not."""
         free = np.ones(len(q0), dtype=bool)
@@ -211,18 +199,19 @@ class PlanarArm:
     def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         """Whether all that the arm covers within boxes of angles certainly is clear."""
         ends, reaches = self.forward(center), half @ self._spans
+        angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
         free = np.ones(len(center), dtype=bool)
         for i in reversed(range(self.dof)):
             rows = np.flatnonzero(free)
-            hulls = _hulls(ends[rows, i : i + 2], reaches[rows, i : i + 2])
+            # Convex polygons around the link: its ends move by their reaches, a point between by as much between.
+            points = ends[rows, i : i + 2, None] + reaches[rows, i : i + 2, None, None] * rim
+            hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(rows), 2 * _SIDES, 2)))
             free[rows] = shapely.covers(self.workspace.free_space, hulls)
             if self.width > 0:
                 rows, hulls = rows[free[rows]], hulls[free[rows]]
-                reach = self.width / 2 - self.workspace.tolerance / 2
-                free[rows] = ~come_near(self.workspace, hulls, reach)
-        if self.self_collision:
-            free &= (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
-        return free
+                free[rows] = ~come_near(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
+        return free & (self._distances_within(ends) >= self.width + self._motions_within(half)).all(axis=1)
 
     def _is_hit(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         """Whether a link certainly overlaps obstacles, the outside of the bounds or another link, all over a box."""
@@ -236,10 +225,8 @@ class PlanarArm:
                 x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
                 moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
                 hit[rows] = have_walls_within(self.workspace, x, self.width / 2 - moves)
-        if self.self_collision:
-            deep = self.width - self._motions_within(half) - 2 * self.workspace.tolerance
-            hit |= (self._distances_within(ends) <= deep).any(axis=1)
-        return hit
+        deep = self.width - self._motions_within(half) - 2 * self.workspace.tolerance
+        return hit | (self._distances_within(ends) <= deep).any(axis=1)
 
     @cached_property
     def _spans(self) -> Float[np.ndarray, "joints joints_plus_one"]:
@@ -247,25 +234,17 @@ class PlanarArm:
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
-    @property
-    def _others(self) -> list[tuple[int, int]]:
-        """Pairs of links that are no neighbors."""
-        return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1]
+    @cached_property
+    def _pairs(self) -> list[tuple[int, int]]:
+        """Links that must keep off one another: those that are no neighbors, if they are to."""
+        return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _distances_within(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
         """Distances of pairs of links."""
-        distances = [distances_of_segments(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._others]
-        return np.stack(distances, axis=1) if distances else np.zeros((len(ends), 0))
+        distances = [distances_of_segments(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._pairs]
+        return np.reshape(distances, (len(self._pairs), len(ends))).T
 
     def _motions_within(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
         """How far points of the later link of pairs move at most as seen from the other within boxes."""
-        moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._others]
-        return np.stack(moves, axis=1) if moves else np.zeros((len(half), 0))
-
-
-def _hulls(links: Links, reaches: Float[np.ndarray, "n 2"]) -> Any:
-    """Convex polygons around links whose ends move by some reaches: a point between them moves by as much between."""
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
-    points = links[:, :, None] + reaches[:, :, None, None] * rim
-    return shapely.convex_hull(shapely.linestrings(points.reshape(len(links), 2 * _SIDES, 2)))
+        moves = [half[:, i + 1 :] @ self._spans[i + 1 :, k + 1] for i, k in self._pairs]
+        return np.reshape(moves, (len(self._pairs), len(half))).T

@@ -1,11 +1,11 @@
 """Costs of motions that differ from place to place or with the way they go, and how they are bounded over boxes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
 from plr_jax._types import ArrayLike
@@ -15,6 +15,7 @@ from plr_jax.spaces._space import MotionCost
 
 
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
+Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
 Rates: TypeAlias = Float[np.ndarray, "n"]
 
 
@@ -38,13 +39,7 @@ class Climbing:
     steepest: float
 
     def __post_init__(self):
-        if not callable(self.gradient_fn):
-            raise ValueError(f"gradient_fn must be a function of configurations, got {shortened(self.gradient_fn)}.")
-        for name in ("rate", "lipschitz", "steepest"):
-            vars(self)[name] = as_finite(name, getattr(self, name))
-
-    def _gradients(self, q: Vectors) -> Vectors:
-        return _vectors("gradient_fn", self.gradient_fn, q, self.steepest)
+        _check_fields(self)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """What a motion of length 1 straight uphill costs.
@@ -58,7 +53,7 @@ class Climbing:
         Raises:
             ValueError: If the function returns another shape, or a gradient above ``steepest``.
         """
-        return 1 + self.rate * np.linalg.norm(self._gradients(np.asarray(q, np.float64)), axis=1)
+        return 1 + self.rate * np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1)
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
@@ -83,8 +78,8 @@ class Climbing:
         Returns:
             Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
         """
-        uphill = self.rate * self._gradients((lo + hi) / 2)
-        spread = self.rate * self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
+        uphill = self.rate * _vectors(self, (lo + hi) / 2)
+        spread = self.rate * self.lipschitz * _radii(lo, hi)
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
 
@@ -115,16 +110,9 @@ class Current:
     fastest: float
 
     def __post_init__(self):
-        if not callable(self.velocity_fn):
-            raise ValueError(f"velocity_fn must be a function of configurations, got {shortened(self.velocity_fn)}.")
-        vars(self)["speed"] = as_finite("speed", self.speed, positive=True)
-        for name in ("lipschitz", "fastest"):
-            vars(self)[name] = as_finite(name, getattr(self, name))
+        _check_fields(self, "speed")
         if self.fastest >= self.speed:
             raise ValueError(f"fastest must be below speed, {self.speed:g}, got {self.fastest:g}.")
-
-    def _velocities(self, q: Vectors) -> Vectors:
-        return _vectors("velocity_fn", self.velocity_fn, q, self.fastest)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """The time of a motion of length 1 straight against the current.
@@ -138,7 +126,7 @@ class Current:
         Raises:
             ValueError: If the function returns another shape, or a velocity above ``fastest``.
         """
-        return 1 / (self.speed - np.linalg.norm(self._velocities(np.asarray(q, np.float64)), axis=1))
+        return 1 / (self.speed - np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1))
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
@@ -176,22 +164,46 @@ class Current:
 
     def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
         """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
-        velocity = self._velocities((lo + hi) / 2)
-        return np.linalg.norm(velocity, axis=1), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1), velocity
+        velocity = _vectors(self, (lo + hi) / 2)
+        return np.linalg.norm(velocity, axis=1), self.lipschitz * _radii(lo, hi), velocity
 
 
-def _vectors(name: str, vector_fn: Callable[[np.ndarray], ArrayLike], q: Vectors, longest: float) -> Vectors:
-    """What a function of configurations returns: a vector each, none longer than was said."""
-    vectors = as_numbers(f"{name}'s answer", vector_fn(q), f"real numbers of shape {q.shape}")
+def _vectors(cost: Any, q: Vectors) -> Vectors:
+    """What the function of a cost, its first field, returns: vectors that are no longer than its last field says."""
+    name, *_, last = (field.name for field in fields(cost))
+    longest, returned = getattr(cost, last), getattr(cost, name)(q)
+    vectors = as_numbers(f"{name}'s answer", returned, f"real numbers of shape {q.shape}")
     if vectors.shape != q.shape:
         raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
-    bad = np.flatnonzero(~(np.linalg.norm(vectors, axis=1) <= (1 + 1e-12) * longest))
-    if bad.size:
-        raise ValueError(
-            f"{name} must return vectors of at most {longest:g}, got {vectors[bad[0]].tolist()} at "
-            f"{q[bad[0]].tolist()}."
-        )
+    expected = f"{name} must return vectors of at most {longest:g}"
+    _require(np.linalg.norm(vectors, axis=1) <= (1 + 1e-12) * longest, expected, [vectors], [q])
     return vectors
+
+
+def _check_fields(cost: Any, positive: str = "") -> None:
+    """Refuse a cost whose first field is no function or whose others are no numbers, one positive, the rest not less.
+
+    The numbers are kept as floats.
+    """
+    fn, *numbers = (field.name for field in fields(cost))
+    if not callable(getattr(cost, fn)):
+        raise ValueError(f"{fn} must be a function of configurations, got {shortened(getattr(cost, fn))}.")
+    for name in numbers:
+        vars(cost)[name] = as_finite(name, getattr(cost, name), positive=name == positive)
+
+
+def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
+    """Raise ``ValueError`` with what was expected, and what came where in the first row that is not fine."""
+    if not fine.all():
+        i = int(fine.argmin())
+        what = " and ".join(str(column[i].tolist()) for column in got)
+        where = ("at " if len(at) == 1 else "over ") + " to ".join(str(column[i].tolist()) for column in at)
+        raise ValueError(f"{expected}, got {what} {where}.")
+
+
+def _radii(lo: Vectors, hi: Vectors) -> Rates:
+    """How far points of boxes are from their centers at most."""
+    return np.linalg.norm((hi - lo) / 2, axis=1)
 
 
 _LEAST_SHARE = 0.25  # of the upper bound, below which pulls over a box say less than the bounds of the cost map
@@ -206,13 +218,11 @@ class CostMap(Protocol):
     speed for a factor, costs are times.
     """
 
-    def __call__(self, q: ArrayLike, /) -> Float[np.ndarray, "n"]:
+    def __call__(self, q: ArrayLike, /) -> Rates:
         """The factor at configurations ``(n, dof)``."""
         ...
 
-    def bounds(
-        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
         """A positive lower and a finite upper bound of the factor over each box ``lo`` to ``hi``.
 
         Around periodic axes boxes may leave the domain.
@@ -229,11 +239,7 @@ class DirectionalCost(CostMap, Protocol):
     that of the cheapest way. It is for spaces whose ``motion_cost`` is a length, one block of weight 1.
     """
 
-    def pulls(
-        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"], /
-    ) -> tuple[
-        Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]
-    ]:
+    def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Vectors ``a`` and ``b`` for each box, and numbers ``least`` and ``most``.
 
         Any motion ``dq`` in the box costs between ``least`` and ``most`` times ``|dq|``, and ``max(a . dq, b . dq)``
@@ -264,13 +270,9 @@ class LipschitzCost:
     least: float
 
     def __post_init__(self):
-        if not callable(self.cost_fn):
-            raise ValueError(f"cost_fn must be a function of configurations, got {shortened(self.cost_fn)}.")
-        vars(self).update(
-            lipschitz=as_finite("lipschitz", self.lipschitz), least=as_finite("least", self.least, positive=True)
-        )
+        _check_fields(self, "least")
 
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
+    def __call__(self, q: ArrayLike) -> Rates:
         """The factor at configurations.
 
         Args:
@@ -284,17 +286,11 @@ class LipschitzCost:
         """
         q = np.asarray(q, np.float64)
         factor = as_values("cost_fn", self.cost_fn(q), len(q))
-        bad = np.flatnonzero(~((factor >= self.least) & (factor < np.inf)))
-        if bad.size:
-            raise ValueError(
-                f"cost_fn must return finite numbers of at least {self.least:g}, got {factor[bad[0]]} at "
-                f"{q[bad[0]].tolist()}."
-            )
+        expected = f"cost_fn must return finite numbers of at least {self.least:g}"
+        _require((factor >= self.least) & (factor < np.inf), expected, [factor], [q])
         return factor
 
-    def bounds(
-        self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the factor over boxes.
 
         Args:
@@ -304,13 +300,11 @@ class LipschitzCost:
         Returns:
             What the factor at the center, and the constant, allow.
         """
-        middle, reach = self((lo + hi) / 2), self.lipschitz * np.linalg.norm((hi - lo) / 2, axis=1)
+        middle, reach = self((lo + hi) / 2), self.lipschitz * _radii(lo, hi)
         return np.maximum(middle - reach, self.least), middle + reach
 
 
-def cost_bounds(
-    motion: MotionCost, cost_map: CostMap, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "2 n dof"] | None]:
+def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
     """Bounds of what motions within boxes cost; ``ValueError`` if they are none.
 
     Returns:
@@ -321,12 +315,8 @@ def cost_bounds(
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
         raise ValueError(f"A cost map's bounds must be two arrays of numbers, one a box, got {shortened(bounds)}.")
     lower, upper = (as_values("Each of a cost map's bounds", bound, len(lo)) for bound in bounds)
-    bad = np.flatnonzero(~((lower > 0) & (lower <= upper) & (upper < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's bounds must be positive and finite, lower nowhere above upper, got {lower[bad[0]]} and "
-            f"{upper[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
-        )
+    expected = "A cost map's bounds must be positive and finite, lower nowhere above upper"
+    _require((lower > 0) & (lower <= upper) & (upper < np.inf), expected, [lower, upper], [lo, hi])
     if not isinstance(cost_map, DirectionalCost):
         return lower, upper, None
     if [weight for _, weight in motion.blocks] != [1]:
@@ -337,9 +327,7 @@ def cost_bounds(
     return np.where(use, least, lower), np.where(use, most, upper), pulls
 
 
-def _distance_to_segments(
-    first: Float[np.ndarray, "n dof"], second: Float[np.ndarray, "n dof"]
-) -> Float[np.ndarray, "n"]:
+def _distance_to_segments(first: Vectors, second: Vectors) -> Rates:
     """How far the segments between vectors are from 0."""
     change = second - first
     square = np.sum(change * change, axis=1)
@@ -347,47 +335,33 @@ def _distance_to_segments(
     return np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
 
 
-def _checked_pulls(
-    pulls: object, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]
-) -> tuple[Float[np.ndarray, "n dof"], Float[np.ndarray, "n dof"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def _checked_pulls(pulls: object, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Rates, Rates]:
     """Pulls over boxes as arrays; ``ValueError`` if they are none."""
     if not isinstance(pulls, Sequence) or len(pulls) != 4:
-        raise ValueError(
-            f"A DirectionalCost's pulls must be two arrays of vectors and two of numbers, got {shortened(pulls)}."
-        )
+        expected = "two arrays of vectors and two of numbers"
+        raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pulls)}.")
     expected = f"finite vectors of shape {lo.shape}"
     first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
     least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
     for vectors in (first, second):
         if vectors.shape != lo.shape or not np.isfinite(vectors).all():
             raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
-    bad = np.flatnonzero(~((least <= most) & np.isfinite(least) & np.isfinite(most)))
-    if bad.size:
-        raise ValueError(
-            f"Bounds of a DirectionalCost's pulls must be finite, the least nowhere above the most, got "
-            f"{least[bad[0]]} and {most[bad[0]]} over {lo[bad[0]].tolist()} to {hi[bad[0]].tolist()}."
-        )
+    expected = "Bounds of a DirectionalCost's pulls must be finite, the least nowhere above the most"
+    _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
     return first, second, least, most
 
 
-def motion_rates(
-    motion: MotionCost, cost_map: CostMap, q: Float[np.ndarray, "n dof"], change: Float[np.ndarray, "n dof"]
-) -> Float[np.ndarray, "n"]:
+def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
     """What motions by some changes would cost if the cost were everywhere what it is at configurations."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2 * motion.norm(change) + pulled(pulls, change)
     factors = as_values("The cost map", cost_map(q), len(q))
-    bad = np.flatnonzero(~((factors > 0) & (factors < np.inf)))
-    if bad.size:
-        raise ValueError(
-            f"A cost map's factors must be positive and finite, got {factors[bad[0]]} at {q[bad[0]].tolist()}."
-        )
+    expected = "A cost map's factors must be positive and finite"
+    _require((factors > 0) & (factors < np.inf), expected, [factors], [q])
     return factors * motion.norm(change)
 
 
-def pulled(
-    pulls: Float[np.ndarray, "2 n dof"] | None, change: Float[np.ndarray, "n dof"]
-) -> Float[np.ndarray, "n"] | float:
+def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
     """What pulls add to the costs of motions; 0 if there are none."""
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

@@ -21,22 +21,12 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 # What of a workspace's obstacles meets bodies: in motion, and where they are known to some distance only.
 
 
+Positions: TypeAlias = Float[np.ndarray, "n 2"]
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
+Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
-def are_free_motions(
-    workspace: Workspace, robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]
-) -> Bool[np.ndarray, "n"]:
-    """Whether a robot's straight motions are free; those whose ends are not finite are not."""
-    finite = np.isfinite(q0 + q1).all(axis=1)
-    free = np.zeros(len(q0), dtype=bool)
-    free[finite] = motion_test(workspace, robot)(q0[finite], q1[finite])
-    return free
-
-
-def have_walls_within(
-    workspace: Workspace, x: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, "n"]
-) -> Bool[np.ndarray, "n"]:
+def have_walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
     """Whether the clearance of points is at most a radius, which may be negative."""
     # A point of free space whose radius is negative needs no distance, and most are.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
@@ -44,7 +34,7 @@ def have_walls_within(
     return within
 
 
-def crosses_walls(workspace: Workspace, links: Links, reaches: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
     """Whether segments certainly cross a wall, wherever within some reaches their ends are, the second the larger.
 
     The ends stay on the two sides of the wall's line, so the segment crosses it, and not beyond an end of the wall:
@@ -72,12 +62,12 @@ def distances_of_segments(a: Links, b: Links) -> Float[np.ndarray, "n"]:
     return np.where(crosses, 0.0, np.min(distances, axis=0))
 
 
-def _are_on_two_sides(segments: Links, change: Float[np.ndarray, "n 2"], others: Links) -> Bool[np.ndarray, "n"]:
+def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Booleans:
     """Whether the ends of other segments are strictly on the two sides of segments' lines."""
     return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
 
 
-def come_near(workspace: Workspace, shapes: Any, distance: float) -> Bool[np.ndarray, "n"]:
+def come_near(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     """Whether Shapely shapes are within a distance of walls, or touch them if it is 0."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
@@ -86,12 +76,60 @@ def come_near(workspace: Workspace, shapes: Any, distance: float) -> Bool[np.nda
     return near
 
 
+# Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances.
 _SLIVER = 0.01
-"""Share of the tolerance up to which free space in a box is an error of rounding: walls touch at such distances."""
 
 
 @dataclass(frozen=True)
-class PlaneSpace:
+class BodySpace:
+    """What the spaces of one robot in a workspace share: its motions, as its motion test judges them."""
+
+    workspace: Workspace
+    robot: Robot
+
+    def __post_init__(self):
+        if not isinstance(self.workspace, Workspace):
+            raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
+
+    def is_free(self, q: ArrayLike) -> Booleans:
+        """Whether configurations are free.
+
+        Args:
+            q: Positions of a robot without a heading, ``(n, 2)``, or positions and headings, ``(n, 3)``, in workspace
+                units and radians.
+
+        Returns:
+            True where the robot overlaps neither obstacles nor the outside of the bounds, to ``workspace.tolerance``;
+            False for configurations that are not finite.
+
+        Raises:
+            ValueError: If ``q`` has another shape.
+        """
+        q = as_points("q", q, self.robot.dof)
+        return self.are_free(q, q)
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
+        """Whether straight motions, which turn the shorter way, are proven free all along.
+
+        Args:
+            q0: Where they begin, ``(n, 2)`` or ``(n, 3)``, as in :meth:`is_free`.
+            q1: Where they end.
+
+        Returns:
+            True where the whole motion is free, as in :meth:`is_free`: exact for a point and a disc. False where an
+            end is not finite, and for some turns within about 1e-7 of the robot's size from a wall.
+
+        Raises:
+            ValueError: If the shapes are others or differ.
+        """
+        q0, q1 = as_motions(q0, q1, self.robot.dof)
+        free = np.isfinite(q0 + q1).all(axis=1)
+        free[free] = motion_test(self.workspace, self.robot)(q0[free], q1[free])
+        return free
+
+
+@dataclass(frozen=True)
+class PlaneSpace(BodySpace):
     """Positions of a point or of a disc in a workspace; the cost of a motion is its length.
 
     Free is what keeps the robot off obstacles and within the bounds, to ``workspace.tolerance``. Boxes are classified
@@ -106,17 +144,13 @@ class PlaneSpace:
         ValueError: If the robot is another, or nothing is free for it.
     """
 
-    workspace: Workspace
     robot: Robot = field(default_factory=PointRobot)
 
     def __post_init__(self):
-        if not isinstance(self.workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
+        super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 2 or len(self.robot.core) > 1:
-            raise ValueError(
-                f"The robot of a PlaneSpace must be a point or a disc, got {shortened(self.robot)}; use "
-                f"RigidBodySpace for one with a heading."
-            )
+            got = f"got {shortened(self.robot)}; use RigidBodySpace for one with a heading"
+            raise ValueError(f"The robot of a PlaneSpace must be a point or a disc, {got}.")
         _ = self._passable  # refuses what leaves no free space
 
     @property
@@ -128,37 +162,6 @@ class PlaneSpace:
     def motion_cost(self) -> MotionCost:
         """Length."""
         return MotionCost((((0, 1), 1.0),))
-
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether positions are free.
-
-        Args:
-            q: Positions, ``(n, 2)``.
-
-        Returns:
-            True where the robot overlaps neither obstacles nor the outside of the bounds, to ``workspace.tolerance``;
-            False for positions that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
-        """
-        q = as_points("q", q, 2)
-        return self.are_free(q, q)
-
-    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether straight motions are free all along; exact.
-
-        Args:
-            q0: Where they begin, ``(n, 2)``.
-            q1: Where they end, ``(n, 2)``.
-
-        Returns:
-            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite.
-
-        Raises:
-            ValueError: If the shapes are others or differ.
-        """
-        return are_free_motions(self.workspace, self.robot, *as_motions(q0, q1, 2))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """What is proven of boxes of positions.
@@ -178,19 +181,17 @@ class PlaneSpace:
         center, half = as_boxes(lo, hi, 2)
         # Shrunk by half the tolerance, so that what is nowhere nearer than the radius is free to the whole of it.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
-        near = come_near(self.workspace, boxes, self.robot.rounding)
+        near = np.flatnonzero(come_near(self.workspace, boxes, self.robot.rounding))
         inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
-        near = np.flatnonzero(near)
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
         passable = shapely.intersects(self._passable, boxes)
         state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
         free = np.flatnonzero(state == CellState.FREE)
-        boxes = shapely.box(*(center - half)[free].T, *(center + half)[free].T)
-        state[free[self._touch_contacts(boxes)]] = CellState.MIXED
+        state[free[self._touch_contacts(_shrunk(center[free], half[free], 0.0))]] = CellState.MIXED
         return state
 
-    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
         """Whether positions are seen from everywhere in boxes that is free: proven for points, never for discs.
 
         Args:
@@ -209,23 +210,21 @@ class PlaneSpace:
         sees = np.zeros(len(q), dtype=bool)
         if self.robot.circumscribed_radius > 0:
             return sees
-        boxes: Any = shapely.box(*(center - half).T, *(center + half).T)
-        parts: Any = shapely.intersection(self.workspace.free_space, boxes)
-        whole = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (
-            shapely.get_num_interior_rings(parts) == 0
-        )
+        parts: Any = shapely.intersection(self.workspace.free_space, _shrunk(center, half, 0.0))
+        whole = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
+        whole &= shapely.get_num_interior_rings(parts) == 0
         rings: Any = shapely.get_exterior_ring(parts[whole])
         vertices, ring = shapely.get_coordinates(rings, return_index=True)
         edge = np.flatnonzero(ring[1:] == ring[:-1])
         along, to_q = vertices[edge + 1] - vertices[edge], q[whole][ring[edge]] - vertices[edge]
         inward = np.where(shapely.is_ccw(rings), 1.0, -1.0)[ring[edge]]
-        depth = inward * (along[:, 0] * to_q[:, 1] - along[:, 1] * to_q[:, 0])
+        depth = inward * cross_product(along, to_q)
         least = np.full(np.count_nonzero(whole), np.inf)
         np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
         sees[whole] = least >= -self.workspace.tolerance / 2
         return sees & ~self._touch_contacts(shapely.points(q))
 
-    def _touch_contacts(self, shapes: Any) -> Bool[np.ndarray, "n"]:
+    def _touch_contacts(self, shapes: Any) -> Booleans:
         """Whether Shapely shapes touch points in which obstacles touch, between which a point must not squeeze."""
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
@@ -249,7 +248,7 @@ class PlaneSpace:
         return passable
 
 
-def _shrunk(center: Float[np.ndarray, "n 2"], half: Float[np.ndarray, "n 2"], margin: float) -> Any:
+def _shrunk(center: Positions, half: Positions, margin: float) -> Any:
     """Boxes less a margin along each side, at most half of what they have, as Shapely polygons."""
     half = np.maximum(half - margin, half / 2)
     return shapely.box(*(center - half).T, *(center + half).T)

@@ -7,28 +7,27 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Float, Int8
 
-from plr_jax._arrays import as_finite, as_points, shortened
+from plr_jax._arrays import as_finite, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import left_normal
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot, check_body
-from plr_jax.spaces._plane import are_free_motions, come_near, have_walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+from plr_jax.robots.robot import Robot, check_body, side_offsets
+from plr_jax.spaces._plane import BodySpace, Booleans, come_near, have_walls_within
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 
+# Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it.
 _WIDEST_ARC = math.pi / 3
-"""Half the turn up to which a body's turning is bounded by a polygon: beyond, by the circle around it."""
-
 _POINTS = 1 << 19  # of hulls at a time, which bounds the memory
 
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
+Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
+Turns: TypeAlias = Float[np.ndarray, "n"]
 
 
 @dataclass(frozen=True)
-class RigidBodySpace:
+class RigidBodySpace(BodySpace):
     """Positions and headings of a rigid body in a workspace; a motion costs its length and its weighted turn.
 
     Free is what keeps the body off obstacles and within the bounds, to ``workspace.tolerance``. Headings count modulo
@@ -44,18 +43,13 @@ class RigidBodySpace:
         ValueError: If the robot has no heading, or the weight is not positive and finite.
     """
 
-    workspace: Workspace
-    robot: Robot
     rotation_weight: float | int | None = None
 
     def __post_init__(self):
-        if not isinstance(self.workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
+        super().__post_init__()
         if not isinstance(self.robot, Robot) or self.robot.dof != 3:
-            raise ValueError(
-                f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, got "
-                f"{shortened(self.robot)}; use PlaneSpace for a point or a disc."
-            )
+            got = f"got {shortened(self.robot)}; use PlaneSpace for a point or a disc"
+            raise ValueError(f"The robot of a RigidBodySpace must have a heading, as a RectangleRobot, {got}.")
         check_body("The robot of a RigidBodySpace", self.robot)
         if self.rotation_weight is not None:
             as_finite("rotation_weight", self.rotation_weight, positive=True)
@@ -72,38 +66,6 @@ class RigidBodySpace:
         weight = self.robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
 
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether configurations are free.
-
-        Args:
-            q: Positions and headings, ``(n, 3)``, in workspace units and radians.
-
-        Returns:
-            True where the body overlaps neither obstacles nor the outside of the bounds, to ``workspace.tolerance``;
-            False for configurations that are not finite.
-
-        Raises:
-            ValueError: If ``q`` has another shape.
-        """
-        q = as_points("q", q, 3)
-        return self.are_free(q, q)
-
-    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether straight motions, which turn the shorter way, are proven free all along.
-
-        Args:
-            q0: Where they begin, ``(n, 3)``.
-            q1: Where they end, ``(n, 3)``.
-
-        Returns:
-            True where the whole motion is free, as in :meth:`is_free`; False where an end is not finite, and for some
-            turns within about 1e-7 of the body's size from a wall.
-
-        Raises:
-            ValueError: If the shapes are others or differ.
-        """
-        return are_free_motions(self.workspace, self.robot, *as_motions(q0, q1, 3))
-
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """What is proven of boxes of positions and headings.
 
@@ -119,7 +81,7 @@ class RigidBodySpace:
         """
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _shifts(half))
+        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], _motions(half, 0.0))
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
@@ -130,56 +92,45 @@ class RigidBodySpace:
         state[unsure[self._is_hit(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
-    def _sweeps_free(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
+    def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
         """Whether all that the body covers within each box certainly lies in free space."""
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
         free[wide] = ~come_near(self.workspace, positions, self.robot.circumscribed_radius)
-        hulls = self._hulls(center[narrow], half[narrow])
-        free[narrow] = ~come_near(self.workspace, hulls, self.robot.rounding)
-        return free
-
-    def _hulls(self, center: Boxes, half: Boxes) -> Any:
-        """Convex polygons around all that the core covers within each box, its turns less than half a turn wide.
-
-        The arc on which a vertex turns about the reference point lies in the triangle of that point and of the arc's
-        ends, moved out until their chord is tangent to it.
-        """
+        # Convex polygons around all that the core covers in the narrow boxes: the arc on which a vertex turns about
+        # the reference point lies in the triangle of that point and of the arc's ends, moved out until their chord is
+        # tangent to it.
+        center, half = center[narrow], half[narrow]
         reference = center[:, None, :2]
-        ends = np.concatenate([self._placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
+        ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
         tips = reference + (ends - reference) / np.cos(half[:, 2])[:, None, None]
         offsets = half[:, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
         points = points.reshape(len(center), 4 * (tips.shape[1] + 1), 2)
-        return shapely.convex_hull(shapely.linestrings(points))
+        hulls: Any = shapely.convex_hull(shapely.linestrings(points))
+        free[narrow] = ~come_near(self.workspace, hulls, self.robot.rounding)
+        return free
 
-    def _is_hit(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
+    def _is_hit(self, center: Boxes, half: Boxes) -> Booleans:
         """Whether the body certainly overlaps obstacles, or the outside of the bounds, all over each box."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
-        hit[rows] = self._core_is_hit(center, half)
-        for point, depth in zip(*self._probes, strict=True):
-            left = np.flatnonzero(~hit[rows])
-            position = self._placed(point[None], center[left])[:, 0]
-            spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[left]] = have_walls_within(self.workspace, position, spare)
-        return hit
-
-    def _core_is_hit(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, "n"]:
-        """Whether the core, eroded by as much as its points move within each box, leaves free space.
-
-        About any of its points, a convex body scaled by ``1 - m / depth``, where ``depth`` is that of the point, lies
-        within the body eroded by ``m``. Wherever an eroded body is, the body still is after it moved by ``m``.
-        """
-        hit = np.zeros(len(center), dtype=bool)
+        # About any of its points, a convex body scaled by 1 - m / depth, where that is the depth of the point, lies
+        # within the body eroded by m. Wherever an eroded body is, the body still is after its points moved by m.
         middle, depth = self._middle
         erosion = _motions(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
-        rows = np.flatnonzero(erosion < depth)
-        share = (1 - erosion[rows] / depth)[:, None, None]
-        eroded = self._placed(middle + share * (self.robot.core - middle), center[rows])
-        hit[rows] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
+        small = erosion < depth
+        share = (1 - erosion[small] / depth)[:, None, None]
+        eroded = _placed(middle + share * (self.robot.core - middle), center[small])
+        hit[rows] = False
+        hit[rows[small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
+        for point, depth in zip(*self._probes, strict=True):
+            left = np.flatnonzero(~hit[rows])
+            position = _placed(point[None], center[left])[:, 0]
+            spare = depth - _motions(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
+            hit[rows[left]] = have_walls_within(self.workspace, position, spare)
         return hit
 
     @cached_property
@@ -190,7 +141,7 @@ class RigidBodySpace:
             return core.mean(axis=0), 0.0
         radius = shapely.maximum_inscribed_circle(shapely.Polygon(core))
         middle = shapely.get_coordinates(radius)[0]
-        return middle, _depths(core, middle[None])[0]
+        return middle, max(0.0, side_offsets(core, middle[None]).min())
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
@@ -199,30 +150,18 @@ class RigidBodySpace:
         middle, _ = self._middle
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
         points = np.concatenate([middle[None], (middle + rim) / 2, rim])
-        depths = (_depths(core, points) if len(core) > 2 else np.zeros(len(points))) + rounding
+        inside = side_offsets(core, points).min(axis=0) if len(core) > 2 else np.zeros(len(points))
+        depths = np.maximum(0.0, inside) + rounding
         return np.vstack([np.zeros((1, 2)), points]), np.append(self.robot.inscribed_radius, depths)
-
-    @staticmethod
-    def _placed(
-        points: Float[np.ndarray, "*#n k 2"], q: Boxes, turn: Float[np.ndarray, "n"] | float = 0.0
-    ) -> Float[np.ndarray, "n k 2"]:
-        """Points of the body's own frame where configurations place them, turned a little farther."""
-        c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
-        x, y = points[..., 0], points[..., 1]
-        return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)
-
-
-def _shifts(half: Boxes) -> Float[np.ndarray, "n"]:
-    """How far positions of each box are from its center at most."""
-    return np.hypot(half[:, 0], half[:, 1])
 
 
 def _motions(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
     """How far a point of the body at a radius moves at most from the center of each box."""
-    return _shifts(half) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
+    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
-def _depths(core: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-    """How deep points of a convex polygon are in it."""
-    inward = left_normal(np.roll(core, -1, axis=0) - core)
-    return np.maximum(0.0, ((points[:, None] - core) * inward).sum(axis=2).min(axis=1))
+def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
+    """Points of the body's own frame where configurations place them, turned a little farther."""
+    c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

@@ -1,8 +1,8 @@
 """What a configuration space is: a domain, the cost of a motion in it, and what of it is proven free."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -16,16 +16,17 @@ Configurations = Float[np.ndarray, "n dof"]
 
 
 class CellState(IntEnum):
-    """What is known of a box of configurations."""
+    """What is known of a box of configurations.
+
+    Attributes:
+        BLOCKED: No path passes: no configuration in the interior of the box is free.
+        FREE: Every configuration of the closed box is free, and through any of them the way into other such boxes.
+        MIXED: Neither is proven.
+    """
 
     BLOCKED = 0
-    """No path passes: no configuration in the interior of the box is free."""
-
     FREE = 1
-    """Every configuration of the closed box is free, and through any of them the way into other such boxes."""
-
     MIXED = 2
-    """Neither is proven."""
 
 
 @dataclass(frozen=True, init=False)
@@ -47,11 +48,20 @@ class MotionCost:
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
     def __init__(self, blocks: Any):
-        blocks = tuple(_as_block(block) for block in _as_tuple(blocks))
-        axes = sorted(axis for block in blocks for axis in block[0])
-        if not axes or axes != list(range(len(axes))):
-            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {axes}.")
-        object.__setattr__(self, "blocks", blocks)
+        try:
+            pairs = [(tuple(axes), weight) for axes, weight in blocks]
+        except (TypeError, ValueError):
+            pairs = [((), None)]
+        given = [axis for axes, _ in pairs for axis in axes]
+        are_integers = all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in given)
+        if not are_integers or not all(axes for axes, _ in pairs):
+            expected = "pairs of axes and a weight, each of one or more axes, some integers, and a weight"
+            raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
+        if not given or sorted(given) != list(range(len(given))):
+            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(given)}.")
+        weight_of = partial(as_finite, "The weight of a block", positive=True)
+        kept = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
+        object.__setattr__(self, "blocks", kept)
 
     @property
     def dof(self) -> int:
@@ -166,26 +176,9 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
     lo, hi = as_points("lo", lo, dof), as_points("hi", hi, dof)
     if len(lo) != len(hi):
         raise ValueError(f"Boxes need as many lower corners as upper ones, got {len(lo)} and {len(hi)}.")
-    bad = np.flatnonzero(~(np.isfinite(hi - lo) & (lo <= hi)).all(axis=1))
-    if bad.size:
-        raise ValueError(
-            f"Boxes must have finite corners, hi nowhere below lo, got {lo[bad[0]].tolist()} and "
-            f"{hi[bad[0]].tolist()} for box {bad[0]}."
-        )
+    fine = (np.isfinite(hi - lo) & (lo <= hi)).all(axis=1)
+    if not fine.all():
+        i = fine.argmin()
+        got = f"{lo[i].tolist()} and {hi[i].tolist()} for box {i}"
+        raise ValueError(f"Boxes must have finite corners, hi nowhere below lo, got {got}.")
     return lo + (hi - lo) / 2, (hi - lo) / 2
-
-
-def _as_tuple(value: object) -> tuple:
-    if not isinstance(value, Iterable):
-        raise ValueError(f"The blocks of a MotionCost must be pairs of axes and a weight, got {shortened(value)}.")
-    return tuple(value)
-
-
-def _as_block(block: object) -> tuple[tuple[int, ...], float]:
-    pair = _as_tuple(block)
-    axes = _as_tuple(pair[0]) if len(pair) == 2 else ()
-    if not axes or not all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in axes):
-        raise ValueError(
-            f"A block of a MotionCost must be its axes, some integers, and a weight, got {shortened(block)}."
-        )
-    return tuple(int(axis) for axis in axes), as_finite("The weight of a block", pair[1], positive=True)

@@ -70,6 +70,8 @@ def test_pairs_in_portions(robots, monkeypatch):
     (a0, a1), (b0, b1) = columns(40), columns(30, 0.5)
     motions = robots[0], a0[:, None], a1[:, None], robots[1], b0, b1
     whole = motions_apart(*motions, 1e-9)
+    row = motions_apart(robots[0], a0[3:4], a1[3:4], robots[1], b0, b1, 1e-9)
+    np.testing.assert_array_equal(row, whole[3])
     for module, name, value in ((moving, "_CORNERS", 20), (pairs, "_CHUNK_PAIRS", 7), (pairs, "_MOST", 70)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(motions_apart(*motions, 1e-9), whole)

@@ -10,12 +10,8 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.partition.faces import face_points
 from plr_jax.spaces import CellState
 
-BLOCKED, FREE = CellState.BLOCKED, CellState.FREE
-# Dimension, degree, whether all axes are periodic, share of blocked cells.
-CASES = [
-    *product((1, 2), (1, 2), (False, True), (0.0, 0.4)),
-    *product((3,), (1, 2), (False, True), (0.0, 0.3, 0.6)),
-]
+of_any_dimension = pytest.mark.parametrize(("dim", "degree"), list(product((1, 2, 3), (1, 2))))
+ROUNDS = (0, 5, 4, 2)  # by dimension
 
 
 def random_function(mesh, degree, seed=0):
@@ -29,8 +25,9 @@ def values(degree, nodal, cell, t):
     return np.sum(basis(degree, t) * nodal[cell], axis=1)
 
 
-def largest_jump(mesh, degree, nodal):
-    """Between the two sides of open faces, at random points."""
+def check_continuous(mesh, degree, seed):
+    """Fails if a random function jumps between the two sides of open faces, at random points."""
+    _, _, nodal = random_function(mesh, degree, seed)
     w = np.random.default_rng(1).random((6, mesh.dim))
     x = face_points(mesh.cells, mesh.faces, w)
     sides = []
@@ -38,54 +35,44 @@ def largest_jump(mesh, degree, nodal):
         t = mesh.local(np.broadcast_to(cell[:, None], x.shape[:2]), x)
         t[np.arange(len(cell)), :, mesh.faces.axis] = end
         sides.append(values(degree, nodal, np.repeat(cell, len(w)), t.reshape(-1, mesh.dim)))
-    return np.abs(sides[0] - sides[1]).max(initial=0.0)
+    np.testing.assert_allclose(*sides, rtol=0, atol=1e-12)
+    assert (nodal[mesh.state == CellState.BLOCKED] == 0).all()
 
 
-@pytest.mark.parametrize(("dim", "degree", "periodic", "blocked"), CASES)
-def test_functions_are_continuous_across_all_open_faces(dim, degree, periodic, blocked):
-    for seed in range(3):
-        mesh = random_mesh(
-            seed, dim, rounds=(0, 5, 4, 2)[dim], blocked=blocked, periodic=[True] * dim if periodic else None
-        )
-        _, _, nodal = random_function(mesh, degree, seed)
-        assert largest_jump(mesh, degree, nodal) < 1e-12
-        assert (nodal[mesh.state == BLOCKED] == 0).all()
-
-
-def test_functions_may_jump_across_blocked_cells_alone():
-    mesh = random_mesh(3, 2, rounds=4, blocked=0.4)
-    space, _, _ = random_function(mesh, 2)
-    assert len(space.points) > len(random_function(mesh.without(~mesh.connected_to(0)), 2)[0].points)
-    row = mesh_of(Box([0], [1]), Cells(np.full((4, 1), 2), np.arange(4)[:, None]), np.int8([1, 0, 1, 1]))
-    np.testing.assert_array_equal(np.sort(function_space(row, 1).points[:, 0]), [0, 0.25, 0.5, 0.75, 1])
+@of_any_dimension
+def test_functions_are_continuous_across_all_open_faces(dim, degree):
+    for seed, periodic in product(range(3), (None, [True] * dim)):
+        mesh = random_mesh(seed, dim, rounds=ROUNDS[dim], blocked=(0.0, 0.3, 0.6)[seed], periodic=periodic)
+        check_continuous(mesh, degree, seed)
 
 
 def test_a_node_that_hangs_on_two_cells_agrees_with_both():
     """Two large cells touch along an edge; small ones between them reach both, and a blocked one parts them."""
     for seed in range(40):
-        mesh = random_mesh(seed, 3, rounds=2, blocked=0.5)
-        _, _, nodal = random_function(mesh, 1, seed)
-        assert largest_jump(mesh, 1, nodal) < 1e-12
+        check_continuous(random_mesh(seed, 3, rounds=2, blocked=0.5), 1, seed)
 
 
-@pytest.mark.parametrize(("dim", "degree"), [(1, 1), (1, 2), (2, 1), (2, 2), (3, 1), (3, 2)])
+def test_functions_may_jump_across_blocked_cells_alone():
+    mesh = random_mesh(3, 2, rounds=4, blocked=0.4)
+    parts = mesh, mesh.without(~mesh.connected_to(0))
+    assert len(function_space(parts[0], 2).points) > len(function_space(parts[1], 2).points)
+    row = mesh_of(Box([0], [1]), Cells(np.full((4, 1), 2), np.arange(4)[:, None]), np.int8([1, 0, 1, 1]))
+    np.testing.assert_array_equal(np.sort(function_space(row, 1).points[:, 0]), [0, 0.25, 0.5, 0.75, 1])
+
+
+@of_any_dimension
 def test_polynomials_of_the_degree_are_in_the_space(dim, degree):
-    mesh = random_mesh(5, dim, rounds=(0, 5, 4, 2)[dim], blocked=0.2)
-    space = function_space(mesh, degree)
-    powers = np.array(list(product(range(degree + 1), repeat=dim)))
-    weights = np.random.default_rng(0).normal(size=len(powers))
-
-    def polynomial(x):
-        return np.prod(x[:, None] ** powers, axis=2) @ weights
-
-    rng = np.random.default_rng(2)
-    cell = rng.choice(mesh.open_cells, 200)
-    t = rng.random((200, dim))
-    at = space.interpolation(cell, t) @ polynomial(space.points)
-    np.testing.assert_allclose(at, polynomial(mesh.fractions(cell, t)), atol=1e-12)
+    mesh, rng = random_mesh(5, dim, rounds=ROUNDS[dim], blocked=0.2), np.random.default_rng(2)
+    space, powers = function_space(mesh, degree), np.array(list(product(range(degree + 1), repeat=dim)))
+    weights = rng.normal(size=len(powers))
+    cell, t = rng.choice(mesh.open_cells, 200), rng.random((200, dim))
+    at_points, expected = (
+        np.prod(x[:, None] ** powers, axis=2) @ weights for x in (space.points, mesh.fractions(cell, t))
+    )
+    np.testing.assert_allclose(space.interpolation(cell, t) @ at_points, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize(("dim", "degree"), [(1, 2), (2, 1), (2, 2), (3, 1), (3, 2)])
+@of_any_dimension
 def test_control_vectors_enclose_the_gradient(dim, degree):
     mesh = random_mesh(7, dim, rounds=2, blocked=0.2)
     space, dofs, nodal = random_function(mesh, degree)
@@ -96,38 +83,28 @@ def test_control_vectors_enclose_the_gradient(dim, degree):
         for cell, bounds in zip(mesh.open_cells, control, strict=True):
             each, move = np.full(len(t), cell), step * np.eye(dim)[axis]
             rise = values(degree, nodal, each, t + move) - values(degree, nodal, each, t - move)
-            slope = rise / (2 * step * mesh.widths[cell, axis] * scale[axis])
-            # The control values are those of a Bernstein polynomial, which is the derivative ...
+            slope, rounding = rise / (2 * step * mesh.widths[cell, axis] * scale[axis]), 1e-6 * np.abs(bounds).max()
+            # The control values are those of a Bernstein polynomial, the derivative, which is within their hull.
             from_control = basis(degree, t) @ np.linalg.solve(to_bernstein(degree, dim), bounds)
-            np.testing.assert_allclose(from_control, slope, rtol=1e-6, atol=1e-6 * np.abs(bounds).max())
-            # ... and so within their hull.
-            assert (slope >= bounds.min() - 1e-6 * np.abs(bounds).max()).all()
-            assert (slope <= bounds.max() + 1e-6 * np.abs(bounds).max()).all()
+            np.testing.assert_allclose(from_control, slope, rtol=1e-6, atol=rounding)
+            assert bounds.min() - rounding <= slope.min() and slope.max() <= bounds.max() + rounding
 
 
-@pytest.mark.parametrize(("dim", "degree"), [(1, 1), (2, 1), (2, 2), (3, 1)])
+@of_any_dimension
 def test_integrals_are_sums_over_cells_by_quadrature(dim, degree):
     mesh = random_mesh(9, dim, rounds=2, blocked=0.3)
     space, dofs, nodal = random_function(mesh, degree)
     node, weight = np.polynomial.legendre.leggauss(3)
     t = np.array(list(product((node + 1) / 2, repeat=dim)))
     share = np.prod(list(product(weight / 2, repeat=dim)), axis=1)
-    expected = sum(
-        mesh.volumes[cell] * share @ values(degree, nodal, np.full(len(t), cell), t) for cell in mesh.open_cells
-    )
+    expected = sum(mesh.volumes[c] * share @ values(degree, nodal, np.full(len(t), c), t) for c in mesh.open_cells)
     np.testing.assert_allclose(space.integrals() @ dofs, expected, rtol=1e-12)
-    open_volume = mesh.volumes[mesh.open_cells].sum()
-    np.testing.assert_allclose(space.integrals().sum(), open_volume, rtol=1e-12)
+    np.testing.assert_allclose(space.integrals().sum(), mesh.volumes[mesh.open_cells].sum(), rtol=1e-12)
 
 
 def test_every_degree_of_freedom_is_at_its_own_point():
-    mesh = random_mesh(11, 2, rounds=4, blocked=0.3)
-    space = function_space(mesh, 2)
-    at_points = space.values[space.node_of]
-    np.testing.assert_allclose(at_points.toarray(), np.eye(len(space.points)), atol=0)
-
-
-def test_a_single_cell_has_all_its_nodes():
-    for degree in (1, 2):
-        mesh = mesh_of(Box([0, 0], [1, 2]), Cells.root(2), np.int8([FREE]))
-        assert len(function_space(mesh, degree).points) == (degree + 1) ** 2
+    single = mesh_of(Box([0, 0], [1, 2]), Cells.root(2), np.int8([CellState.FREE]))
+    for mesh in (random_mesh(11, 2, rounds=4, blocked=0.3), single):
+        space = function_space(mesh, 2)
+        np.testing.assert_array_equal(space.values[space.node_of].toarray(), np.eye(len(space.points)))
+    assert len(space.points) == 9

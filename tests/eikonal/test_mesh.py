@@ -3,55 +3,41 @@ import itertools
 import networkx
 import numpy as np
 import pytest
-from eikonal_helpers import BoxSpace, mesh_of, random_mesh
+from eikonal_helpers import EMPTY, BoxSpace, mesh_of, random_mesh
+from space_helpers import random_boxes
 
-from plr_jax.eikonal.mesh import Mesh, coarse_mesh
+from plr_jax import Current
+from plr_jax.eikonal.mesh import Mesh, SampledSpace, cell_costs, coarse_mesh
 from plr_jax.geometry.box import Box
-from plr_jax.plr.partition.cells import PLACING, Cells, corner_bits
-from plr_jax.spaces import CellState
+from plr_jax.plr.partition.cells import PLACING, corner_bits
+from plr_jax.spaces import CellState, ConfigurationSpace
 
 BLOCKED, FREE, MIXED = CellState
 UNIT = Box((0, 0), (1, 1))
+SPACE = BoxSpace(Box((0, 0), (2, 1), (True, False)), [(0.3, 0.2), (1.1, 0.7)])
+SAMPLED = SampledSpace(SPACE, 0)
 
 
-def locate_by_search(mesh, x):
-    """The cell of each fraction of the domain: half-open boxes, of which the last ones are closed."""
-    lo = np.ldexp(mesh.cells.position.astype(float), -mesh.cells.depth)
-    hi = np.ldexp(mesh.cells.position + 1.0, -mesh.cells.depth)
-    return [int(np.flatnonzero(np.all((lo <= p) & ((p < hi) | (hi == 1)), axis=1))[0]) for p in x]
+def mesh_in(space, num_cells=16, max_cells=4096):
+    return coarse_mesh(space, np.ones(space.domain.dim), num_cells, max_cells)
 
 
-def refined_often(space, rounds, goal=(0.3, 0.6), num_cells=16):
-    """Cells that hold or touch a point are halved again and again."""
-    mesh = coarse_mesh(space, np.ones(space.domain.dim), num_cells, 4096)
-    for _ in range(rounds):
-        lo, hi = mesh.boxes
-        mesh = mesh.refined(np.flatnonzero(np.all((lo <= goal) & (goal <= hi), axis=1)), space)
-    return mesh
+def ends(cells):
+    return np.ldexp(cells.position.astype(float), -cells.depth), np.ldexp(cells.position + 1.0, -cells.depth)
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
-def test_points_are_located_as_by_search(dim):
-    mesh = random_mesh(1, dim, rounds=(0, 6, 5, 3)[dim])
-    rng = np.random.default_rng(0)
-    corners = np.ldexp(mesh.cells.position.astype(float), -mesh.cells.depth)
-    x = np.concatenate([rng.random((300, dim)), corners, np.eye(dim), np.ones((1, dim))])
-    assert mesh.locate(x).tolist() == locate_by_search(mesh, x)
-
-
-def test_points_in_tiny_cells_are_located():
-    space = BoxSpace(UNIT)
-    mesh = refined_often(space, 12)
-    assert mesh.cells.depth.max() > 12
-    rng = np.random.default_rng(0)
-    x = np.clip(np.array([0.3, 0.6]) + 2.0 ** -rng.uniform(0, 14, (400, 1)) * rng.uniform(-1, 1, (400, 2)), 0, 1)
-    assert mesh.locate(x).tolist() == locate_by_search(mesh, x)
-
-
-def test_points_outside_are_in_the_nearest_cell():
-    mesh = random_mesh(2, 2)
-    outside = np.array([[-0.5, 0.3], [1.5, 0.3], [0.7, 1.01], [-1.0, 2.0]])
-    np.testing.assert_array_equal(mesh.locate(outside), mesh.locate(np.clip(outside, 0, 1)))
+def test_points_are_located_as_by_search_and_those_outside_in_the_nearest_cell():
+    """Half-open boxes, of which the last ones are closed."""
+    meshes = [mesh_in(BoxSpace(UNIT)), *(random_mesh(1, dim, rounds=(0, 6, 5, 3)[dim]) for dim in (1, 2, 3))]
+    for _ in range(12):
+        meshes[0] = meshes[0].refined(meshes[0].locate(np.array([[0.3, 0.6]])), BoxSpace(UNIT))
+    for mesh in meshes:
+        rng, (lo, hi), dim = np.random.default_rng(0), ends(mesh.cells), mesh.dim
+        near = np.array([0.3, 0.6, 0.0])[:dim] + 2.0 ** -rng.uniform(0, 14, (400, 1)) * rng.uniform(-1, 1, (400, dim))
+        x = np.concatenate([rng.uniform(-0.5, 1.5, (300, dim)), lo, near, np.eye(dim), np.ones((1, dim))])
+        inside = np.clip(x, 0, 1)[:, None]
+        expected = np.argmax(np.all((lo <= inside) & ((inside < hi) | (hi == 1)), axis=2), axis=1)
+        np.testing.assert_array_equal(mesh.locate(x), expected)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -66,40 +52,40 @@ def test_fractions_and_points_of_cells_are_inverse(dim):
     np.testing.assert_allclose(mesh.volumes.sum(), mesh.domain.width.prod(), rtol=1e-12)
 
 
-@pytest.mark.parametrize("periodic", [None, (True, False)])
+@pytest.mark.parametrize("periodic", [(False, False), (True, False)])
 def test_cells_are_connected_through_open_faces(periodic):
     for seed in range(4):
         mesh = random_mesh(seed, 2, rounds=3, blocked=0.5, periodic=periodic)
-        lo = np.ldexp(mesh.cells.position.astype(float), -mesh.cells.depth)
-        hi = np.ldexp(mesh.cells.position + 1.0, -mesh.cells.depth)
-        graph = networkx.Graph()
-        graph.add_nodes_from(range(len(lo)))
-        is_open = mesh.state != BLOCKED
-        for a, b in itertools.permutations(np.flatnonzero(is_open), 2):
-            for axis in range(2):
-                other = 1 - axis
-                touch = hi[a, axis] == lo[b, axis] or (
-                    periodic is not None and periodic[axis] and hi[a, axis] == 1 and lo[b, axis] == 0
-                )
+        (lo, hi), graph = ends(mesh.cells), networkx.Graph()
+        graph.add_nodes_from(mesh.open_cells)
+        for a, b in itertools.permutations(mesh.open_cells, 2):
+            for axis, other in ((0, 1), (1, 0)):
+                touch = hi[a, axis] == lo[b, axis] or (periodic[axis] and hi[a, axis] == 1 and lo[b, axis] == 0)
                 if touch and max(lo[a, other], lo[b, other]) < min(hi[a, other], hi[b, other]):
                     graph.add_edge(a, b)
         cell = int(mesh.open_cells[seed])
         assert set(np.flatnonzero(mesh.connected_to(cell))) == networkx.node_connected_component(graph, cell)
 
 
-def test_closed_cells_count_as_blocked():
-    mesh = random_mesh(4, 2, blocked=0.2)
-    closed = np.arange(len(mesh.state)) % 3 == 0
-    without = mesh.without(closed)
-    assert (without.state[closed] == BLOCKED).all()
-    np.testing.assert_array_equal(without.state[~closed], mesh.state[~closed])
-    assert not set(without.faces.lower) & set(np.flatnonzero(closed))
-    assert len(without.all_faces) == len(mesh.all_faces) == len(without.is_open_face)
+def test_closed_cells_count_as_blocked_and_all_that_is_said_of_cells_alone_stays():
+    mesh = random_mesh(4, 2, rounds=3, blocked=0.2)
+    _ = mesh.open_cells, mesh.is_open_face, mesh.faces, mesh.boxes, mesh.nodes, mesh.locate(mesh.nodes)
+    closed = np.random.default_rng(0).random(len(mesh.state)) < 0.5
+    other = mesh.without(closed)
+    np.testing.assert_array_equal(other.state, np.where(closed, BLOCKED, mesh.state))
+    fresh = Mesh(mesh.domain, mesh.tree, other.state)
+    np.testing.assert_array_equal(other.open_cells, np.flatnonzero(~closed & (mesh.state != BLOCKED)))
+    np.testing.assert_array_equal(other.is_open_face, fresh.is_open_face)
+    np.testing.assert_array_equal(other.faces.lower, fresh.faces.lower)
+    assert not set(other.faces.lower) & set(np.flatnonzero(closed))
+    assert len(other.all_faces) == len(mesh.all_faces) == len(other.is_open_face)
+    np.testing.assert_array_equal(other.corners, fresh.corners)
+    np.testing.assert_array_equal(other.locate(mesh.nodes), fresh.locate(mesh.nodes))
 
 
 def test_cells_are_what_the_space_proves():
     space = BoxSpace(Box((0, 0), (2, 1)), [(0.3, 0.2), (1.1, 0.7)], [(1.5, 0.5), (1.6, 1)])
-    mesh = coarse_mesh(space, np.ones(2), 500, 4096)
+    mesh = mesh_in(space, 500)
     lo, hi = mesh.boxes
     share = np.array(list(itertools.product(np.linspace(0, 1, 9), repeat=2)))
     samples = lo[:, None] + share * (hi - lo)[:, None]
@@ -111,7 +97,7 @@ def test_cells_are_what_the_space_proves():
 def test_blocked_cells_keep_queries_off_walls():
     """A cell flush with a wall holds no free point, but rounding places free points beside it in it."""
     space = BoxSpace(UNIT, [(0.25, 0.25), (0.5, 0.75)])
-    mesh = coarse_mesh(space, np.ones(2), 16, 4096)
+    mesh = mesh_in(space)
     lo, hi = mesh.boxes
     inside = np.all((lo >= (0.25, 0.25)) & (hi <= (0.5, 0.75)), axis=1)
     assert inside.sum() == 2 and (mesh.state[inside] == MIXED).all()
@@ -125,73 +111,63 @@ def test_blocked_cells_keep_queries_off_walls():
 
 
 def test_blocked_cells_at_the_border_of_the_domain_are_blocked():
-    mesh = coarse_mesh(BoxSpace(UNIT, [(0.0, 0.0), (0.6, 1.0)]), np.ones(2), 16, 4096)
-    _, hi = mesh.boxes
-    np.testing.assert_array_equal(mesh.state == BLOCKED, hi[:, 0] <= 0.5)
+    mesh = mesh_in(BoxSpace(UNIT, [(0.0, 0.0), (0.6, 1.0)]))
+    np.testing.assert_array_equal(mesh.state == BLOCKED, mesh.boxes[1][:, 0] <= 0.5)
 
 
 def test_grown_boxes_leave_the_domain_around_periodic_axes_alone():
-    mesh = coarse_mesh(BoxSpace(Box((0, 0), (2, 1), (True, False))), np.ones(2), 16, 4096)
-    (lo, hi), (grown_lo, grown_hi) = mesh.boxes, mesh.grown_boxes
+    mesh = mesh_in(BoxSpace(SPACE.domain))
+    (lo, hi), grown = mesh.boxes, mesh.grown_boxes
     beside = PLACING * np.array([2.0, 1.0])
-    np.testing.assert_allclose(grown_lo[:, 0], lo[:, 0] - beside[0], atol=1e-15)
-    np.testing.assert_allclose(grown_hi[:, 0], hi[:, 0] + beside[0], atol=1e-15)
-    np.testing.assert_allclose(grown_lo[:, 1], np.maximum(lo[:, 1] - beside[1], 0), atol=1e-15)
-    np.testing.assert_allclose(grown_hi[:, 1], np.minimum(hi[:, 1] + beside[1], 1), atol=1e-15)
+    expected = np.stack([lo - beside, hi + beside])
+    expected[:, :, 1] = np.clip(expected[:, :, 1], 0, 1)
+    np.testing.assert_allclose(grown, expected, atol=1e-15)
 
 
 def test_refined_cells_fill_the_domain_and_are_classified_anew():
     space = BoxSpace(UNIT, [(0.3, 0.3), (0.9, 0.6)])
-    coarse = coarse_mesh(space, np.ones(2), 64, 4096)
+    coarse = mesh_in(space, 64)
     which = np.random.default_rng(0).choice(len(coarse.state), 20, replace=False)
     fine = coarse.refined(which, space)
     assert len(fine.state) == len(coarse.state) + 3 * 20
     np.testing.assert_allclose(fine.volumes.sum(), 1, rtol=1e-12)
-    lo, hi = fine.boxes
-    middle = mesh_of(UNIT, fine.cells, fine.state).locate((lo + hi) / 2)
-    np.testing.assert_array_equal(middle, np.arange(len(lo)))
-    parent = coarse.locate((lo + hi) / 2)
+    middle = np.mean(fine.boxes, axis=0)
+    np.testing.assert_array_equal(mesh_of(UNIT, fine.cells, fine.state).locate(middle), np.arange(len(middle)))
+    parent = coarse.locate(middle)
     sure = coarse.state[parent] != MIXED
     np.testing.assert_array_equal(fine.state[sure], coarse.state[parent][sure])
-    new = np.isin(parent, which) & ~sure
-    assert set(fine.state[new]) == set(CellState)
+    assert set(fine.state[np.isin(parent, which) & ~sure]) == set(CellState)
 
 
 @pytest.mark.parametrize(
-    ("width", "scale", "expected"),
-    [((1, 1), (1, 1), (2, 2)), ((4, 1), (1, 1), (3, 1)), ((4, 1), (1, 4), (2, 2)), ((1, 1, 8), (1, 1, 1), (1, 1, 4))],
+    ("width", "scale", "num_cells", "most", "expected"),
+    [
+        # About cubes by what motions cost.
+        ((1, 1), (1, 1), 16, 4096, (2, 2)),
+        ((4, 1), (1, 1), 16, 4096, (3, 1)),
+        ((4, 1), (1, 4), 16, 4096, (2, 2)),
+        ((1, 1, 8), (1, 1, 1), 16, 4096, (1, 1, 4)),
+        # No more cells than asked for, or allowed.
+        ((1, 1), (1, 1), 0, 4096, (0, 0)),
+        *(((8, 1), (1, 1), 30, most, depth) for most, depth in ((1, (0, 0)), (2, (1, 0)), (5, (2, 0)))),
+        *(((8, 1), (1, 1), 30, most, depth) for most, depth in ((8, (3, 0)), (40, (4, 1)))),
+    ],
 )
-def test_the_coarse_cells_are_about_cubes_by_what_motions_cost(width, scale, expected):
-    space = BoxSpace(Box(np.zeros(len(width)), np.array(width, float)))
-    mesh = coarse_mesh(space, np.array(scale, float), 16, 4096)
+def test_how_often_the_coarse_cells_are_halved(width, scale, num_cells, most, expected):
+    mesh = coarse_mesh(BoxSpace(Box(np.zeros(len(width)), width)), np.array(scale, float), num_cells, most)
     assert (mesh.cells.depth == expected).all() and len(mesh.state) == 2 ** sum(expected)
+    assert (mesh.state == FREE).all() and (len(mesh.all_faces) == 0) == (len(mesh.state) == 1)
 
 
 def test_no_cell_touches_another_on_both_sides_of_a_periodic_axis():
-    mesh = coarse_mesh(BoxSpace(Box((0, 0), (8, 1), (False, True))), np.ones(2), 1, 4096)
+    mesh = mesh_in(BoxSpace(Box((0, 0), (8, 1), (False, True))), 1)
     assert (mesh.cells.depth[:, 1] >= 2).all()
     pairs = np.stack([mesh.all_faces.lower, mesh.all_faces.upper])
     assert len(np.unique(np.sort(pairs, axis=0), axis=1).T) == pairs.shape[1]
-
-
-def test_one_cell_suffices_if_no_more_are_asked_for():
-    mesh = coarse_mesh(BoxSpace(UNIT), np.ones(2), 0, 4096)
-    assert len(mesh.state) == 1 and mesh.state[0] == FREE and len(mesh.all_faces) == 0
-    cells = Cells.root(2)
-    assert (mesh.cells.depth == cells.depth).all()
-
-
-@pytest.mark.parametrize(("most", "expected"), [(1, (0, 0)), (2, (1, 0)), (5, (2, 0)), (8, (3, 0)), (40, (4, 1))])
-def test_there_are_no_more_cells_than_allowed(most, expected):
-    mesh = coarse_mesh(BoxSpace(Box((0, 0), (8, 1))), np.ones(2), 30, most)
-    assert (mesh.cells.depth == expected).all()
-
-
-def test_too_few_cells_for_periodic_axes_are_refused():
     space = BoxSpace(Box(np.zeros(3), np.ones(3), (True, False, True)))
-    assert len(coarse_mesh(space, np.ones(3), 1, 16).state) == 16
+    assert len(mesh_in(space, 1, 16).state) == 16
     with pytest.raises(ValueError, match="max_leaves must be at least 16 in a domain with 2 periodic axes, got 15"):
-        coarse_mesh(space, np.ones(3), 1, 15)
+        mesh_in(space, 1, 15)
 
 
 @pytest.mark.parametrize("periodic", [(False, False), (False, True), (True, True)])
@@ -203,14 +179,42 @@ def test_cells_share_the_nodes_at_their_corners(periodic):
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
 
 
-def test_another_state_changes_all_that_is_said_of_open_cells_and_nothing_else():
-    mesh = random_mesh(1, 2, rounds=3)
-    _ = mesh.open_cells, mesh.is_open_face, mesh.faces, mesh.boxes, mesh.nodes, mesh.locate(mesh.nodes)
-    closed = np.random.default_rng(0).random(len(mesh.state)) < 0.5
-    other = mesh.without(closed)
-    fresh = Mesh(mesh.domain, mesh.tree, other.state)
-    np.testing.assert_array_equal(other.open_cells, np.flatnonzero(~closed & (mesh.state != BLOCKED)))
-    np.testing.assert_array_equal(other.is_open_face, fresh.is_open_face)
-    np.testing.assert_array_equal(other.faces.lower, fresh.faces.lower)
-    np.testing.assert_array_equal(other.corners, fresh.corners)
-    np.testing.assert_array_equal(other.locate(mesh.nodes), fresh.locate(mesh.nodes))
+def test_costs_are_between_their_bounds_whichever_way_motions_go():
+    current = Current(lambda q: 0.4 * np.stack([q[:, 1], -q[:, 0]], axis=1), speed=1.0, lipschitz=0.4, fastest=0.6)
+    mesh = mesh_in(EMPTY, 64, 64)
+    costs = cell_costs(EMPTY, current, mesh)
+    rng = np.random.default_rng(0)
+    cell = rng.integers(len(mesh.state), size=2000)
+    lo, hi = (corner[cell] for corner in mesh.boxes)
+    w = current.velocity_fn(lo + rng.random(lo.shape) * (hi - lo))
+    angle = rng.uniform(0, 2 * np.pi, len(cell))
+    v = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    a, along = 1 - np.sum(w * w, axis=1), np.sum(w * v, axis=1)
+    time = (np.sqrt(along**2 + a) - along) / a
+    assert (costs.least_rates[cell] <= time).all() and (time <= costs.most(v, cell) + 1e-12).all()
+    midway = costs.midway.most(v, cell)
+    assert (midway < costs.most(v, cell)).all() and abs(np.mean(midway / time) - 1) < 0.05
+
+
+# --- by samples alone ------------------------------------------------------------------------------------
+
+
+def test_boxes_are_what_is_proven_of_them_or_what_samples_missed():
+    assert isinstance(SAMPLED, ConfigurationSpace)
+    assert SAMPLED.domain == SPACE.domain and SAMPLED.motion_cost == SPACE.motion_cost
+    q = np.random.default_rng(0).random((100, 2))
+    np.testing.assert_array_equal(SAMPLED.is_free(q), SPACE.is_free(q))
+    lo, hi = random_boxes(np.random.default_rng(0), SPACE.domain, 400)
+    proven, sampled = SPACE.classify(lo, hi), SAMPLED.classify(lo, hi)
+    inside = np.all((lo > 0.001) & (hi < (1.99, 0.999)), axis=1)  # what only touches an obstacle is free
+    assert (sampled[proven == FREE] == FREE).all()
+    assert (sampled[inside & (proven == BLOCKED)] != FREE).all()
+    assert (sampled[proven == MIXED] == MIXED).mean() > 0.8
+    assert SAMPLED.classify(np.array([[0.4, 0.3]]), np.array([[0.5, 0.4]])).tolist() == [BLOCKED]
+
+
+def test_motions_are_free_where_all_samples_are():
+    q0 = np.array([[0.1, 0.5], [0.1, 0.1], [1.9, 0.5], [0.1, 0.5]])
+    q1 = np.array([[1.5, 0.5], [1.5, 0.1], [0.1, 0.5], [0.5, 0.5]])
+    assert SAMPLED.are_free(q0, q1).tolist() == [True, True, True, False]  # the first one goes around the back
+    assert SAMPLED.are_free(q0, q1).tolist() == SPACE.are_free(q0, q1).tolist()

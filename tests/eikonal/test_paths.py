@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from eikonal_helpers import BoxSpace
+from eikonal_helpers import EMPTY, BoxSpace
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import PlaneSpace, PointRobot, Problem, VisibilityGraph, Workspace, validate
@@ -12,6 +12,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.spaces import LipschitzCost
 
 SLOPED = LipschitzCost(lambda q: 1 + q[:, 0] / 2 + q[:, 1] / 4, 0.6, 1.0)
+BLOCK = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
 
 
 def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
@@ -28,113 +29,81 @@ def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
     return paths, space.domain.lo + paths.points * space.domain.width
 
 
+def paths_above(workspace, goal, **options):
+    """Paths whose legs are free and which are nowhere shorter than the distance, else it fails; with the distance."""
+    paths, x = paths_of(PlaneSpace(workspace), goal, **options)
+    distance = VisibilityGraph(workspace, goal)(x)
+    assert (paths.cost >= distance - 1e-9).all()
+    legs = np.flatnonzero(np.isfinite(paths.cost))
+    assert workspace.is_visible(x[legs], x[paths.next[legs]]).all()
+    return paths, x, distance
+
+
 def followed(paths, x, node):
-    """The nodes of a path, the goal last."""
+    """The points of a path, the goal last."""
     nodes, goal = [node], len(x) - 1
     while nodes[-1] != goal:
         nodes.append(int(paths.next[nodes[-1]]))
         assert len(nodes) <= len(x)
-    return nodes
+    return x[nodes]
 
 
-def integral(cost_map, a, b, num=2000):
-    """Of the factor along a segment, by the midpoint rule."""
+def integral(a, b, num=2000):
+    """Of the sloped factor along a segment, by the midpoint rule."""
     share = (np.arange(num) + 0.5) / num
-    return np.mean(cost_map(a + share[:, None] * (b - a))) * np.linalg.norm(b - a)
+    return np.mean(SLOPED(a + share[:, None] * (b - a))) * np.linalg.norm(b - a)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_every_cost_is_that_of_a_path_that_is_free(seed):
+def test_every_cost_is_that_of_a_path_that_is_free_and_close_above_the_distance(seed):
     workspace = random_workspace(seed)
     goal = workspace.sample_free(1, seed)[0]
-    paths, x = paths_of(PlaneSpace(workspace), goal)
+    paths, x, distance = paths_above(workspace, goal)
     np.testing.assert_allclose(x[-1], goal, atol=1e-12)
     assert paths.cost[-1] == 0
-    known = np.flatnonzero(np.isfinite(paths.cost))
-    assert len(known) > 100
-    legs = known[known != len(x) - 1]
-    assert workspace.is_visible(x[legs], x[paths.next[legs]]).all()
-    for node in np.random.default_rng(seed).choice(legs, 30):
-        nodes = followed(paths, x, int(node))
-        length = np.linalg.norm(np.diff(x[nodes], axis=0), axis=1).sum()
+    known = np.flatnonzero(np.isfinite(paths.cost) & (distance > 0))
+    assert len(known) > 100 and np.mean(paths.cost[known] / distance[known]) < 1.03
+    for node in np.random.default_rng(seed).choice(known, 30):
+        path = followed(paths, x, int(node))
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         assert length <= paths.cost[node] <= (1 + 1e-9) * length
-        problem = Problem(workspace, [PointRobot()], [x[node]], [goal])
-        assert validate(problem, x[nodes][:, None]).valid
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_costs_are_close_above_the_distance(seed):
-    workspace = random_workspace(seed)
-    goal = workspace.sample_free(1, seed)[0]
-    paths, x = paths_of(PlaneSpace(workspace), goal)
-    distance = VisibilityGraph(workspace, goal)(x)
-    assert (paths.cost >= distance - 1e-9).all()
-    known = np.isfinite(paths.cost) & (distance > 0)
-    assert np.mean(paths.cost[known] / distance[known]) < 1.03
+        assert validate(Problem(workspace, [PointRobot()], [x[node]], [goal]), path[:, None]).valid
 
 
 def test_in_an_empty_room_paths_are_straight():
     for goal in ((0.3, 0.7), (0.5, 0.5), (0.0, 1.0)):
-        paths, x = paths_of(PlaneSpace(Workspace(((0, 0), (1, 1)))), goal)
+        paths, x = paths_of(EMPTY, goal)
         np.testing.assert_allclose(paths.cost, np.linalg.norm(x - goal, axis=1), rtol=1e-5, atol=1e-12)
 
 
 def test_a_cost_map_is_integrated_along_paths():
-    workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
-    paths, x = paths_of(PlaneSpace(workspace), (3.3, 2.2), cost_map=SLOPED)
-    nodes = np.random.default_rng(0).integers(len(x) - 1, size=40)
-    for node in nodes[np.isfinite(paths.cost[nodes])]:
-        path = x[followed(paths, x, int(node))]
-        cost = sum(integral(SLOPED, a, b) for a, b in itertools.pairwise(path))
-        assert cost <= paths.cost[node] <= 1.15 * cost
+    for goal in ((3.3, 2.2), (1.0, 1.3)):  # the second beside a wall
+        paths, x = paths_of(PlaneSpace(BLOCK), goal, cost_map=SLOPED)
+        last = np.flatnonzero((paths.next == len(x) - 1) & np.isfinite(paths.cost))[:-1]
+        nodes = np.random.default_rng(0).integers(len(x) - 1, size=40)
+        for node in (*nodes[np.isfinite(paths.cost[nodes])], *last):
+            cost = sum(itertools.starmap(integral, itertools.pairwise(followed(paths, x, int(node)))))
+            assert cost <= paths.cost[node] <= 1.15 * cost
+    assert len(last) > 20
 
 
-def test_twice_the_cost_is_twice_as_dear():
-    workspace = random_workspace(2)
-    goal = workspace.sample_free(1, 2)[0]
-    plain, _ = paths_of(PlaneSpace(workspace), goal)
-    double, _ = paths_of(
-        PlaneSpace(workspace), goal, cost_map=LipschitzCost(lambda q: np.full(len(q), 2.0), 0.0, 2.0)
-    )
-    np.testing.assert_allclose(double.cost, 2 * plain.cost, rtol=1e-12)
-
-
-def test_paths_do_not_squeeze_between_obstacles_that_touch_in_a_node():
-    touching = [rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)]
-    for squeeze in (False, True):
-        workspace = Workspace(BOUNDS, touching, squeeze=squeeze)
-        goal = (1.9, 1.4)
-        paths, x = paths_of(PlaneSpace(workspace), goal, num_cells=256)
-        distance = VisibilityGraph(workspace, goal)(x)
-        assert (paths.cost >= distance - 1e-9).all()
-        beyond = np.flatnonzero(np.all((x > (2, 1.5)) & (x < (2.3, 1.8)), axis=1))
-        assert np.isfinite(paths.cost[beyond]).all() and len(beyond)
-        assert (paths.cost[beyond] > 1).all() != squeeze
+@pytest.mark.parametrize("squeeze", [False, True])
+def test_paths_do_not_squeeze_between_obstacles_that_touch_in_a_node(squeeze):
+    workspace = Workspace(BOUNDS, [rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)], squeeze=squeeze)
+    paths, x, _ = paths_above(workspace, (1.9, 1.4), num_cells=256)
+    beyond = np.flatnonzero(np.all((x > (2, 1.5)) & (x < (2.3, 1.8)), axis=1))
+    assert np.isfinite(paths.cost[beyond]).all() and len(beyond)
+    assert (paths.cost[beyond] > 1).all() != squeeze
 
 
 @pytest.mark.parametrize("goal", [(1.0, 1.5), (1.0, 1.0), (2.0, 1.3), (1.0, 0.9999), (0.0, 0.0), (4.0, 1.3)])
 def test_paths_lead_to_goals_beside_walls(goal):
-    workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
-    paths, x = paths_of(PlaneSpace(workspace), goal)
-    distance = VisibilityGraph(workspace, goal)(x)
-    assert (paths.cost >= distance - 1e-9).all()
+    paths, _, distance = paths_above(BLOCK, goal)
     assert np.isfinite(paths.cost).all() and np.mean(paths.cost - distance) < 0.03 * distance.mean()
-    legs = np.arange(len(x) - 1)
-    assert workspace.is_visible(x[legs], x[paths.next[legs]]).all()
-
-
-def test_the_way_to_a_goal_beside_a_wall_costs_what_the_map_says():
-    workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
-    paths, x = paths_of(PlaneSpace(workspace), (1.0, 1.3), cost_map=SLOPED)
-    last = np.flatnonzero((paths.next == len(x) - 1) & np.isfinite(paths.cost))[:-1]
-    assert len(last) > 20
-    for node in last:
-        assert integral(SLOPED, x[node], x[-1]) <= paths.cost[node]
 
 
 def test_paths_go_around_periodic_axes():
-    space = BoxSpace(Box((0, 0), (4, 2), (True, False)), [(1.0, 0.0), (1.3, 2.0)])
-    goal = np.array([0.2, 1.3])
+    space, goal = BoxSpace(Box((0, 0), (4, 2), (True, False)), [(1.0, 0.0), (1.3, 2.0)]), np.array([0.2, 1.3])
     paths, x = paths_of(space, goal)
     right = np.where(x[:, 0] > 1.1, x[:, 0] - 4, x[:, 0])
     expected = np.hypot(right - goal[0], x[:, 1] - goal[1])
@@ -144,20 +113,15 @@ def test_paths_go_around_periodic_axes():
 
 @pytest.mark.parametrize("goal", [(0.2, 0.3, 0.4), (0.0, 0.5, 1.0)])
 def test_paths_in_space_are_free_and_cost_what_they_say(goal):
-    space = BoxSpace(
-        Box(np.zeros(3), np.ones(3), (False, False, True)),
-        [(0.3, 0.0, 0.2), (0.6, 0.7, 0.8)],
-        blocks=(((0, 1), 1.0), ((2,), 0.5)),
-    )
+    domain, blocks = Box(np.zeros(3), np.ones(3), (False, False, True)), (((0, 1), 1.0), ((2,), 0.5))
+    space = BoxSpace(domain, [(0.3, 0.0, 0.2), (0.6, 0.7, 0.8)], blocks=blocks)
     paths, x = paths_of(space, goal, num_cells=512, rounds=1)
-    legs = np.flatnonzero(np.isfinite(paths.cost))
-    assert len(legs) == len(x)
-    assert space.are_free(x[legs], x[paths.next[legs]]).all()
-    leg = space.motion_cost.lengths(x, x[paths.next], space.domain)
+    assert np.isfinite(paths.cost).all() and space.are_free(x, x[paths.next]).all()
+    leg = space.straight(x, x[paths.next])
     np.testing.assert_allclose(paths.cost, leg + paths.cost[paths.next], rtol=1e-9, atol=1e-12)
-    assert (paths.cost >= space.motion_cost.lengths(x, np.tile(goal, (len(x), 1)), space.domain) - 1e-12).all()
+    assert (paths.cost >= space.straight(x, goal) - 1e-12).all()
 
 
 def test_where_no_cell_is_free_there_is_the_goal_alone():
-    paths, x = paths_of(PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])), (0.5, 0.5), num_cells=1, rounds=0)
+    paths, x = paths_of(PlaneSpace(BLOCK), (0.5, 0.5), num_cells=1, rounds=0)
     assert paths.cost.tolist() == [0] and len(x) == 1

@@ -6,7 +6,7 @@ from plr_jax.geometry.vectors import left_normal
 
 
 def test_the_boundary_of_a_ring_has_the_region_on_its_left():
-    region = shapely.Polygon([[0, 0], [9, 0], [9, 9], [0, 9]], [[[3, 3], [6, 3], [6, 6], [3, 6]]])
+    region = shapely.box(0, 0, 9, 9) - shapely.box(3, 3, 6, 6)
     boundary = boundary_of(region, 1e-9)
     middle = boundary.segments.mean(axis=1)
     inward = left_normal(boundary.segments[:, 1] - boundary.segments[:, 0])
@@ -25,16 +25,11 @@ def test_sectors_at_a_contact_are_those_between_the_obstacles():
     (contact,) = boundary.contacts
     np.testing.assert_array_equal(boundary.vertices[contact], [2, 2])
     edges = np.flatnonzero(boundary.edges[:, 0] == contact)
-    sectors = {
-        (tuple(boundary.vertices[boundary.edges[e, 1]]), tuple(boundary.vertices[boundary.sector_end[e]]))
-        for e in edges
-    }
-    assert sectors == {((2, 3), (1, 2)), ((2, 1), (3, 2))}
+    ends = boundary.vertices[np.stack([boundary.edges[edges, 1], boundary.sector_end[edges]], axis=1)]
+    assert sorted(ends.tolist()) == [[[2, 1], [3, 2]], [[2, 3], [1, 2]]]
     offsets = np.array([[-1.0, 1.0], [0, 1], [-1, 0], [1, -1], [1, 1]])
-    for edge in edges:
-        if boundary.vertices[boundary.edges[edge, 1]][1] == 3:  # the sector to the upper left, its walls included
-            inside = boundary.in_sector(edge, offsets, 1e-9)
-            np.testing.assert_array_equal(inside, [True, True, True, False, False])
+    (upper_left,) = edges[ends[:, 0, 1] == 3]  # its walls included
+    np.testing.assert_array_equal(boundary.in_sector(upper_left, offsets, 1e-9), [True, True, True, False, False])
 
 
 def test_an_edge_is_split_where_a_vertex_lies_on_it():

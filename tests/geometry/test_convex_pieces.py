@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,23 +11,27 @@ from plr_jax.geometry.convex_pieces import (
     boxes_as_pieces,
     clip,
     clip_to_box,
+    cone_above_plane,
     contain,
     convex_pieces,
     cut_parts,
+    difference_of_cones,
 )
 
 SEEDS = st.integers(0, 100_000)
+SQUARE = as_pieces([box(0, 0, 2, 2)])
+DENSE = np.linspace(0, 1, 129)
 
 
-def half_plane(normal, offset):
-    """The side of a line where ``normal . x >= offset``, as far as matters."""
-    normal = np.asarray(normal, float) / np.linalg.norm(normal)
-    foot, along = offset * normal, 1e3 * np.array([-normal[1], normal[0]])
-    return shapely.Polygon([foot + along, foot - along, foot - along + 1e3 * normal, foot + along + 1e3 * normal])
+def check_left(kept, exact):
+    """Fails unless pieces are these polygons."""
+    for piece, polygon in zip(polygons(kept), exact, strict=True):
+        assert piece.symmetric_difference(polygon).area <= 1e-9
+        np.testing.assert_allclose(piece.area, polygon.area, rtol=1e-6, atol=1e-11)
 
 
 @given(SEEDS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_what_a_line_leaves_is_what_shapely_leaves(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
@@ -36,34 +41,10 @@ def test_what_a_line_leaves_is_what_shapely_leaves(seed):
     height = np.einsum("d,dpc->pc", normal, pieces) - across
     reach = (height > 0).any(axis=1)
     kept = clip(pieces[:, reach], height[reach])
-    beyond = half_plane(normal, across)
-    for before, after in zip(polygons(pieces[:, reach]), polygons(kept), strict=True):
-        exact = before.intersection(beyond)
-        assert after.symmetric_difference(exact).area <= 1e-9
-        np.testing.assert_allclose(after.area, exact.area, rtol=1e-6, atol=1e-11)
+    foot, along = across * normal, 1e3 * np.array([-normal[1], normal[0]])
+    beyond = shapely.Polygon([foot + along, foot - along, foot - along + 1e3 * normal, foot + along + 1e3 * normal])
+    check_left(kept, [before.intersection(beyond) for before in polygons(pieces[:, reach])])
     assert (areas(kept) >= -1e-12).all()
-
-
-def test_a_square_cut_through_corners_and_along_a_side():
-    square = as_pieces([box(0, 0, 2, 2)])
-    diagonal = clip(square, square[0] - square[1])  # what is below the diagonal
-    assert polygons(diagonal)[0].equals(shapely.Polygon([(0, 0), (2, 0), (2, 2)]))
-    all_of_it = clip(square, square[0])
-    assert polygons(all_of_it)[0].equals(polygons(square)[0])
-    side = clip(square, square[0] - 2)
-    np.testing.assert_array_equal(side[0], 2)
-    assert set(side[1].ravel()) == {0, 2} and areas(side)[0] == 0
-    corner = clip(square, square[0] + square[1] - 4)
-    np.testing.assert_array_equal(corner, 2)
-
-
-def test_a_triangle_cut_on_all_sides_has_seven_corners():
-    triangle = as_pieces([[(0, 0), (10, 1), (4, 9)]])
-    lo, hi = np.array([1.0, 0.3]), np.array([9.0, 7])
-    cut = clip_to_box(triangle, lo, hi)[0]
-    exact = polygons(triangle)[0].intersection(shapely.box(*lo, *hi))
-    assert len(exact.exterior.coords) == 8 and cut.shape == (2, 1, ROOM)
-    np.testing.assert_allclose(polygons(cut)[0].symmetric_difference(exact).area, 0, atol=1e-12)
 
 
 def test_cutting_a_piece_over_and_over_through_its_own_corners_keeps_room():
@@ -73,26 +54,17 @@ def test_cutting_a_piece_over_and_over_through_its_own_corners_keeps_room():
         step = rng.choice([0.1, 1 / 3, 0.7])
         pieces = as_pieces([step * rng.permutation(np.argwhere(np.ones((6, 6))))[:3] for _ in range(40)])
         pieces = pieces[:, areas(pieces) > 0]
-        exact = polygons(pieces)
+        exact = np.array(polygons(pieces))
         for _ in range(9):
             axis, sign, each = rng.integers(2), rng.choice([-1.0, 1.0]), np.arange(pieces.shape[1])
             line = pieces[axis, each, rng.integers(ROOM, size=len(each))]
             height = sign * (pieces[axis] - line[:, None])
             reach = height.max(axis=1) > 0
             ends = np.where(sign > 0, line, -50.0), np.where(sign > 0, 50.0, line)
-            beyond = [
-                shapely.box(*((a, -50, b, 50) if axis == 0 else (-50, a, 50, b))) for a, b in zip(*ends, strict=True)
-            ]
-            exact = [p.intersection(q) for p, q, r in zip(exact, beyond, reach, strict=True) if r]
+            corners = (ends[0], -50, ends[1], 50) if axis == 0 else (-50, ends[0], 50, ends[1])
+            exact = shapely.intersection(exact, shapely.box(*corners))[reach]
             pieces = clip(pieces[:, reach], height[reach])
-            np.testing.assert_allclose(areas(pieces), [p.area for p in exact], atol=1e-13)
-
-
-@given(SEEDS)
-@settings(max_examples=20, deadline=None)
-def test_areas_are_shapelys(seed):
-    pieces = random_pieces(np.random.default_rng(seed), 10)
-    np.testing.assert_allclose(areas(pieces), [p.area for p in polygons(pieces)], rtol=1e-9, atol=1e-15)
+            np.testing.assert_allclose(areas(pieces), shapely.area(exact), atol=1e-13)
 
 
 def test_areas_far_from_the_origin_keep_their_digits():
@@ -101,7 +73,7 @@ def test_areas_far_from_the_origin_keep_their_digits():
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
@@ -115,25 +87,22 @@ def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
 
 
 def test_a_piece_contains_its_corners_and_what_is_beside_it_within_the_tolerance():
-    square = as_pieces([box(0, 0, 2, 2)] * 4)
-    assert contain(square, box(0, 0, 2, 2)[:, None], 0.0).all()
+    squares = np.tile(SQUARE, (1, 4, 1))
+    assert contain(squares, box(0, 0, 2, 2)[:, None], 0.0).all()
     beside = np.array([[2.1, 1], [1, -0.1], [2.3, 1], [1, 2.3]])
-    np.testing.assert_array_equal(contain(square, beside[:, None], 0.2)[:, 0], [True, True, False, False])
+    np.testing.assert_array_equal(contain(squares, beside[:, None], 0.2)[:, 0], [True, True, False, False])
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_what_a_box_leaves_is_what_shapely_leaves(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
     lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
     cut = clip_to_box(pieces, lo, hi)[0]
-    exact = [p.intersection(shapely.box(*lo, *hi)) for p in polygons(pieces)]
+    exact = shapely.intersection(polygons(pieces), shapely.box(*lo, *hi))
     assert (areas(cut) > 0).all()
-    large = areas(cut) > 1e-9
-    expected = [p for p in exact if p.area > 1e-9]
-    for polygon, q in zip(polygons(cut[:, large]), expected, strict=True):
-        assert polygon.symmetric_difference(q).area <= 1e-9
+    check_left(cut[:, areas(cut) > 1e-9], exact[shapely.area(exact) > 1e-9])
 
 
 def test_what_touches_a_box_is_not_in_it():
@@ -146,7 +115,7 @@ def test_boxes_as_pieces():
     lo, hi = np.array([[0.0, 1], [2, 2]]), np.array([[1.0, 3], [5, 4]])
     pieces = boxes_as_pieces(lo, hi)
     assert pieces.shape == (2, 2, ROOM)
-    assert [p.equals(shapely.box(*a, *b)) for p, a, b in zip(polygons(pieces), lo, hi, strict=True)] == [True, True]
+    assert shapely.equals(polygons(pieces), shapely.box(*lo.T, *hi.T)).all()
     np.testing.assert_array_equal(areas(pieces), [2, 6])  # counterclockwise
 
 
@@ -159,25 +128,142 @@ def test_triangles_fill_a_region_counterclockwise():
 
 
 @given(SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_parts_of_cells_have_what_shapely_leaves_of_the_cells_pieces(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
     first = np.array([0, 5, 5, 12])  # three cells, one without pieces
     parent, axis, is_upper = rng.integers(3, size=6), rng.integers(2, size=6), rng.random(6) < 0.5
-    lo, hi = np.full((6, 2), -50.0), np.full((6, 2), 50.0)
-    each, bound = np.arange(6), rng.uniform(0, 10, 6)
-    lo[each[is_upper], axis[is_upper]] = bound[is_upper]
-    hi[each[~is_upper], axis[~is_upper]] = bound[~is_upper]
-    found, part, piece, is_cut = cut_parts(pieces, first, parent, axis, is_upper, lo, hi)
+    ends, bound = np.array([np.full((6, 2), -50.0), np.full((6, 2), 50.0)]), rng.uniform(0, 10, 6)
+    ends[np.where(is_upper, 0, 1), np.arange(6), axis] = bound
+    found, part, piece, is_cut = cut_parts(pieces, first, parent, axis, is_upper, *ends)
     assert (np.diff(part) >= 0).all()
     np.testing.assert_array_equal(np.searchsorted(first, piece, side="right") - 1, parent[part])
     np.testing.assert_array_equal(found[:, ~is_cut], pieces[:, piece[~is_cut]])
     left = np.zeros((6, 12))
     left[part, piece] = areas(found)
-    shapes = np.array(polygons(pieces))
-    for k in range(6):
-        for i in range(first[parent[k]], first[parent[k] + 1]):
-            np.testing.assert_allclose(
-                left[k, i], shapes[i].intersection(shapely.box(*lo[k], *hi[k])).area, atol=1e-9
-            )
+    exact = shapely.area(shapely.intersection(polygons(pieces), shapely.box(*ends[0].T, *ends[1].T)[:, None]))
+    exact[np.repeat(np.arange(3), np.diff(first)) != parent[:, None]] = 0
+    np.testing.assert_allclose(left, exact, atol=1e-9)
+
+
+# --- cones -----------------------------------------------------------------------------------------------
+
+
+def cones(apex, offset):
+    """The function of points ``(pieces, k, 2)`` that a cone a piece is."""
+    return lambda x: offset[:, None] + np.linalg.norm(x - apex[:, None], axis=2)
+
+
+def check_extremes(found, pieces, function, apexes, rng, scale=1.0, beyond=1e-11):
+    """Fails unless extremes are those that a search finds.
+
+    By dense samples of every edge, finer around the best, points inside, and apexes.
+    """
+    start = pieces.transpose(1, 2, 0)
+    way = np.roll(start, -1, axis=1) - start
+    n, corners, _ = start.shape
+    inside = [function(points_of(rng, pieces, 200))]
+    for apex in apexes:
+        d, e = start - apex[:, None], np.roll(start, -1, axis=1) - apex[:, None]
+        holds = (d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0] >= 0).all(axis=1)  # no corner turns clockwise
+        inside.append(function(np.where(holds[:, None], apex, start[:, 0])[:, None]))
+    for extreme, best, sign in zip(found, (np.min, np.max), (1, -1), strict=True):
+        share = np.broadcast_to(DENSE, (n, corners, len(DENSE)))
+        for step in DENSE[1] * 0.5 ** np.arange(0, 30, 6):
+            x = start[:, :, None] + share[..., None] * way[:, :, None]
+            value = function(x.reshape(n, -1, 2)).reshape(share.shape)
+            near = np.take_along_axis(share, np.argmin(sign * value, axis=2)[..., None], axis=2)
+            share = np.clip(near + step * (2 * DENSE - 1), 0, 1)
+        expected = best(np.concatenate([value.reshape(n, -1), *inside], axis=1), axis=1)
+        assert (np.abs(extreme - expected) <= 1e-7 * scale).all()
+        assert (sign * (extreme - expected) <= beyond * scale).all()
+
+
+def apexes_beside(rng, pieces):
+    """Apexes of all kinds: at a corner, on an edge, inside, on an edge's line, near and far."""
+    n = pieces.shape[1]
+    each, corner = np.arange(n), rng.integers(pieces.shape[2], size=n)
+    a, b = pieces[:, each, corner].T, pieces[:, each, (corner + 1) % pieces.shape[2]].T
+    share = rng.random((n, 1))
+    kinds = [
+        a,
+        a + share * (b - a),
+        points_of(rng, pieces, 1)[:, 0],
+        b + 3 * share * (b - a),
+        a + 10.0 ** rng.uniform(-6, 0, (n, 1)) * rng.normal(size=(n, 2)),
+        rng.uniform(0, 10, (n, 2)),
+        1e3 * rng.normal(size=(n, 2)),
+    ]
+    return np.array(kinds)[rng.integers(len(kinds), size=n), each]
+
+
+def check_difference(rng, pieces, one, two, offsets):
+    """Fails unless extremes of the difference of two cones are those that a search finds."""
+    first, second = cones(one, offsets[0]), cones(two, offsets[1])
+    found = difference_of_cones(pieces, one, offsets[0], two, offsets[1])
+    check_extremes(found, pieces, lambda x: first(x) - second(x), (one, two), rng)
+
+
+@given(SEEDS)
+@settings(max_examples=40)
+def test_extremes_of_the_difference_are_those_a_search_finds(seed):
+    rng = np.random.default_rng(seed)
+    pieces = random_pieces(rng, 12)
+    apexes = apexes_beside(rng, pieces), apexes_beside(rng, pieces)
+    check_difference(rng, pieces, *apexes, rng.uniform(0, 5, (2, 12)))
+
+
+@given(SEEDS)
+@settings(max_examples=20)
+def test_extremes_hold_for_pieces_as_clipping_leaves_them(seed):
+    """Corners doubled up by rounding, edges of a hair, apexes that are corners of what was cut."""
+    rng = np.random.default_rng(seed)
+    whole = random_pieces(rng, 30)
+    corner, width = whole[:, 0, 0], np.ptp(whole[:, 0], axis=1)
+    lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
+    pieces = clip_to_box(whole, lo, hi)[0]
+    n = pieces.shape[1]
+    assert n
+    check_difference(rng, pieces, np.tile(corner, (n, 1)), apexes_beside(rng, pieces), np.zeros((2, n)))
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "expected", "atol"),
+    [
+        ((0, 0), (3, 0), (-3, 1), 1e-12),  # on the line of a side, from a corner
+        (
+            (-1, 0),
+            (-3, 0),
+            (-2, np.sqrt(5) - np.sqrt(13)),
+            1e-12,
+        ),  # both before it: all of that side is farthest apart
+        ((1, 1), (1, 1), (0, 0), 1e-12),
+        ((1, -2), (1, 4), (-2, 2), 1e-12),  # above and below: stationary in the middle of two sides
+        ((1, 1), (1, 5), (-4, np.sqrt(2) - np.sqrt(10)), 1e-12),  # one inside, beyond which the difference is least
+        ((0, 1), (0, 1 + 1e-9), (-1e-9, 1e-9), 1e-12),
+        ((1e8, 0), (0, 1e8), (-2, 2), 1e-6),  # from afar cones are planes, and no digits are lost
+    ],
+)
+def test_differences_over_a_square(one, two, expected, atol):
+    offset, one, two = np.array([7.0]), np.array([one], float), np.array([two], float)
+    found = difference_of_cones(SQUARE, one, offset, two, offset - 2)
+    np.testing.assert_allclose(np.ravel(found), np.array(expected) + 2, atol=atol)
+
+
+@given(SEEDS)
+@settings(max_examples=40)
+def test_extremes_above_a_plane_are_those_a_search_finds(seed):
+    rng = np.random.default_rng(seed)
+    pieces = random_pieces(rng, 12)
+    apex, offset = apexes_beside(rng, pieces), rng.uniform(0, 5, 12)
+    slope, intercept = rng.normal(size=(12, 2)), rng.normal(size=12)
+    slope[::3] /= np.linalg.norm(slope[::3], axis=1, keepdims=True)  # as steep as a cone
+    slope[1::6] = [[1.0, 0.0]]
+    found, cone = cone_above_plane(pieces, apex, offset, slope, intercept), cones(apex, offset)
+    scale = 1 + np.abs(apex).max(axis=1)
+
+    def above(x):
+        return cone(x) - np.einsum("pd,pkd->pk", slope, x) - intercept[:, None]
+
+    check_extremes(found, pieces, above, (apex,), rng, scale, 1e-12)

@@ -1,24 +1,25 @@
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from piece_helpers import TEN
 
-from plr_jax.geometry.corners import corner_visibility, find_corners, find_turn_points
+from plr_jax.geometry.corners import corner_visibility, find_corners
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.oracles import VisibilityGraph
 
-TEN = ((0, 0), (10, 10))
 BLOCK = Workspace(TEN, [[(4, 0), (6, 0), (6, 8), (4, 8)]])  # stands on the bottom, its corners (4, 8) and (6, 8)
-TOUCHING = [shapely.box(1, 1, 2, 2), shapely.box(2, 2, 3, 3)]
-INF = np.inf
+CORNERS, VIEWS = find_corners(BLOCK)
 
 
 def test_corners_by_hand():
-    corners, views = find_corners(BLOCK)
-    np.testing.assert_array_equal(corners.points, [[4, 8], [6, 8]])
+    np.testing.assert_array_equal(CORNERS.points, [[4, 8], [6, 8]])
     # A free sector opens counterclockwise: at (4, 8) from the top of the block to its left side.
-    np.testing.assert_array_equal(corners.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
-    np.testing.assert_array_equal(views.points, corners.points)
-    np.testing.assert_array_equal(views.opens(BLOCK.boundary), [[2, 0], [0, -8]])
-    np.testing.assert_array_equal(views.closes(BLOCK.boundary), [[0, -8], [-2, 0]])
+    np.testing.assert_array_equal(CORNERS.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
+    np.testing.assert_array_equal(VIEWS.points, CORNERS.points)
+    np.testing.assert_array_equal(VIEWS.opens(BLOCK.boundary), [[2, 0], [0, -8]])
+    np.testing.assert_array_equal(VIEWS.closes(BLOCK.boundary), [[0, -8], [-2, 0]])
 
 
 def test_a_workspace_without_corners():
@@ -29,7 +30,8 @@ def test_a_workspace_without_corners():
 
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_a_contact_is_a_corner_that_may_be_turned_around_on_any_side_where_squeezing_is_allowed(squeeze):
-    corners, views = find_corners(Workspace(TEN, TOUCHING, squeeze=squeeze))
+    touching = [shapely.box(1, 1, 2, 2), shapely.box(2, 2, 3, 3)]
+    corners, views = find_corners(Workspace(TEN, touching, squeeze=squeeze))
     contact = (corners.points == [2, 2]).all(axis=1)
     assert len(corners.points) == 6 + squeeze and contact.sum() == squeeze
     assert (corners.walls[:, contact] == 0).all() and (corners.walls[:, ~contact] != 0).any(axis=2).all()
@@ -37,19 +39,10 @@ def test_a_contact_is_a_corner_that_may_be_turned_around_on_any_side_where_squee
 
 
 def test_the_goal_comes_first_and_takes_the_place_of_a_corner():
-    corners, _ = find_corners(BLOCK)
     goal = np.array([4.0, 8.0])
-    assert corners.without(goal).with_goal(goal).points.tolist() == [[4, 8], [6, 8]]
-    assert corners.with_goal(goal).points.tolist() == [[4, 8], [4, 8], [6, 8]]
-    assert corners.with_goal(goal).walls[:, 0].tolist() == [[0, 0], [0, 0]]
-
-
-def test_tangent_lines_by_hand():
-    vertices = find_corners(BLOCK)[0].with_goal(np.array([8.0, 4.0]))
-    # From (4, 8): the goal is behind the block, (6, 8) along its top. From (6, 8): both are tangent.
-    tangent = vertices.is_tangent(np.array([[1], [2]]), np.arange(3))
-    assert tangent[:, [0, 2]].tolist() == [[False, True], [True, True]] and tangent[1, 1]
-    assert vertices.is_tangent(np.arange(3), np.full(3, 2)).tolist() == [True, True, True]
+    assert CORNERS.without(goal).with_goal(goal).points.tolist() == [[4, 8], [6, 8]]
+    assert CORNERS.with_goal(goal).points.tolist() == [[4, 8], [4, 8], [6, 8]]
+    assert CORNERS.with_goal(goal).walls[:, 0].tolist() == [[0, 0], [0, 0]]
 
 
 def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there():
@@ -63,33 +56,42 @@ def test_corners_that_see_one_another_are_joined_once_unless_no_path_turns_there
     assert frozenset([(1, 4), (7, 6)]) not in pairs
 
 
-def test_turn_points_by_hand():
-    """Around the block to the right: by way of (4, 8) only from below its top carried on and not from above."""
-    vertices = find_corners(BLOCK)[0].with_goal(np.array([8.0, 4.0]))
-    length = np.array([0.0, 2 + np.hypot(2, 4), np.hypot(2, 4)])
-    turns = find_turn_points(vertices, length, np.array([0, 2, 0]))
-    np.testing.assert_array_equal(turns.vertex, [1, 2])
-    np.testing.assert_array_equal(turns.distance, length[1:])
-    x = np.array([[2.0, 4.0], [4, 4], [2, 8], [2, 9], [5, 9], [4, 8]])
-    assert np.isfinite(turns.path_lengths(x)[:, 0]).tolist() == [True, True, True, False, False, True]
-    # By way of (6, 8): from the left of it, below the way on carried backward.
-    x = np.array([[5.0, 9.0], [5, 11], [2, 8], [7, 9], [2, 7.9]])
-    assert np.isfinite(turns.path_lengths(x)[:, 1]).tolist() == [True, False, True, False, False]
-    np.testing.assert_allclose(turns.path_lengths(x)[0, 1], np.sqrt(2) + np.hypot(2, 4))
+def hard_points(workspace, seed):
+    """On vertices and edges of the triangles, beside them by about the tolerance, and anywhere."""
+    rng, triangles = np.random.default_rng(seed), workspace.triangulation.triangles
+    on_edges = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 2)
+    beside = workspace.tolerance * rng.choice([0.01, 1, 10, 100], (len(on_edges), 1))
+    x = [on_edges, on_edges + beside * rng.normal(size=on_edges.shape), workspace.boundary.vertices]
+    x = np.concatenate([*x, workspace.boundary.vertices + beside[0] * rng.normal(size=2)])
+    x = np.concatenate([rng.permutation(x)[:150], workspace.sample_free(50, seed)])
+    return x[workspace.is_free(x)]
 
 
-def test_the_first_turn_is_the_best_in_sight():
-    vertices = find_corners(BLOCK)[0].with_goal(np.array([8.0, 4.0]))
-    length = np.array([0.0, 2 + np.hypot(2, 4), np.hypot(2, 4)])
-    turns = find_turn_points(vertices, length, np.array([0, 2, 0]))
-    x = np.array([[2.0, 4.0], [5, 8.5], [2, 9]])
-    vertex, distance = turns.first_visible(x, lambda point, vertex: (point != 1) & (vertex > 0))
-    np.testing.assert_array_equal(vertex, [1, -1, 2])
-    np.testing.assert_allclose(distance, [np.hypot(2, 4) + length[1], INF, np.hypot(4, 1) + length[2]])
+@given(st.integers(0, 100_000), st.booleans(), st.booleans())
+@settings(max_examples=40)
+def test_turn_points_by_triangle_are_as_good_as_all_of_them(seed, lattice, squeeze):
+    rng = np.random.default_rng(seed)
+    cells = np.argwhere(rng.random((10, 10)) < 0.3)
+    triangles = [rng.uniform(0, 10, 2) + rng.uniform(-2, 2, (3, 2)) for _ in range(8)]
+    workspace = Workspace(TEN, list(shapely.box(*cells.T, *cells.T + 1)) if lattice else triangles, squeeze=squeeze)
+    x = hard_points(workspace, seed)
+    oracle = VisibilityGraph(workspace, x[seed % len(x)])
+    x = x[~oracle._goal_table.sees(np.zeros(len(x), int), x)]
+    table = oracle._corners.table
+
+    def sees(point, vertex):
+        return table.sees(vertex - 1, x[point])
+
+    found = oracle._regions.first_visible(x, sees)
+    expected = oracle._turns.first_visible(x, sees)
+    np.testing.assert_allclose(found[1], expected[1], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(found[0] < 0, expected[0] < 0)
 
 
-def test_no_path_turns_at_a_corner_that_cannot_reach_the_goal_or_whose_way_on_cuts_into_the_obstacle():
-    vertices = find_corners(BLOCK)[0].with_goal(np.array([8.0, 4.0]))
-    assert find_turn_points(vertices, np.array([0, INF, 1.0]), np.array([0, 0, 0])).vertex.tolist() == [2]
-    above = find_corners(BLOCK)[0].with_goal(np.array([1.0, 9.5]))  # straight on past (4, 8) is the block
-    assert find_turn_points(above, np.array([0, 3.0, 6.0]), np.array([0, 0, 0])).vertex.tolist() == [2]
+def test_only_the_corners_around_which_paths_come_count():
+    """Left of a wall that stands on the floor paths turn at its upper left corner, above it at the right one."""
+    regions, triangulation = VisibilityGraph(BLOCK, (8.0, 4.0))._regions, BLOCK.triangulation
+    triangle = triangulation.locator.find(np.array([[1.0, 2.0], [5.0, 9.0]]))
+    at = [regions.turns.points[regions.turn[regions.first[t] : regions.first[t + 1]]].tolist() for t in triangle]
+    assert [4.0, 8.0] in at[0] and [6.0, 8.0] in at[1]
+    assert len(regions.first) == len(triangulation.triangles) + 1

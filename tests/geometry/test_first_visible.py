@@ -51,7 +51,7 @@ def test_what_is_no_way_is_not_tested():
 
     way, shortest = first_visible(np.array([[np.nan, np.inf], [3.0, np.nan], [np.nan, np.nan]]), sees)
     np.testing.assert_array_equal(way[:, 0], [1, -1, -1])
-    np.testing.assert_array_equal(shortest[:, 0], [np.inf, np.inf, np.inf])
+    assert (shortest == np.inf).all()
 
 
 def test_many_points_are_searched_in_parts(monkeypatch):
@@ -63,7 +63,7 @@ def test_many_points_are_searched_in_parts(monkeypatch):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_ways_that_differ_from_point_to_point(seed):
     rng = np.random.default_rng(seed)
     counts = rng.integers(0, 6, 12)
@@ -76,8 +76,7 @@ def test_ways_that_differ_from_point_to_point(seed):
         return visible[pair]
 
     pair, shortest = first_visible_of_some(lengths.copy(), counts, sees)
-    for point in range(12):
-        options = lengths[(owner == point) & visible]
-        assert shortest[point] == options.min(initial=np.inf)
-        if np.isfinite(shortest[point]):
-            assert owner[pair[point]] == point and visible[pair[point]] and lengths[pair[point]] == shortest[point]
+    of_point = (owner == np.arange(12)[:, None]) & visible
+    np.testing.assert_array_equal(shortest, np.min(np.where(of_point, lengths, np.inf), axis=1, initial=np.inf))
+    found = np.flatnonzero(np.isfinite(shortest))
+    assert of_point[found, pair[found]].all() and (lengths[pair[found]] == shortest[found]).all()

@@ -19,28 +19,6 @@ SMALL = Graph(
 )
 
 
-def length_of(graph, path):
-    return np.linalg.norm(np.diff(graph.vertices[path], axis=0), axis=1).sum()
-
-
-def test_dijkstra_by_hand():
-    distances, parents = dijkstra(SMALL, 0)
-    np.testing.assert_array_equal(distances, [0.0, 4.0, 7.0, 3.0, 7.0, np.inf])
-    assert parents[0] == parents[5] == NO_PARENT
-    assert parents[1] == parents[3] == 0
-    assert path_from_root(parents, 4) in ([0, 1, 2, 4], [0, 3, 2, 4])
-    assert path_from_root(parents, 0) == [0]
-
-
-def test_an_edge_between_coincident_vertices_has_length_zero_and_connects():
-    chain = Graph(np.array([[1.0], [1.0], [1.0], [3.0]]), np.array([[0, 1], [1, 2], [2, 3]]))
-    for source in range(3):
-        distances, _ = dijkstra(chain, source)
-        np.testing.assert_array_equal(distances, [0.0, 0.0, 0.0, 2.0])
-    assert path_from_root(dijkstra(chain, 0)[1], 3) == [0, 1, 2, 3]
-    assert to_networkx(chain).edges[0, 1]["weight"] == 0.0
-
-
 @st.composite
 def lattice_graphs(draw):
     """Vertices on a small lattice, so that many coincide, and any set of edges."""
@@ -51,32 +29,28 @@ def lattice_graphs(draw):
 
 
 @given(lattice_graphs())
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=60)
 def test_dijkstra_agrees_with_networkx(graph):
     expected = nx.single_source_dijkstra_path_length(to_networkx(graph), 0)
     distances, parents = dijkstra(graph, 0)
-    for vertex in range(graph.num_vertices):
-        if vertex not in expected:
-            assert distances[vertex] == np.inf
-            assert parents[vertex] == NO_PARENT
-            continue
-        assert distances[vertex] == pytest.approx(expected[vertex], abs=1e-12)
-        way, edges = path_from_root(parents, vertex), {frozenset(edge) for edge in graph.edges.tolist()}
+    vertices, edges = range(graph.num_vertices), {frozenset(edge) for edge in graph.edges.tolist()}
+    np.testing.assert_allclose(distances, [expected.get(vertex, np.inf) for vertex in vertices], atol=1e-12)
+    assert parents[0] == NO_PARENT and (parents[np.isinf(distances)] == NO_PARENT).all()
+    for vertex in expected:
+        way = path_from_root(parents, vertex)
         assert (way[0], way[-1]) == (0, vertex)
         assert all(frozenset(step) in edges for step in itertools.pairwise(way))
-        assert length_of(graph, way) == pytest.approx(expected[vertex], abs=1e-12)
+        length = np.linalg.norm(np.diff(graph.vertices[way], axis=0), axis=1).sum()
+        assert length == pytest.approx(expected[vertex], abs=1e-12)
 
 
-def test_to_networkx_carries_positions_and_weights():
+def test_counts_positions_and_weights():
     exported = to_networkx(SMALL)
     assert list(exported.nodes) == list(range(6))
     assert exported.nodes[2]["pos"] == (4.0, 3.0)
     assert exported.number_of_edges() == SMALL.num_edges == 5
     assert exported.edges[1, 2]["weight"] == 3.0
-
-
-def test_counts_and_bytes():
-    assert (SMALL.num_vertices, SMALL.num_edges) == (6, 5)
+    assert SMALL.num_vertices == 6
     assert SMALL.num_bytes == 6 * 2 * 8 + 5 * 2 * 8 + 5 * 8
     lone = Graph(np.zeros((1, 3)), np.zeros((0, 2), dtype=np.int64))
     np.testing.assert_array_equal(dijkstra(lone, 0)[0], [0.0])

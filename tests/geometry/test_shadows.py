@@ -43,20 +43,18 @@ def shade(workspace, view):
     """The twin: what the edges of free space hide from a viewpoint, each the strip behind it."""
     ends = workspace.boundary.segments
     away = ends - view
-    strips = []
-    for (a, b), (u, v) in zip(ends, away, strict=True):
-        if abs(u[0] * v[1] - u[1] * v[0]) > 1e-9 * np.linalg.norm(u) * np.linalg.norm(v):
-            far = [
-                view + w * 100 / np.linalg.norm(w) for w in (v, (u / np.linalg.norm(u) + v / np.linalg.norm(v)), u)
-            ]
-            strips.append(shapely.Polygon([a, b, *far]))
-    return shapely.union_all(strips)
+    with np.errstate(invalid="ignore"):  # at an end of an edge, which hides nothing from there
+        u, v = np.moveaxis(away / np.linalg.norm(away, axis=2, keepdims=True), 1, 0)
+    hides = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) > 1e-9
+    middle = (u + v) / np.linalg.norm(u + v, axis=1, keepdims=True)
+    far = view + 100 * np.stack([v, middle, u], axis=1)
+    return shapely.union_all(shapely.polygons(np.concatenate([ends, far], axis=1)[hides]))
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
 @example(902, False)  # a sight 8e-9 from a corner
 @given(st.integers(0, 100_000), st.booleans())
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze):
     rng = np.random.default_rng(seed)
     workspace = kind(rng, squeeze)
@@ -85,7 +83,7 @@ def test_pieces_are_seen_as_one_pair_of_points_at_a_time_is(kind, seed, squeeze)
 
 @pytest.mark.parametrize("kind", WORKSPACES)
 @given(st.integers(0, 100_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_pieces_are_parted_exactly_if_shapely_parts_them(kind, seed):
     rng = np.random.default_rng(seed)
     workspace = kind(rng)
@@ -127,38 +125,3 @@ def test_a_wall_and_the_pieces_beside_its_shadow():
     seen, alike = shadows.see(np.zeros(9, int), pieces, pieces.mean(axis=2).T)
     np.testing.assert_array_equal(alike, [1, 1, 0, 0, 1, 1, 1, 1, 1])
     np.testing.assert_array_equal(seen[alike], [1, 0, 1, 1, 0, 1, 1])
-
-
-def test_pieces_across_the_direction_that_angles_are_counted_from():
-    """The cut lies where no vertex is; shadows on either side of it cross a piece that spans it."""
-    wall = box(4, 4, 4.5, 4.5)
-    for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
-        u = np.array([np.cos(turn), np.sin(turn)])
-        workspace = Workspace(TEN, [wall - 4.25 + 5 + 2 * u])
-        shadows = shadows_around(workspace, (5, 5))
-        across = np.array([-u[1], u[0]])
-        near, far = 5 + 2.8 * u, 5 + 3.4 * u
-        pieces = as_pieces(
-            [
-                [near - 2 * across, near + 2 * across, far + 2 * across, far - 2 * across],  # both shadows
-                [near, near + 2 * across, far + 2 * across, far],  # one of them
-                [near - 2 * across, near, far, far - 2 * across],  # the other
-                [near - 0.1 * across, near + 0.1 * across, far + 0.1 * across, far - 0.1 * across],  # none, behind
-                [5 - 3 * across - u, 5 + 3 * across - u, 5 - 3 * u + across, 5 - 3 * u - across],  # none, elsewhere
-                [5 - 3 * across - u, 5 + 3 * across - u, 5 + 3 * across + u, 5 - 3 * across + u],  # around it
-            ]
-        )
-        seen, alike = shadows.see(np.zeros(6, int), pieces, pieces.mean(axis=2).T)
-        np.testing.assert_array_equal(alike, [0, 0, 0, 1, 1, 1])
-        np.testing.assert_array_equal(seen[3:], [0, 1, 1])
-
-
-def test_a_corner_sees_nothing_behind_it_but_past_the_walls_that_end_there():
-    """From the corner (5, 6) of a wall: what is below is parted by its own right side, x = 5."""
-    workspace = Workspace(TEN, [box(4, 4, 5, 6), box(7, 7, 8, 8)])
-    shadows = shadows_around(workspace)
-    (view,) = np.flatnonzero((shadows.table.points == [5, 6]).all(axis=1))
-    pieces = as_pieces([box(5, 0, 6, 6), box(3, 0, 6, 3), box(0, 0, 3, 3), box(8, 8, 9, 10), box(8.5, 8.5, 9, 9)])
-    seen, alike = shadows.see(np.full(5, view), pieces, pieces.mean(axis=2).T)
-    np.testing.assert_array_equal(alike, [1, 0, 1, 0, 1])
-    np.testing.assert_array_equal(seen[alike], [1, 0, 0])

@@ -3,27 +3,23 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from piece_helpers import TEN, box
 
-from plr_jax.geometry.boundary import Boundary, boundary_of
+from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.polygons import as_polygon
 from plr_jax.geometry.triangulation import triangulation_of
 from plr_jax.geometry.vectors import cross_product
 from plr_jax.geometry.workspace import Workspace
 
-TEN = ((0, 0), (10, 10))
+SEEDS = st.integers(0, 100_000)
 
 
 def lattice_workspace(seed, turn=0.0):
     """Unit cells blocked at random, turned: collinear corners and point contacts everywhere."""
     blocked = np.argwhere(np.random.default_rng(seed).random((10, 10)) < 0.3)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-
-    def box(x0, y0, x1, y1):
-        return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float) @ rotation.T
-
-    return Workspace.from_polygons(
-        [{"outer": box(0, 0, 10, 10), "holes": [box(x, y, x + 1, y + 1) for x, y in blocked]}]
-    )
+    holes = [box(x, y, x + 1, y + 1) @ rotation.T for x, y in blocked]
+    return Workspace.from_polygons([{"outer": box(0, 0, 10, 10) @ rotation.T, "holes": holes}])
 
 
 def check(workspace):
@@ -44,13 +40,6 @@ def check(workspace):
     assert set(mesh.origin.tolist()) == set(range(len(vertices)))
 
 
-def test_a_square_is_two_triangles():
-    mesh = Workspace(TEN).triangulation
-    assert len(mesh.triangles) == 2 and (mesh.wall >= 0).sum() == 4
-    (diagonal,) = np.unique(np.sort(np.flatnonzero(mesh.twin >= 0).reshape(1, 2)), axis=0)
-    np.testing.assert_array_equal(mesh.twin[diagonal], diagonal[::-1])
-
-
 def test_a_wall_that_the_delaunay_triangulation_crosses_is_put_in():
     # A long thin wall between two rows of posts, which are far nearer to one another than its ends.
     posts = [shapely.box(x, y, x + 0.1, y + 0.1) for x in range(1, 9) for y in (4.8, 5.2)]
@@ -62,24 +51,19 @@ def test_a_wall_that_the_delaunay_triangulation_crosses_is_put_in():
     check(workspace)
 
 
-@given(st.integers(0, 100_000), st.sampled_from([0.0, 0.3, 1.0]))
-@settings(max_examples=30, deadline=None)
-def test_free_space_is_filled_between_its_walls(seed, turn):
-    check(lattice_workspace(seed, turn))
-
-
-@given(st.integers(0, 100_000))
-@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+@settings(max_examples=20)
 def test_grown_obstacles_are_triangulated(seed):
     rng = np.random.default_rng(seed)
     obstacles = [rng.uniform(0, 10, 2) + rng.uniform(-1, 1, (3, 2)) for _ in range(8)]
     check(Workspace(TEN, obstacles).inflate(0.2))
 
 
-@given(st.integers(0, 100_000))
-@settings(max_examples=20, deadline=None)
-def test_points_are_found_in_the_triangle_that_holds_them(seed):
-    workspace = lattice_workspace(seed)
+@given(SEEDS, st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=30)
+def test_free_space_is_filled_between_its_walls_and_points_are_found_in_the_triangle_that_holds_them(seed, turn):
+    workspace = lattice_workspace(seed, turn)
+    check(workspace)
     mesh, x = workspace.triangulation, workspace.sample_free(200, seed)
     x = np.concatenate([x, mesh.triangles.mean(axis=1), workspace.boundary.vertices])
     triangle = mesh.locator.find(x)
@@ -99,13 +83,8 @@ def nearly_degenerate(seed):
     while len(obstacles) < 6:
         a, b, thin = point(), point(), 10.0 ** rng.uniform(-13, -7)
         aside = thin * (b - a)[::-1] * [-1, 1]
-        rings = (
-            [a, b, b + aside],
-            [a, b, b + aside, a + aside],
-            [a, b, point()],
-            [a, a + (b - a) / 2 + aside, b, point()],
-        )
-        ring = np.array(rings[rng.integers(4)])
+        bent = [a, a + (b - a) / 2 + aside, b, point()]
+        ring = np.array(([a, b, b + aside], [a, b, b + aside, a + aside], [a, b, point()], bent)[rng.integers(4)])
         if shapely.Polygon(ring).is_valid and (np.abs(a - b) > 1e-6).all():
             obstacles.append(ring)
     scale, shift = 10.0 ** rng.integers(-3, 7), rng.choice([0, 1, 1e3, 1e8]) * rng.normal(size=2)
@@ -120,8 +99,8 @@ def _is_polygon(ring):
         return False
 
 
-@given(st.integers(0, 100_000))
-@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+@settings(max_examples=60)
 def test_what_is_nearly_degenerate_is_triangulated(seed):
     check(nearly_degenerate(seed))
 
@@ -135,8 +114,6 @@ def test_a_wall_as_thin_as_rounding_is_none():
 
 def test_walls_that_cross_are_refused():
     vertices = np.array([[0.0, 0], [4, 0], [4, 4], [0, 4], [1, 1], [3, 3], [1, 3], [3, 1]])
-    square = boundary_of(shapely.box(0, 0, 4, 4), 1e-9)
-    assert len(square.edges) == 4
     edges = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [6, 7]])
     with pytest.raises(ValueError, match="cross one another"):
         triangulation_of(Boundary(vertices, edges, np.roll(edges[:, 1], -1)), 1e-9)

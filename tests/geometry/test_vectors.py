@@ -29,8 +29,7 @@ def test_pseudo_angle_orders_directions_like_the_angle(angles):
     order = np.argsort(angle)
     rise, turn = np.diff(pseudo[order]), np.diff(angle[order])
     # Between half and the full rate, to rounding.
-    assert (rise >= 0.5 * turn - 1e-12).all()
-    assert (rise <= turn + 1e-12).all()
+    assert (rise >= 0.5 * turn - 1e-12).all() and (rise <= turn + 1e-12).all()
 
 
 def test_pseudo_angle_of_the_axes():
@@ -55,7 +54,6 @@ def test_turns_are_counterclockwise():
 
 
 def test_distances_between():
-    np.testing.assert_array_equal(
-        distances_between(np.array([[0.0, 0], [3, 4]]), np.array([[3.0, 4], [0, 4], [0, 0]])), [[5, 4, 0], [0, 3, 5]]
-    )
+    found = distances_between(np.array([[0.0, 0], [3, 4]]), np.array([[3.0, 4], [0, 4], [0, 0]]))
+    np.testing.assert_array_equal(found, [[5, 4, 0], [0, 3, 5]])
     assert distances_between(np.empty((0, 2)), np.ones((3, 2))).shape == (0, 3)

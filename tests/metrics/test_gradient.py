@@ -21,12 +21,6 @@ def distance(x):
     return jnp.sqrt(((x - GOAL) ** 2).sum(axis=-1))
 
 
-def turned(degrees):
-    """A function whose gradient is everywhere turned against the direction to the right."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return lambda x: -(c * x[..., 0] + s * x[..., 1])
-
-
 def to_the_right(x):
     return np.tile([1.0, 0.0], (len(x), 1))
 
@@ -39,15 +33,13 @@ class Leaves:
     slope: tuple[tuple[float, float], ...]
     height: tuple[float, ...]
 
-    @property
-    def domain(self):
-        return ROOM.bounds
+    domain = ROOM.bounds
 
     @property
     def leaf_boxes(self):
-        edges = np.array(self.edges)
-        lo = np.stack([edges[:-1], np.zeros(len(edges) - 1)], axis=1)
-        return lo, np.stack([edges[1:], np.full(len(edges) - 1, 8.0)], axis=1)
+        return tuple(
+            np.stack([self.edges[k : k - 1 or None], np.full(len(self.slope), 8.0 * k)], axis=1) for k in (0, 1)
+        )
 
     def __call__(self, x):
         leaf = jnp.searchsorted(jnp.array(self.edges[1:-1]), x[..., 0], side="right")
@@ -69,20 +61,19 @@ def test_the_exact_gradient_has_no_angle():
     assert result.jumps is None and result.walks is None and result.share_reached is None
 
 
-@pytest.mark.parametrize("degrees", [-179, -90, -1e-3, 0, 1e-4, 2, 45, 179.99])
-def test_known_angles(degrees):
-    result = report(turned(degrees), to_the_right, x=ROOM.sample_free(20, 0))
-    np.testing.assert_allclose([*result.angles.values(), result.max_angle], abs(degrees), atol=1e-4)
+def test_known_angles_their_quantiles_and_where_the_largest_is():
+    """The exact direction is turned against the gradient, which points to the right, row by row or everywhere."""
 
+    def of_turned(degrees):
+        turned = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=1)
+        x = np.stack([np.arange(1, 101) / 20, np.ones(100)], axis=1)
+        return report(lambda x: -x[..., 0], lambda x: turned, x=x)
 
-def test_quantiles_and_where_the_largest_is():
-    x = np.stack([np.arange(1, 101) / 20, np.ones(100)], axis=1)
-    # The gradient turns by as many degrees as the row's number.
-    angles = np.radians(np.arange(1, 101))
-    result = report(
-        lambda x: -x[..., 0], lambda x: np.stack([np.cos(angles), np.sin(angles)], axis=1), goal=(7, 7), x=x
-    )
-    assert result.angles == {q: pytest.approx(np.quantile(np.arange(1, 101), q), abs=1e-4) for q in (0.5, 0.9, 0.99)}
+    for degrees in (-179, -90, -1e-3, 0, 1e-4, 2, 45, 179.99):
+        result = of_turned(np.full(100, degrees))
+        np.testing.assert_allclose([*result.angles.values(), result.max_angle], abs(degrees), atol=1e-4)
+    result, each = of_turned(np.arange(1, 101)), np.arange(1, 101)
+    assert result.angles == {q: pytest.approx(np.quantile(each, q), abs=1e-4) for q in (0.5, 0.9, 0.99)}
     assert result.max_angle == pytest.approx(100, abs=1e-4) and result.max_at == (5.0, 1.0)
 
 
@@ -90,9 +81,7 @@ def test_what_has_no_direction_or_no_gradient_is_counted():
     x = np.array([[1.0, 3.0], [2, 3], [5, 5], [6, 6], [7, 7]])
 
     def directions(x):
-        result = towards_goal(x)
-        result[(x == 5).all(axis=1)] = np.nan
-        return result
+        return np.where((x == 5).all(axis=1, keepdims=True), np.nan, towards_goal(x))
 
     def field(x):
         # Without slope at (6, 6), not finite at (7, 7).
@@ -120,14 +109,13 @@ def test_share_reached_counts_points_with_a_direction():
 
 
 def test_known_jumps():
-    """At x = 2 the planes meet; at x = 4 they jump by 0.5 and more the higher, up to 1.3."""
-    leaves = Leaves((0, 2, 4, 8), ((1, 0), (3, 0), (3, 0.1)), (0, -4, -4 + 0.5))
-    result = report(leaves, to_the_right)
-    assert result.jumps.num_points == 2 * 8
-    assert result.jumps.quantiles[0.5] < 1.3 and 0.5 <= result.jumps.max <= 1.3
-    assert result.jumps.max_at[0] == 4
-    assert result.jumps.max == pytest.approx(0.5 + 0.1 * result.jumps.max_at[1], abs=1e-5)
-    continuous = Leaves((0, 2, 4, 8), ((1, 0), (3, 0), (-2, 0)), (0, -4, 16))
+    """At x = 2 the planes meet; at x = 4 they jump by 0.5 and more the higher, up to 1.3, or not."""
+    jumping = Leaves((0, 2, 4, 8), ((1, 0), (3, 0), (3, 0.1)), (0, -4, -4 + 0.5))
+    jumps = report(jumping, to_the_right).jumps
+    assert jumps.num_points == 2 * 8
+    assert jumps.quantiles[0.5] < 1.3 and 0.5 <= jumps.max <= 1.3 and jumps.max_at[0] == 4
+    assert jumps.max == pytest.approx(0.5 + 0.1 * jumps.max_at[1], abs=1e-5)
+    continuous = dataclasses.replace(jumping, slope=((1, 0), (3, 0), (-2, 0)), height=(0, -4, 16))
     assert report(continuous, to_the_right).jumps.max < 1e-5
 
 
@@ -138,87 +126,67 @@ def test_faces_within_walls_do_not_count():
     assert result.jumps == metrics.JumpReport(0.0, {0.5: 0.0, 0.9: 0.0, 0.99: 0.0}, None, 0)
 
 
-def test_walks_that_go_somewhere_stall_or_hit_a_wall():
+def test_walks_that_go_somewhere_stall_or_hit_a_wall_where_there_is_a_way():
     """From left to right: to the goal, to the left, into each other by two, up into the ceiling."""
     leaves = Leaves((0, 2, 3, 4, 5, 8), ((0, 0.1), (1, 0), (-1, 0), (1, 0), (0, -1)), (0, 0, 0, 0, 0))
     walks = report(leaves, goal=np.array([1.0, 3.5])).walks
     assert (walks.num_leaves, walks.num_into_wall, walks.num_stalled) == (5, 1, 2)
-
-
-def test_leaves_without_a_way_are_not_walked_from():
-    leaves = Leaves((0, 2, 4, 8), ((1, 0), (1, 0), (1, 0)), (0, 0, 0))
-
-    def only_left(x):
-        return np.where(x[:, :1] < 3.5, towards_goal(x), np.nan)
-
-    assert report(leaves, only_left).walks.num_leaves == 2
+    only_left = report(leaves, lambda x: np.where(x[:, :1] < 3.2, towards_goal(x), np.nan), goal=np.array([1.0, 3.5]))
+    assert only_left.walks.num_leaves == 2
 
 
 # --- PLRs ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def maze():
+def test_a_plr_of_the_maze_points_the_way():
+    """Twin of the jumps: the planes' own values on both sides of the point of a face."""
     problem = scenes.maze()
-    exact = VisibilityGraph(problem.workspace, problem.goals[0])
-    return problem.workspace, exact, construct(exact, problem.workspace.bounds, max_bytes=6144)
-
-
-def test_a_plr_of_the_maze_points_the_way(maze):
-    workspace, exact, plr = maze
-    x = workspace.sample_free(5_000, 1)
-    result = report(plr, exact.directions, workspace, exact.goal, x)
-    assert result.angles[0.5] < 2.5
-    assert result.num_not_finite == result.num_zero == result.num_undirected == 0
-    assert 0 < result.jumps.quantiles[0.5] < 1e-3 and result.jumps.max < 0.01
-    assert result.walks.num_stalled <= 0.01 * result.walks.num_leaves
-    assert f"max {result.jumps.max:.3g}" in str(result) and f"{result.walks.num_leaves:,} leaves" in str(result)
-    text = json.dumps(dataclasses.asdict(result))
-    assert json.loads(text)["max_at"] == list(result.max_at)
-    assert result == report(plr, exact.directions, workspace, exact.goal, x)
-
-
-def test_jumps_are_those_of_the_planes(maze):
-    """Twin: the planes' own values on both sides of each point of a face."""
-    workspace, exact, plr = maze
-    result = report(plr, exact.directions, workspace, exact.goal, workspace.sample_free(10, 1))
-    at = np.array(result.jumps.max_at)
+    workspace, exact = problem.workspace, VisibilityGraph(problem.workspace, problem.goals[0])
+    plr = construct(exact, workspace.bounds, max_bytes=6144)
+    first, again = (
+        report(plr, exact.directions, workspace, exact.goal, workspace.sample_free(5_000, 1)) for _ in "12"
+    )
+    assert first == again and first.angles[0.5] < 2.5
+    assert first.num_not_finite == first.num_zero == first.num_undirected == 0
+    jumps, walks = first.jumps, first.walks
+    assert 0 < jumps.quantiles[0.5] < 1e-3 and jumps.max < 0.01
+    assert walks.num_stalled <= 0.01 * walks.num_leaves
+    assert f"max {jumps.max:.3g}" in str(first) and f"{walks.num_leaves:,} leaves" in str(first)
+    assert json.loads(json.dumps(dataclasses.asdict(first)))["max_at"] == list(first.max_at)
     lo, hi = plr.leaf_boxes
-    beside = np.flatnonzero(((lo <= at) & (at <= hi)).all(axis=1))
-    values = plr.slope[beside] @ at + plr.intercept[beside]
-    assert np.ptp(values) == pytest.approx(result.jumps.max, rel=1e-3)
-
-
-# --- a caller's mistakes ---------------------------------------------------------------------------------
+    beside = np.flatnonzero(((lo <= jumps.max_at) & (jumps.max_at <= hi)).all(axis=1))
+    values = plr.slope[beside] @ np.array(jumps.max_at) + plr.intercept[beside]
+    assert np.ptp(values) == pytest.approx(jumps.max, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (dict(approximation=lambda x: np.hypot(x[:, 0], x[:, 1])), "JAX cannot differentiate"),
-        (dict(approximation=Euclidean(GOAL)), "JAX cannot differentiate"),
+        *(
+            (dict(approximation=approximation), "JAX cannot differentiate")
+            for approximation in (
+                lambda x: np.hypot(x[:, 0], x[:, 1]),
+                Euclidean(GOAL),
+                lambda x: np.ma.masked_greater(np.ones(len(x)), 0),
+            )
+        ),
         (dict(approximation=lambda x: x), r"must give shape \(500,\), got \(500, 2\)"),
-        (dict(approximation=distance, directions=lambda x: x[:, 0]), "exact directions must have shape"),
-        (dict(approximation=distance, directions=lambda x: np.full_like(x, np.nan)), "none has both"),
-        (dict(approximation=distance, goal=(1, 2, 3)), "The goal must be one point"),
-        (
-            dict(approximation=distance, reaches=lambda x: np.full(len(x), np.nan)),
-            "one boolean a point, .* got float64",
+        (dict(directions=lambda x: x[:, 0]), "exact directions must have shape"),
+        (dict(directions=lambda x: np.full_like(x, np.nan)), "none has both"),
+        (dict(directions=lambda x: np.ma.masked_greater(x, 0)), "directions .* are masked"),
+        (dict(goal=(1, 2, 3)), "The goal must be one point"),
+        *(
+            (dict(reaches=reaches), f"reaches must return one boolean a point, .* {message}")
+            for reaches, message in (
+                (lambda x: np.full(len(x), np.nan), "got float64"),
+                (lambda x: np.ones(1, bool), r"of shape \(1,\)"),
+                (lambda x: np.ma.masked_array(np.ones(len(x), bool), x[:, 0] > 0), "some masked"),
+            )
         ),
-        (
-            dict(approximation=distance, reaches=lambda x: np.ones(1, bool)),
-            r"one boolean a point, .* of shape \(1,\)",
-        ),
-        (
-            dict(approximation=distance, reaches=lambda x: np.ma.masked_array(np.ones(len(x), bool), x[:, 0] > 0)),
-            "reaches must return one boolean a point, .* some masked",
-        ),
-        (dict(approximation=distance, directions=lambda x: np.ma.masked_greater(x, 0)), "directions .* are masked"),
-        (dict(approximation=lambda x: np.ma.masked_greater(np.ones(len(x)), 0)), "JAX cannot differentiate"),
-        (dict(approximation=distance, x=np.zeros((3, 3))), "x must have shape"),
-        (dict(approximation=distance, x=np.empty((0, 2))), "Of 0 points none"),
+        (dict(x=np.zeros((3, 3))), "x must have shape"),
+        (dict(x=np.empty((0, 2))), "Of 0 points none"),
     ],
 )
 def test_mistakes_are_explained(arguments, message):
     with pytest.raises(ValueError, match=message):
-        report(**arguments)
+        report(**{"approximation": distance} | arguments)

@@ -1,3 +1,5 @@
+"""Paths by descent along a field: in the plane, where cost is not length, and where space is not the plane."""
+
 import itertools
 import math
 
@@ -5,73 +7,82 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from space_helpers import rectangle as box
 
-from plr_jax import VisibilityGraph, Workspace, construct, scenes
+from plr_jax import (
+    Climbing,
+    LipschitzCost,
+    MotionCost,
+    PlanarArm,
+    PlaneSpace,
+    RectangleRobot,
+    RigidBodySpace,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    descend,
+    scenes,
+    solve_eikonal,
+)
 from plr_jax.geometry.corners import find_corners
-from plr_jax.optimize._descend import descend
 from plr_jax.optimize._descent import DescentStatus
+from plr_jax.optimize._path_costs import PathCosts, unit_motions
 
-TEN = ((0, 0), (10, 10))
 REACHED, STUCK, NOT_FREE = DescentStatus
-
-
-def box(x0, y0, x1, y1):
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
-
-
-ROOM = Workspace(TEN)
+TEN = ((0, 0), (10, 10))
+ROOM, SQUARE = Workspace(TEN), Workspace(((0, 0), (2, 2)))
 DOOR = Workspace(TEN, [box(4, 0, 6, 7), box(4, 8, 6, 10)])
 TRAP = Workspace(TEN, [box(3, 2, 7, 3), box(3, 7, 7, 8), box(6, 2, 7, 8)])  # a U, open to the left
 POCKET = Workspace(TEN, [box(1, 1, 4, 2), box(1, 3, 4, 4), box(1, 1, 2, 4), box(3, 1, 4, 4)])
+SLOWNESS = 2.0
 
 
 def nothing_known(x):
     return np.zeros(len(x))
 
 
-def assert_paths_hold(descent, workspace, starts, goal):
-    """Ends exact, every leg within free space as Shapely has it, lengths and statuses those of the paths."""
-    free = shapely.buffer(workspace.free_space, 2 * workspace.tolerance, join_style="mitre")
+def far_from(goal):
+    """The field that knows of no wall."""
+    return lambda x: np.hypot(*(x - np.asarray(goal)).T)
+
+
+def descended(field, space, starts, goal, **options):
+    """Paths with exact ends, every leg free, lengths, costs and statuses those of the paths."""
+    starts, goal = np.asarray(starts, float), np.asarray(goal, float)
+    descent = descend(field, space, starts, goal, **options)
+    in_plane = isinstance(space, Workspace)
+    space = PlaneSpace(space) if in_plane else space
+    free = shapely.buffer(space.workspace.free_space, 2 * space.workspace.tolerance, join_style="mitre")
     shapely.prepare(free)
     assert len(descent) == len(descent.paths) == len(descent.status) == len(starts)
     for path, start, status, length in zip(descent.paths, starts, descent.status, descent.lengths, strict=True):
         if status != REACHED:
-            assert path.shape == (0, 2) and length == math.inf
+            assert path.shape == (0, space.domain.dim) and length == math.inf
             continue
-        np.testing.assert_array_equal(path[0], start)
-        np.testing.assert_array_equal(path[-1], goal)
-        legs = np.diff(path, axis=0)
+        np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+        legs = space.domain.difference(path[1:], path[:-1])
         assert (legs != 0).any(axis=1).all()
-        assert length == pytest.approx(np.hypot(*legs.T).sum(), abs=1e-12)
-        assert len(legs) == 0 or shapely.covers(free, shapely.linestrings(path))
+        assert length == pytest.approx(space.motion_cost.norm(legs).sum(), abs=1e-12)
+        if in_plane:
+            assert len(legs) == 0 or shapely.covers(free, shapely.linestrings(path))
+        else:
+            samples = path[:-1, None] + np.linspace(0, 1, 200)[:, None] * legs[:, None]
+            assert space.is_free(samples.reshape(-1, space.domain.dim)).all()
     np.testing.assert_array_equal(descent.reached, descent.status == REACHED)
     np.testing.assert_array_equal(descent.counts, [len(path) for path in descent.paths])
-
-
-def descended(field, workspace, starts, goal):
-    starts, goal = np.asarray(starts, float), np.asarray(goal, float)
-    descent = descend(field, workspace, starts, goal)
-    assert_paths_hold(descent, workspace, starts, goal)
+    if options.get("cost_map") is None:
+        np.testing.assert_array_equal(descent.costs, descent.lengths)
     return descent
 
 
 # --- drawn by hand ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make_field", [VisibilityGraph, lambda workspace, goal: nothing_known])
-def test_straight_lines_in_an_empty_room(make_field):
-    goal = np.array([2.0, 3.0])
-    starts = ROOM.sample_free(50, 0)
-    descent = descended(make_field(ROOM, goal), ROOM, starts, goal)
-    assert descent.reached.all() and (descent.counts == 2).all()
-    np.testing.assert_allclose(descent.lengths, np.linalg.norm(starts - goal, axis=1), rtol=1e-12)
-
-
 def test_through_the_door_by_its_corners():
     goal = (8, 2)
-    descent = descended(VisibilityGraph(DOOR, goal), DOOR, [(2, 2), (2, 9.5), (8, 9), (4, 7), (6, 7), (5, 7)], goal)
     expected = [
         [(2, 2), (4, 7), (6, 7), (8, 2)],
         [(2, 9.5), (4, 8), (6, 7), (8, 2)],
@@ -80,6 +91,7 @@ def test_through_the_door_by_its_corners():
         [(6, 7), (8, 2)],
         [(5, 7), (6, 7), (8, 2)],
     ]
+    descent = descended(VisibilityGraph(DOOR, goal), DOOR, [path[0] for path in expected], goal)
     for path, vertices in zip(descent.paths, expected, strict=True):
         np.testing.assert_array_equal(path, vertices)
     # Shorter paths repeat the goal up to the length of the longest, which lengthens nothing.
@@ -88,12 +100,11 @@ def test_through_the_door_by_its_corners():
 
 
 def test_a_trap_is_left():
-    goal = np.array([9.0, 5.0])
-    exact = VisibilityGraph(TRAP, goal)
-    starts = np.array([[5.0, 5.0], [5.9, 5.0], [5.9, 3.1], [1.0, 5.0]])
-    descent = descended(lambda x: np.linalg.norm(x - goal, axis=1), TRAP, starts, goal)
-    assert descent.reached.all()
-    np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-12)
+    goal, starts = (9, 5), np.array([[5.0, 5.0], [5.9, 5.0], [5.9, 3.1], [1.0, 5.0], [8.0, 8.0]])
+    exact = VisibilityGraph(TRAP, goal)(starts)
+    np.testing.assert_allclose(descended(far_from(goal), TRAP, starts, goal).lengths, exact, rtol=1e-12)
+    in_space = descended(far_from(goal), PlaneSpace(TRAP), starts, goal)
+    assert (in_space.costs >= exact - 1e-9).all() and (in_space.costs <= 1.05 * exact).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -109,19 +120,21 @@ def test_bumps_do_not_trap(seed):
 
 
 def test_statuses():
-    goal = (8, 8)
     starts = [(5, 5), (2.5, 2.5), (1.5, 1.5), (-1, 5), (np.nan, 5), (8, 8), (2, 2)]
-    descent = descended(VisibilityGraph(POCKET, goal), POCKET, starts, goal)
-    expected = [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED, STUCK]
-    assert descent.status.tolist() == expected
+    descent = descended(VisibilityGraph(POCKET, (8, 8)), POCKET, starts, (8, 8))
+    assert descent.status.tolist() == [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED, STUCK]
     assert "goal" in descent.status[0].value and "2 of 7" in repr(descent)
     np.testing.assert_array_equal(descent.paths[5], [(8, 8)])
     assert descent.lengths[5] == 0 and np.isnan(descent.vertices[1]).all()
-
-
-def test_from_within_a_pocket_to_a_goal_within():
-    descent = descended(nothing_known, POCKET, [(2.2, 2.2), (5, 5)], (2.5, 2.5))
-    assert descent.status.tolist() == [REACHED, STUCK]
+    within = descended(nothing_known, POCKET, [(2.2, 2.2), (5, 5)], (2.5, 2.5))
+    assert within.status.tolist() == [REACHED, STUCK]
+    space = PlaneSpace(Workspace(((0, 0), (4, 2)), [box(2, 0, 2.2, 2)]))
+    starts = [(0.5, 0.5), (3, 1), (2.1, 1), (math.nan, 1), (9, 9), (1, 1)]
+    descent = descended(lambda x: np.where(x[:, 0] < 2, far_from((1, 1))(x), np.inf), space, starts, (1, 1))
+    assert descent.status.tolist() == [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED]
+    np.testing.assert_array_equal(descent.paths[5], [(1, 1)])
+    np.testing.assert_array_equal(descent.counts, [2, 0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(descent.costs[1:], [math.inf] * 4 + [0.0])
 
 
 @pytest.mark.parametrize("goal", [(4, 7), (6, 7), (5, 7), (6, 3), (10, 10), (6, 8), (4 + 1e-10, 7)])
@@ -141,62 +154,67 @@ def test_between_obstacles_that_touch(squeeze):
     assert (5.0, 5.0) in set(map(tuple, descent.paths[0].tolist())) or not squeeze
 
 
-def test_a_field_without_answers_does_no_harm():
-    goal, starts = (8, 2), DOOR.sample_free(50, 0)
-    blind = descended(lambda x: np.full(len(x), np.inf), DOOR, starts, goal)
-    np.testing.assert_allclose(blind.lengths, VisibilityGraph(DOOR, goal)(starts), rtol=1e-12)
+def without_answer(x):
+    return np.full(len(x), np.inf)
 
 
-def test_a_masked_field_has_no_answer_there():
+def masked(x):
+    return np.ma.masked_invalid(np.full(len(x), np.nan))
+
+
+def in_place(x):
+    x -= (8, 2)
+    return np.hypot(*x.T)
+
+
+@pytest.mark.parametrize("field", [without_answer, masked, in_place])
+def test_a_field_without_answers_or_that_computes_in_place_does_no_harm(field):
     starts = DOOR.sample_free(50, 0)
-    exact = VisibilityGraph(DOOR, (8, 2))
-    masked = descended(lambda x: np.ma.masked_invalid(np.full(len(x), np.nan)), DOOR, starts, (8, 2))
-    np.testing.assert_allclose(masked.lengths, exact(starts), rtol=1e-12)
+    exact = VisibilityGraph(DOOR, (8, 2))(starts)
+    np.testing.assert_allclose(descended(field, DOOR, starts, (8, 2)).lengths, exact, rtol=1e-12)
 
 
-def test_a_field_that_computes_in_place_moves_no_corner():
-    def in_place(x):
-        x -= (8, 2)
-        return np.hypot(*x.T)
-
-    starts = DOOR.sample_free(50, seed=0)
-    descent = descend(in_place, DOOR, starts, (8, 2))
-    np.testing.assert_array_equal(descent.vertices, descended(nothing_known, DOOR, starts, (8, 2)).vertices)
-
-
-def test_no_starts_and_no_corners():
-    assert len(descended(nothing_known, DOOR, np.empty((0, 2)), (8, 2))) == 0
-    assert descend(nothing_known, ROOM, np.empty((0, 2)), (8, 2)).vertices.shape[0] == 0
+@pytest.mark.parametrize("space", [DOOR, ROOM, PlaneSpace(DOOR)])
+def test_no_starts_and_no_corners(space):
+    assert descended(nothing_known, space, np.empty((0, 2)), (8, 2)).vertices.shape[0] == 0
+    straight = descended(nothing_known, ROOM, ROOM.sample_free(50, 0), (2, 3))
+    assert straight.reached.all() and (straight.counts == 2).all()
 
 
 @pytest.mark.parametrize(
-    ("field", "starts", "goal", "message"),
+    ("field", "space", "starts", "goal", "cost_map", "message"),
     [
-        (nothing_known, np.zeros(2), (8, 2), r"starts must have shape \(n, 2\).*starts\[None\]"),
-        (nothing_known, np.zeros((1, 3)), (8, 2), "starts must have shape"),
-        (nothing_known, [(1, 1)], (8, 2, 0), "The goal must be one point"),
-        (nothing_known, [(1, 1)], (5, 2), "The goal .* not in free space"),
-        (lambda x: x, [(1, 1)], (8, 2), "one number a point"),
-        (lambda x: np.full(len(x), -np.inf), [(1, 1)], (8, 2), "-inf at .*use inf"),
-        (lambda x: np.full(len(x), np.nan), [(1, 1)], (8, 2), "NaN at .*use inf"),
+        (nothing_known, DOOR, np.zeros(2), (8, 2), None, r"starts must have shape \(n, 2\).*starts\[None\]"),
+        (nothing_known, DOOR, np.zeros((1, 3)), (8, 2), None, "starts must have shape"),
+        (nothing_known, DOOR, [(1, 1)], (8, 2, 0), None, "The goal must be one point"),
+        (nothing_known, DOOR, [(1, 1)], (5, 2), None, "The goal .* not in free space"),
+        (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number a point"),
+        (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
+        (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),
+        (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
+        (nothing_known, 3, [(1, 1)], (1, 1), None, "space must be a Workspace or a configuration space"),
+        (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (3, 1), None, "The goal .* not a free configuration"),
+        (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (1, 1, 1), None, "The goal must be one point"),
+        (nothing_known, SQUARE, [(1, 1)], (1, 1), 2.0, "cost_map must be a CostMap"),
+        (nothing_known, SQUARE, [(0.5, 0.5)], (1, 1), LipschitzCost(lambda q: q[:, 0] * math.nan, 1.0, 1.0),
+         "finite numbers of at least 1"),
     ],
-)
-def test_a_callers_mistakes(field, starts, goal, message):
+)  # fmt: skip
+@pytest.mark.usefixtures("unchecked_types")
+def test_a_callers_mistakes(field, space, starts, goal, cost_map, message):
     with pytest.raises(ValueError, match=message):
-        descend(field, DOOR, starts, goal)
+        descend(field, space, starts, goal, cost_map=cost_map)
 
 
 # --- PLRs ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])
-@pytest.mark.parametrize("max_bytes", [1024, 6144])
-def test_with_a_plr_as_short_as_can_be(scene, max_bytes):
-    problem = scene()
+@pytest.mark.parametrize("problem", [scenes.maze(), scenes.thin_maze()])
+def test_with_a_plr_as_short_as_can_be(problem):
     workspace, goal = problem.workspace, problem.goals[0]
     exact = VisibilityGraph(workspace, goal)
     starts = workspace.sample_free(500, 3)
-    plr = construct(exact, workspace.bounds, max_bytes=max_bytes)
+    plr = construct(exact, workspace.bounds, max_bytes=1024)
     descent = descended(plr, workspace, starts, goal)
     np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
     again = descend(plr, workspace, starts, goal)
@@ -205,19 +223,10 @@ def test_with_a_plr_as_short_as_can_be(scene, max_bytes):
     np.testing.assert_array_equal(descend(plr, workspace, starts[7:8], goal).paths[0], descent.paths[7])
 
 
-def test_arena(data_dir):
-    workspace = scenes.read_polygons(data_dir / "polyanya_arena" / "arena_polygons.json")
-    goal, starts = np.array([1.0, 11.0]), workspace.sample_free(500, 0)
-    exact = VisibilityGraph(workspace, goal)
-    descent = descended(construct(exact, workspace.bounds, max_bytes=6144), workspace, starts, goal)
-    assert descent.reached.all()
-    assert np.median(descent.lengths / exact(starts)) < 1.001
-
-
 def test_a_good_field_saves_tests(monkeypatch, data_dir):
     workspace = scenes.read_polygons(data_dir / "polyanya_arena" / "arena_polygons.json")
-    goal, tests = np.array([1.0, 11.0]), []
-    is_visible = Workspace.is_visible
+    goal, tests, is_visible = np.array([1.0, 11.0]), [], Workspace.is_visible
+    exact = VisibilityGraph(workspace, goal)
 
     def counted(self, a, b):
         tests.append(len(a))
@@ -226,10 +235,12 @@ def test_a_good_field_saves_tests(monkeypatch, data_dir):
     monkeypatch.setattr(Workspace, "is_visible", counted)
     descend(nothing_known, workspace, np.empty((0, 2)), goal)
     blind = sum(tests)
-    exact = VisibilityGraph(workspace, goal)
     tests.clear()
     descend(exact, workspace, np.empty((0, 2)), goal)
     assert sum(tests) < blind
+    monkeypatch.undo()
+    starts = workspace.sample_free(100, 0)
+    np.testing.assert_allclose(descended(exact, workspace, starts, goal).lengths, exact(starts), rtol=1e-9)
 
 
 # --- any obstacles ---------------------------------------------------------------------------------------
@@ -239,25 +250,24 @@ COORDINATE = st.integers(0, 40).map(lambda i: i / 4)
 
 
 @st.composite
-def obstacles(draw):
-    """Up to five convex ones."""
-    hulls = []
+def halls(draw):
+    """Up to five convex obstacles, and a goal in free space."""
+    hulls, goal = [], np.array(draw(st.tuples(COORDINATE, COORDINATE)))
     for _ in range(draw(st.integers(0, 5))):
         x, y = draw(st.integers(0, 32)) / 4, draw(st.integers(0, 32)) / 4
         offsets = draw(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), min_size=3, max_size=6))
         hull = shapely.convex_hull(shapely.multipoints(np.array(offsets) / 4 + (x, y)))
         if hull.geom_type == "Polygon":
             hulls.append(hull)
-    return hulls
+    workspace = Workspace(HALL, hulls)
+    assume(workspace.is_free(goal[None])[0])
+    return workspace, goal
 
 
 @settings(max_examples=30, deadline=None)
-@given(obstacles(), st.tuples(COORDINATE, COORDINATE), st.integers(0, 2**16), st.floats(0, 3))
-def test_every_start_with_a_way_reaches_the_goal(obstacles, goal, seed, error):
-    workspace = Workspace(HALL, obstacles)
-    goal = np.array(goal)
-    if not workspace.is_free(goal[None])[0]:
-        return
+@given(halls(), st.integers(0, 2**16), st.floats(0, 3))
+def test_every_start_with_a_way_reaches_the_goal(hall, seed, error):
+    workspace, goal = hall
     exact, rng = VisibilityGraph(workspace, goal), np.random.default_rng(seed)
     starts = np.concatenate([workspace.sample_free(20, seed), rng.uniform(-1.5, 12.5, (5, 2))])
     distance = exact(starts)
@@ -269,12 +279,9 @@ def test_every_start_with_a_way_reaches_the_goal(obstacles, goal, seed, error):
 
 
 @settings(max_examples=25, deadline=None)
-@given(obstacles(), st.tuples(COORDINATE, COORDINATE), st.integers(0, 2**16))
-def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(obstacles, goal, seed):
-    workspace = Workspace(HALL, obstacles)
-    goal = np.array(goal)
-    if not workspace.is_free(goal[None])[0]:
-        return
+@given(halls(), st.integers(0, 2**16))
+def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(hall, seed):
+    workspace, goal = hall
     starts = workspace.sample_free(3, seed)
     points = np.concatenate([find_corners(workspace)[0].without(goal).with_goal(goal).points, starts])
     pairs = np.array(list(itertools.combinations(range(len(points)), 2)))
@@ -288,16 +295,218 @@ def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(obsta
     assert (descent.lengths >= shortest - 1e-9).all()
 
 
-def test_many_points_are_searched_in_parts(monkeypatch):
-    monkeypatch.setattr("plr_jax.geometry.first_visible._CHUNK", 64)
-    goal, starts = (8, 2), DOOR.sample_free(300, 0)
-    exact = VisibilityGraph(DOOR, goal)
-    np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), rtol=1e-12)
+# --- costs that are not lengths ---------------------------------------------------------------------------
 
 
-def test_of_a_disc_by_the_inflated_workspace():
-    inflated = DOOR.inflate(0.4)
-    goal = (8, 2)
-    exact = VisibilityGraph(inflated, goal)
-    starts = inflated.sample_free(200, 0)
-    np.testing.assert_allclose(descended(exact, inflated, starts, goal).lengths, exact(starts), rtol=1e-9)
+class Slow:
+    """Motions within a box cost more."""
+
+    def __init__(self, lo, hi, factor):
+        self.lo, self.hi, self.factor = np.array(lo), np.array(hi), factor
+
+    def __call__(self, q):
+        q = np.asarray(q)
+        return np.where(((q > self.lo) & (q < self.hi)).all(axis=1), self.factor, 1.0)
+
+    def bounds(self, lo, hi):
+        meets = ((hi > self.lo) & (lo < self.hi)).all(axis=1)
+        inside = ((lo > self.lo) & (hi < self.hi)).all(axis=1)
+        return np.where(inside, self.factor, 1.0), np.where(meets, self.factor, 1.0)
+
+
+SLOW_BEYOND = Slow((1, -1), (9, 9), SLOWNESS)
+SLOW_STRIP = Slow((0.99, -1), (1.01, 1.8), 10.0)  # open at the top
+LINEAR = LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1.0, least=1.0)
+
+
+def refracted(start, goal):
+    """Fermat's principle: the cheapest path from the fast half to the slow one, and where it crosses over."""
+
+    def cost(y):
+        return math.hypot(1 - start[0], y - start[1]) + SLOWNESS * math.hypot(goal[0] - 1, goal[1] - y)
+
+    best = minimize_scalar(cost, bounds=(0, 2), method="bounded", options={"xatol": 1e-12})
+    return best.fun, best.x
+
+
+@pytest.fixture(scope="module")
+def times():
+    """Times to a goal in the slow half, by the closed form where the way does not run along the border."""
+    goal = np.array([1.6, 1.3])
+
+    def field(x):
+        slow = SLOWNESS * np.hypot(*(x - goal).T)
+        return np.array([refracted(p, goal)[0] if p[0] <= 1 else t for p, t in zip(x, slow, strict=True)])
+
+    return goal, field
+
+
+@pytest.mark.parametrize("start", [(0.3, 0.2), (0.1, 1.9), (0.9, 0.5), (0.5, 1.3)])
+def test_a_path_into_slow_ground_is_refracted(times, start):
+    goal, field = times
+    cost, y = refracted(start, goal)
+    descent = descend(field, SQUARE, [start], goal, cost_map=SLOW_BEYOND)
+    assert descent.costs[0] == pytest.approx(cost, rel=1e-3)
+    assert descent.costs[0] >= (1 - 1e-3) * cost
+    path = descent.paths[0]
+    crossing = np.interp(1.0, path[:, 0], path[:, 1])
+    assert crossing == pytest.approx(y, abs=0.05)
+    # Snell's law: sines of the angles to the border's normal are as the speeds.
+    sines = [abs(d[1]) / math.hypot(*d) for d in ((1 - start[0], y - start[1]), (goal[0] - 1, goal[1] - y))]
+    assert sines[0] == pytest.approx(SLOWNESS * sines[1], abs=1e-5)
+    assert descent.lengths[0] >= math.dist(start, goal) - 1e-12
+
+
+def test_a_stored_field_of_times_is_followed(times):
+    goal, field = times
+    space = PlaneSpace(SQUARE)
+    starts = np.random.default_rng(0).uniform((0.02, 0.02), (0.98, 1.98), (20, 2))
+    plr = solve_eikonal(space, goal, cost_map=SLOW_BEYOND, max_leaves=500)
+    descent = descended(plr, space, starts, goal, cost_map=SLOW_BEYOND)
+    ratio = descent.costs / field(starts)
+    assert (ratio >= 1 - 1e-3).all() and (ratio <= 1.02).all() and np.median(ratio) <= 1.001
+    # Without the map a path is straight, and takes longer.
+    straight = descend(plr, space, starts, goal, cost_map=None)
+    np.testing.assert_allclose(straight.costs, np.hypot(*(starts - goal).T), rtol=1e-6)
+
+
+def test_the_unit_of_costs_makes_no_difference(times):
+    """Of seconds and of hours: the slope of the field is that of the cost map."""
+    goal, field = times
+    starts = [(0.3, 0.2), (0.1, 1.9)]
+    slowness = LipschitzCost(lambda q: 3600 * (1 + q[:, 0]), lipschitz=3600.0, least=3600.0)
+    # Any field may lead: here that of another cost, in both units.
+    in_hours = descend(field, SQUARE, starts, goal, cost_map=LINEAR)
+    in_seconds = descend(lambda x: 3600 * field(x), SQUARE, starts, goal, cost_map=slowness)
+    np.testing.assert_allclose(in_seconds.vertices, in_hours.vertices, rtol=1e-9)
+    np.testing.assert_allclose(in_seconds.costs, 3600 * in_hours.costs, rtol=1e-9)
+
+
+def test_a_thin_strip_that_samples_miss_is_not_crossed_unawares():
+    goal, start = np.array([1.7, 1.0]), np.array([0.3, 1.0])
+    top = np.array([1.0, 1.8])
+    around = math.dist(start, top) + math.dist(top, goal)
+    across = 1.4 + 9 * 0.02
+
+    def field(x):
+        """The exact times: across the strip, or around its end."""
+        before = x[:, 0] < 1
+        direct = np.hypot(*(x - goal).T)
+        straight = direct + np.where(before, 9 * 0.02 * direct / np.maximum(goal[0] - x[:, 0], 1e-9), 0.0)
+        return np.where(before, np.minimum(straight, np.hypot(*(x - top).T) + math.dist(top, goal)), direct)
+
+    assert across < around
+    descent = descend(field, SQUARE, [start], goal, cost_map=SLOW_STRIP)
+    assert descent.costs[0] == pytest.approx(across, rel=2e-3)
+
+
+def test_the_way_up_costs_more_than_the_way_down():
+    """On a slope along x, of 1 in 2, where a unit of climbing costs 3."""
+    ground = Climbing(lambda q: np.tile([0.5, 0.0], (len(q), 1)), rate=3.0, lipschitz=0.0, steepest=0.5)
+    low, high = np.array([0.2, 1.0]), np.array([1.8, 1.0])
+    for start, goal, cost in ((low, high, 1.6 + 3 * 0.8), (high, low, 1.6)):
+        way = descend(
+            lambda x, goal=goal: far_from(goal)(x) + 1.5 * np.maximum(goal[0] - x[:, 0], 0),
+            SQUARE, [start], goal, cost_map=ground,
+        )  # fmt: skip
+        assert way.costs[0] == pytest.approx(cost, rel=1e-3)
+
+
+def test_costs_are_integrals_of_the_factor():
+    space = PlaneSpace(SQUARE)
+    a, b = np.array([[0.0, 0.0], [0.5, 0.5], [1.5, 0.5]]), np.array([[2.0, 2.0], [0.5, 1.5], [1.5, 0.5]])
+    for cost_map, expected, rtol in (
+        (SLOW_BEYOND, [math.sqrt(2) * 3, 1.0, 0.0], 1e-3),
+        (LINEAR, [2 * math.sqrt(8), 1.5, 0.0], 1e-9),
+        (None, [math.sqrt(8), 1.0, 0.0], 1e-12),
+    ):
+        np.testing.assert_allclose(PathCosts(space, cost_map).integrals(a, b, 1e-3), expected, rtol=rtol)
+
+
+def test_integrals_across_a_seam_ask_within_the_domain():
+    space = RigidBodySpace(SQUARE, RectangleRobot(0.2, 0.1), rotation_weight=1.0)
+    lo, hi = space.domain.lo, space.domain.hi
+
+    class Inside:
+        """A factor of the heading, 1 + |heading|, that refuses what is outside the domain."""
+
+        def __call__(self, q):
+            assert ((q >= lo) & (q <= hi)).all()
+            return 1 + np.abs(q[:, 2])
+
+        def bounds(self, lo_, hi_):
+            assert (lo_ >= lo).all() and (hi_ <= hi).all()
+            ends = np.abs(np.stack([lo_[:, 2], hi_[:, 2]]))
+            least = np.where(lo_[:, 2] * hi_[:, 2] <= 0, 0.0, ends.min(axis=0))
+            return 1 + least, 1 + ends.max(axis=0)
+
+    q0, q1 = np.array([[1.0, 1.0, math.pi - 0.5]]), np.array([[1.0, 1.0, -math.pi + 0.5]])
+    # A turn of 1 over headings whose sizes run from pi - 0.5 up to pi and down again.
+    expected = 1 * (1 + math.pi - 0.25)
+    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q0, q1, 1e-3), expected, rtol=1e-6)
+    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q1, q0, 1e-3), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("motion", "num_axes_alone"),
+    [
+        (MotionCost((((0, 1), 1.0),)), 4),
+        (MotionCost((((0, 1), 1.0), ((2,), 0.3))), 6),
+        (MotionCost((((0,), 2.0),)), 2),
+    ],
+)
+def test_unit_motions_cost_one_and_are_as_many_as_their_opposites(motion, num_axes_alone):
+    steps = unit_motions(motion)
+    np.testing.assert_allclose(motion.norm(steps), 1.0, rtol=1e-12)
+    rounded = {tuple(step) for step in np.round(steps, 9) + 0.0}
+    assert rounded == {tuple(-np.array(step) + 0.0) for step in rounded}
+    assert sum(np.count_nonzero(step) == 1 for step in rounded) == num_axes_alone
+
+
+# --- bodies that turn, and arms --------------------------------------------------------------------------
+
+
+def test_a_body_turns_through_the_seam():
+    """In the open the way is straight, and turns the short way around."""
+    space = RigidBodySpace(SQUARE, RectangleRobot(0.2, 0.1), rotation_weight=0.5)
+    goal, starts = np.array([1.5, 1.0, 3.0]), np.array([[0.5, 1.0, -3.0], [0.5, 1.0, 2.8], [1.5, 1.0, 0.0]])
+    turn = np.array([2 * math.pi - 6.0, 0.2, 3.0])
+    exact = np.hypot(*(starts - goal)[:, :2].T) + 0.5 * turn
+
+    def field(x):
+        angle = np.abs(x[:, 2] - goal[2]) % (2 * math.pi)
+        return np.hypot(*(x - goal)[:, :2].T) + 0.5 * np.minimum(angle, 2 * math.pi - angle)
+
+    descent = descended(field, space, starts, goal)
+    np.testing.assert_allclose(descent.costs, exact, rtol=1e-6)
+
+
+def test_a_body_turns_to_fit_through_a_door():
+    """The door is narrower than the body is long, which stands across it; the field knows too little of that."""
+    workspace = Workspace(((0, 0), (4, 4)), [box(1.9, 0, 2.1, 1.8), box(1.9, 2.2, 2.1, 4)])
+    space = RigidBodySpace(workspace, RectangleRobot(0.6, 0.2), rotation_weight=0.3)
+    goal, starts = np.array([3.0, 2.0, math.pi / 2]), np.array([[1.0, 2.0, math.pi / 2], [1.0, 2.0, -math.pi / 2]])
+    plr = solve_eikonal(space, goal, max_leaves=2000)
+    descent = descended(plr, space, starts, goal)
+    # The chord of the body along the middle of the wall has to fit through 0.4: it turns by a sixth of pi and back.
+    assert (descent.costs >= 2.0 + 2 * 0.3 * math.pi / 6).all()
+    assert descent.costs[0] <= 2.9
+    # The other one turns on, and so by half a turn in all.
+    assert descent.costs[1] >= 2.0 + 0.3 * math.pi - 1e-6
+    assert (descent.costs >= np.asarray(plr.lower(starts))).all()
+
+
+def test_an_arm_goes_around_an_obstacle_and_through_the_seams():
+    arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
+    goal, rng = np.array([1.8, 0.0]), np.random.default_rng(0)
+    q = rng.uniform(-math.pi, math.pi, (60, 2))
+    starts = q[arm.is_free(q)][:20]
+    plr = solve_eikonal(arm, goal, max_leaves=1000)
+    descent = descended(plr, arm, starts, goal)
+    lower = plr.lower(starts)
+    assert (descent.costs >= np.asarray(lower)).all()
+    assert np.median(descent.costs / np.asarray(lower)) < 1.05
+    crosses = [np.abs(np.diff(path, axis=0)).max() > math.pi for path in descent.paths]
+    assert any(crosses)
+    wrapped = descended(plr, arm, starts + np.array([2 * math.pi, -4 * math.pi]), goal)
+    np.testing.assert_allclose(wrapped.costs, descent.costs, rtol=1e-3)

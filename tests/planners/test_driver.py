@@ -1,9 +1,21 @@
-"""Problems that the planner solves, each path checked by an independent test, and those without a solution."""
+"""The planner: problems that it solves, each path checked by an independent test, where it stops, what options do."""
 
+import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import ROOM, TRANSLATIONS, exact, hallway, nudged_discs, nudged_team, planned
+from planner_helpers import (
+    FOUR_NEIGHBORS,
+    ROOM,
+    TRANSLATIONS,
+    exact,
+    graph_of,
+    hallway,
+    joint_lattice_of,
+    nudged_discs,
+    nudged_team,
+    planned,
+)
 
 from plr_jax import (
     BLOptions,
@@ -11,33 +23,33 @@ from plr_jax import (
     PointRobot,
     Problem,
     RectangleRobot,
+    Status,
     Workspace,
     bl_plan,
+    robot_distance_fns,
     scenes,
+    straight_line,
+    sum_of_distances,
     validate,
+    zero,
 )
-from plr_jax.planners import Status, straight_line, zero
+from plr_jax.planners import driver
+from plr_jax.planners.lacam import PIBT
 
-# The scenes
+DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
+DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
+LARGE = Workspace(((0, 0), (1000, 1000)))
+
+
+# What is solved
 
 
 @pytest.mark.parametrize(
-    "scene",
-    [
-        scenes.single_door,
-        scenes.maze,
-        lambda: scenes.four_rooms(2),
-        lambda: scenes.four_rooms(3),
-        lambda: scenes.four_rooms(4),
-        lambda: scenes.four_rooms(8),
-        lambda: scenes.cross(2),
-        lambda: scenes.cross(3),
-        scenes.tangle,
-    ],
-    ids=["single_door", "maze", "rooms-2", "rooms-3", "rooms-4", "rooms-8", "cross-2", "cross-3", "tangle"],
+    "problem",
+    [DOOR, scenes.maze(), scenes.four_rooms(4), scenes.four_rooms(8), scenes.cross(3), scenes.tangle()],
+    ids=["door", "maze", "rooms-4", "rooms-8", "cross-3", "tangle"],
 )
-def test_scenes(scene):
-    problem = scene()
+def test_scenes(problem):
     solution = planned(problem)
     assert solution.status is Status.SOLVED
     # The joint cost has the robots' own shortest ways as a bound, but for what inflating corners rounds off.
@@ -47,14 +59,55 @@ def test_scenes(scene):
     assert solution.cost <= (1.05 if problem.dof == 2 else 1.35) * alone
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(
-    "problem",
-    [scenes.single_door(), scenes.four_rooms(3), scenes.cross(2)],
-    ids=["single_door", "rooms-3", "cross-2"],
-)
-def test_perturbed_starts_and_goals(problem, seed):
-    planned(scenes.perturbed(problem, seed))
+DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "classic", "gen_p10_n8_0_unicycle_sphere"]
+DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
+
+
+@pytest.mark.parametrize("name", DBCBS)
+def test_problems_of_dbcbs_their_robots_holonomic(data_dir, name):
+    assert planned(scenes.read_dbcbs(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
+
+
+def test_infeasible_problems_are_refused_before_planning(data_dir):
+    with pytest.raises(ValueError, match="Robots 0 and 1 overlap at their goals"):
+        scenes.read_dbcbs(data_dir / "dbcbs" / "infeasible_0.yaml")
+    wall = Workspace(((0, 0), (6, 6)), [shapely.box(2, 0, 3, 6)])
+    with pytest.raises(ValueError, match=r"Robot 0 has its goal .* cut off"):
+        Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])
+
+
+CROWD = scenes.crowd(40, seed=3)
+BAY = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
+TINY = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
+SOLVED = {
+    "a perturbed door": (scenes.perturbed(DOOR, 0), {}),
+    "perturbed rooms": (scenes.perturbed(scenes.four_rooms(3), 1), {}),
+    "a perturbed cross": (scenes.perturbed(scenes.cross(2), 2), {}),
+    "a crowd": (CROWD, {"heuristic": straight_line(CROWD), "step": 0.4}),
+    "a bay narrower than a cell of the first lattice": (
+        Problem(BAY, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]), {}),
+    "a disc that is small in a large map": (
+        Problem(LARGE, [DiscRobot(1e-3)], [(1, 2)], [(990, 20)]), {"max_expansions": 2000}),
+    "a rectangle that is small in a large map": (
+        Problem(LARGE, [RectangleRobot(2, 1)], [(1, 2, 0)], [(990, 20, 1)]), {"max_expansions": 2000}),
+    "walls far from the origin": (Problem(TINY, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)]), {}),
+    "ends that touch walls and one another": (
+        Problem(ROOM, [DiscRobot(0.5)] * 2, [(0.5, 0.5), (1.5, 0.5)], [(9.5, 9.5), (8.5, 9.5)]), {}),
+    **{
+        f"goals in the cells of starts, {robot}, by {searcher}": (
+            nudged_team(robot), {"searchers": (searcher,), "step": 1.0})
+        for robot in (DiscRobot(0.15), RectangleRobot(0.4, 0.1)) for searcher in ("lacam", "bl")
+    },
+    "four neighbors": (ROOMS, {"primitives": FOUR_NEIGHBORS, "step": 0.5}),
+    "few children at a time": (ROOMS, {"branching": 20, "step": 0.5}),
+    "one node at a time": (ROOMS, {"batch": 1, "step": 0.5}),
+    "a narrow beam": (ROOMS, {"width": 9, "step": 0.5}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("problem", "options"), SOLVED.values(), ids=SOLVED)
+def test_what_is_solved(problem, options):
+    planned(problem, **options)
 
 
 def test_a_team_of_unequal_robots():
@@ -73,14 +126,6 @@ def test_a_robot_on_its_goal_leaves_and_comes_back():
     solution = planned(problem)
     away = solution.path[:, 1, 1]
     assert away[0] == away[-1] == 0.5 and away.max() > 1.3, "the second robot waits in the bay"
-
-
-def test_two_discs_in_a_bay_narrower_than_a_cell_of_the_first_lattice():
-    bay = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
-    planned(Problem(bay, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]))
-
-
-# Problems that are hardly problems
 
 
 def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
@@ -106,12 +151,6 @@ def test_a_goal_that_is_the_start_but_for_a_whole_turn(start):
     assert solution.cost == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize("searcher", ["lacam", "bl"])
-@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
-def test_a_team_with_goals_in_the_cells_of_starts(robot, searcher):
-    planned(nudged_team(robot), searchers=(searcher,), step=1.0)
-
-
 def test_many_robots_that_are_only_nudged_go_straight():
     problem = nudged_discs(8)
     solution = bl_plan(problem)
@@ -129,25 +168,6 @@ def test_an_empty_room_is_crossed_straight(robot):
     assert solution.status is Status.SOLVED and solution.cost == pytest.approx(solution.lower_bound, rel=1e-9)
 
 
-def test_ends_that_touch_walls_and_one_another():
-    problem = Problem(ROOM, [DiscRobot(0.5)] * 2, [(0.5, 0.5), (1.5, 0.5)], [(9.5, 9.5), (8.5, 9.5)])
-    planned(problem, straight_line(problem))
-
-
-@pytest.mark.parametrize("robot", [DiscRobot(1e-3), RectangleRobot(2, 1)], ids=["disc", "rectangle"])
-def test_a_small_robot_in_a_large_map(robot):
-    workspace = Workspace(((0, 0), (1000, 1000)))
-    dof = 3 if isinstance(robot, RectangleRobot) else 2
-    problem = Problem(workspace, [robot], [(1, 2, 0)[:dof]], [(990, 20, 1)[:dof]])
-    planned(problem, straight_line(problem), max_expansions=2000)
-
-
-def test_walls_far_from_the_origin_are_touched_alike():
-    workspace = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
-    problem = Problem(workspace, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)])
-    planned(problem, straight_line(problem))
-
-
 # Where nothing is found
 
 
@@ -160,40 +180,306 @@ def test_tangle_by_translation_alone_exhausts_its_frontier():
     assert (solution.samples[:, :, 2] == problem.starts[:, 2]).all()
 
 
-def test_robots_that_cannot_pass():
-    solution = bl_plan(hallway(5), zero(), BLOptions(searchers=("bl",), step=1.0))
-    assert solution.status is Status.EXHAUSTED and not solution.solved and solution.stats.num_nodes == 10
-
-
-def test_a_goal_out_of_reach_on_the_lattice_is_exhausted_without_a_search():
-    problem = Problem(ROOM, [RectangleRobot(2, 1)], [(2, 2, 0)], [(8, 8, 1.5)])
-    solution = bl_plan(problem, zero(), BLOptions(primitives=TRANSLATIONS, step=1.0))
-    assert solution.status is Status.EXHAUSTED and solution.stats.num_nodes == 0
-    np.testing.assert_array_equal(solution.samples, problem.starts[None])
-
-
-def test_infeasible_problems_are_refused_before_planning():
-    with pytest.raises(ValueError, match=r"Robot 0 has its goal .* cut off"):
-        wall = Workspace(((0, 0), (6, 6)), [shapely.box(2, 0, 3, 6)])
-        Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])
+@pytest.mark.parametrize(
+    ("problem", "options", "num_nodes"),
+    [
+        (hallway(5), {"searchers": ("bl",), "step": 1.0}, 10),
+        # Out of reach on the lattice, which takes no search.
+        (
+            Problem(ROOM, [RectangleRobot(2, 1)], [(2, 2, 0)], [(8, 8, 1.5)]),
+            {"primitives": TRANSLATIONS, "step": 1.0},
+            0,
+        ),
+        (ROOMS, {"step": 1e12, "time_limit": 5}, 0),  # a lattice of one cell
+    ],
+    ids=["robots that cannot pass", "a heading that is never reached", "a step beyond all bounds"],
+)
+def test_what_has_no_path_is_exhausted(problem, options, num_nodes):
+    solution = bl_plan(problem, zero(), BLOptions(**options))
+    assert solution.status is Status.EXHAUSTED and not solution.solved and solution.stats.num_nodes == num_nodes
+    if not num_nodes:
+        np.testing.assert_array_equal(solution.samples, problem.starts[None])
 
 
 # What a solution tells
 
 
-def test_samples_are_the_free_joint_configurations_of_the_nodes():
-    problem = scenes.four_rooms(2)
-    solution = planned(problem, step=0.5)
-    assert len(solution.samples) == solution.stats.num_nodes
-    np.testing.assert_array_equal(solution.samples[0], problem.starts)
-    assert len(np.unique(solution.samples.reshape(len(solution.samples), -1), axis=0)) == len(solution.samples)
-    for q in solution.samples[::5]:
-        Problem(problem.workspace, problem.robots, q, q)  # refuses what is in collision
-
-
-def test_statistics():
-    stats = planned(scenes.four_rooms(2)).stats
+def test_samples_are_the_free_joint_configurations_of_the_nodes_and_statistics_add_up():
+    solution = planned(ROOMS, step=0.5)
+    samples, stats = solution.samples, solution.stats
+    assert len(samples) == stats.num_nodes
+    np.testing.assert_array_equal(samples[0], ROOMS.starts)
+    assert len(np.unique(samples.reshape(len(samples), -1), axis=0)) == len(samples)
+    for q in samples[::5]:
+        Problem(ROOMS.workspace, ROOMS.robots, q, q)  # refuses what is in collision
     assert stats.num_children_scored >= stats.num_children_valid >= stats.num_nodes - 1 > 0
     assert {"lattice", "heuristic", "search", "shorten"} <= set(stats.seconds)
     assert all(seconds >= 0 for seconds in stats.seconds.values())
     assert sum(stats.seconds.values()) >= stats.first_solution * 0.5
+
+
+@pytest.mark.parametrize(
+    ("rows", "kept"),
+    [
+        ([(0, 1), (2, 3)], 2),
+        ([(0, 1), (2, 3), (2, 3), (2, 3)], 2),
+        ([(0, 1), (2, 3), (2, 1), (2, 3), (2, 3)], 4),  # the team is at its goals once before
+        ([(2, 3), (2, 3)], 1),
+        ([(2, 3)], 1),
+    ],
+)
+def test_a_path_ends_when_all_have_arrived_for_good(rows, kept):
+    state = np.array(rows)
+    np.testing.assert_array_equal(driver.until_arrival(state), state[:kept])
+
+
+# Where it stops
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
+        ({"max_memory": 4000}, Status.MEMORY_LIMIT),
+        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
+        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
+        ({"step": 1e-200}, Status.MEMORY_LIMIT),
+        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
+        ({"time_limit": 1e-6}, Status.TIME_LIMIT),
+    ],
+)
+def test_limits(options, status):
+    solution = bl_plan(ROOMS, zero(), BLOptions(**options))
+    assert solution.status is status and not solution.solved and solution.cost == np.inf
+
+
+@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
+def test_expansions_are_never_more_than_asked_for(max_expansions):
+    # Of a hallway no path leads out, so that the search widens to whole batches.
+    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
+    assert solution.status is Status.EXPANSION_LIMIT
+    assert solution.stats.num_expansions == int(max_expansions)
+
+
+def test_lattices_count_as_memory():
+    for max_memory, begun in ((4000, False), (1_500_000, True)):
+        solution = bl_plan(DOOR, zero(), BLOptions(max_memory=max_memory, cell_size=1e-3, step=0.5))
+        assert (solution.stats.num_nodes > 0) is begun
+
+
+def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
+    content = planned(ROOMS, cost_factor=1.5)
+    assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
+    assert content.stats.num_expansions == planned(ROOMS).stats.num_expansions
+
+
+def test_an_improving_planner_goes_on_until_its_limit():
+    problem = scenes.cross(2)
+    first = planned(problem)
+    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 250)
+    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 500)
+    assert better.status is best.status is Status.EXPANSION_LIMIT
+    assert best.cost <= better.cost <= first.cost and best.cost < first.cost
+    assert best.stats.num_expansions > better.stats.num_expansions > first.stats.num_expansions
+    assert [cost for _, cost in best.stats.history][: len(better.stats.history)] == [
+        cost for _, cost in better.stats.history
+    ]
+
+
+def test_a_lower_bound_of_the_caller_counts():
+    alone = float(exact(DOOR)(DOOR.starts[None])[0])
+    solution = bl_plan(DOOR, straight_line(DOOR), BLOptions(cost_factor=1.05, lower_bound=0.999 * alone))
+    assert solution.status is Status.SOLVED and solution.lower_bound == 0.999 * alone
+    assert solution.factor == solution.cost / solution.lower_bound <= 1.05
+    below = bl_plan(DOOR, straight_line(DOOR), BLOptions(lower_bound=0.1))
+    assert below.lower_bound == pytest.approx(DOOR_STRAIGHT), "straight lines are a better one"
+
+
+def test_a_heuristic_that_is_a_lower_bound_proves_one():
+    oracle = exact(DOOR)
+    alone = float(oracle(DOOR.starts[None])[0])
+    assert oracle.is_lower_bound and not sum_of_distances([lambda x: np.zeros(len(x))]).is_lower_bound
+    solution = planned(DOOR)
+    assert solution.lower_bound == pytest.approx(alone) and solution.lower_bound <= alone
+    assert 1 <= solution.factor < 1.02 and 1 <= solution.motions_factor < 1.2
+    unknown = bl_plan(DOOR, lambda q: 1e3 + oracle(q))
+    assert unknown.lower_bound == pytest.approx(DOOR_STRAIGHT), "it may be above the truth"
+
+
+def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cost():
+    ends = [(10.5, 10.5, 0), (10.5, 11.5, 0)], [(10.5, 10.5, np.pi), (10.5, 11.5, np.pi)]
+    problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
+    solution = bl_plan(problem, options=BLOptions(step=1.0))
+    assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf
+
+
+class Interruption:
+    """A straight line's plain function that the user interrupts at some call."""
+
+    def __init__(self, at):
+        self.at, self.calls = at, 0
+
+    def __call__(self, q):
+        self.calls += 1
+        if self.calls == self.at:
+            raise KeyboardInterrupt
+        return straight_line(DOOR)(q)
+
+
+def test_an_interrupted_planner_returns_what_it_has():
+    whole = Interruption(None)
+    first = planned(DOOR, whole, step=0.5, searchers=("bl",))
+    solution = planned(DOOR, Interruption(whole.calls + 5), step=0.5, cost_factor=1.0, searchers=("bl",))
+    assert solution.status is Status.INTERRUPTED
+    assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
+    assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
+    for at in (1, 4):  # before the first path
+        solution = bl_plan(DOOR, Interruption(at), BLOptions(searchers=("bl",), step=0.5))
+        assert solution.status is Status.INTERRUPTED and not solution.solved
+        assert len(solution.samples) == max(solution.stats.num_nodes, 1)
+
+
+def test_interrupting_the_lazy_search_keeps_its_nodes(monkeypatch):
+    find, calls = PIBT.find, []
+
+    def interrupted(self, order, constraints):
+        calls.append(order)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return find(self, order, constraints)
+
+    monkeypatch.setattr(PIBT, "find", interrupted)
+    solution = bl_plan(scenes.door(20))
+    assert solution.status is Status.INTERRUPTED and not solution.solved
+    assert len(solution.samples) == solution.stats.num_nodes == 6
+
+
+def test_best_first_search_alone_says_where_memory_ends():
+    problem = scenes.four_rooms(8)
+    # The lattices fit, the tables of each robot's motions do not.
+    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, max_memory=7e5, time_limit=5))
+    assert solution.status is Status.MEMORY_LIMIT and not solution.solved
+    np.testing.assert_array_equal(solution.samples, problem.starts[None])
+    assert 7e5 < solution.stats.num_bytes < 2e6
+
+
+def test_a_coarser_lattice_is_tried_where_memory_is_short():
+    problem = scenes.door(8)
+    roomy = bl_plan(problem, options=BLOptions(searchers=("lacam",)))
+    tight = bl_plan(problem, options=BLOptions(searchers=("lacam",), max_memory=0.95 * roomy.stats.num_bytes))
+    # It says what the lattice that did not fit would have taken.
+    assert tight.solved and tight.stats.num_bytes == roomy.stats.num_bytes
+    assert tight.stats.history[0][1] != roomy.stats.history[0][1]
+    none = bl_plan(problem, options=BLOptions(max_memory=1000))
+    assert none.status is Status.MEMORY_LIMIT and none.stats.num_bytes > 1000
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.3, 1.0])
+def test_whatever_the_time_limit_a_path_is_valid(limit):
+    problem = scenes.crowd(25)
+    solution = bl_plan(problem, options=BLOptions(time_limit=limit, cost_factor=1.0))
+    assert solution.status is Status.TIME_LIMIT
+    if solution.solved:
+        assert validate(problem, solution.path).valid and solution.motions_factor >= 1
+
+
+def test_on_a_given_lattice_lacam_is_made_once(monkeypatch):
+    found = []
+    improve = driver._Run._improve
+    monkeypatch.setattr(
+        driver._Run, "_improve", lambda run, searches: (found.append(searches.found[0]), improve(run, searches))[1]
+    )
+    options = BLOptions(step=0.5, cost_factor=1.0, time_limit=20)
+    solution = bl_plan(scenes.cross(2), options=options)
+    assert solution.status is Status.EXHAUSTED and solution.cost > solution.lower_bound
+    assert found[0] == "lacam" and len(found) > 2 and set(found[1:]) == {"bl"}
+    found.clear()
+    alone = BLOptions(searchers=("lacam",), step=0.5, cost_factor=1.0, time_limit=20)
+    assert bl_plan(scenes.cross(2), options=alone).status is Status.EXHAUSTED and found == ["lacam"]
+
+
+# What heuristics and options do, and that nothing else does
+
+
+def same(first, second):
+    """Whether two solutions are alike bit for bit, but for seconds."""
+    counts = [
+        (s.stats.num_nodes, s.stats.num_expansions, s.stats.num_children_scored, s.stats.num_children_valid)
+        for s in (first, second)
+    ]
+    return (
+        np.array_equal(first.path, second.path)
+        and np.array_equal(first.samples, second.samples)
+        and counts[0] == counts[1]
+        and (first.cost, first.makespan, first.status) == (second.cost, second.makespan, second.status)
+    )
+
+
+def test_without_a_heuristic_costs_along_the_lattice_guide():
+    solution = bl_plan(DOOR, options=BLOptions(searchers=("bl",), step=0.4, heuristic_weight=1.0))
+    (lattice,) = joint_lattice_of(DOOR, 0.4).lattices
+    least = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    assert solution.stats.history[0][1] == pytest.approx(least, rel=1e-6) and solution.stats.num_nodes < 100
+
+
+def test_the_better_the_heuristic_the_fewer_the_nodes():
+    of_points = sum_of_distances(robot_distance_fns(DOOR, inflated=False))  # the paper's
+    distances, paper, line, nothing = (
+        planned(DOOR, heuristic).stats.num_nodes
+        for heuristic in (exact(DOOR), of_points, straight_line(DOOR), zero())
+    )
+    assert distances < line < nothing and 6 * max(distances, paper) <= nothing
+
+
+@pytest.mark.parametrize("options", [{}, {"cost_factor": 1.0, "max_expansions": 60}], ids=["first", "improving"])
+def test_two_runs_do_the_same_bit_for_bit_whatever_is_planned_between(options):
+    problem = scenes.four_rooms(3)
+    before = planned(problem, **options)
+    planned(scenes.perturbed(problem, 1))
+    planned(problem, step=0.5, primitives=FOUR_NEIGHBORS)
+    assert same(before, planned(problem, **options))
+
+
+def test_larger_cells_make_fewer_nodes_and_tiny_cells_change_nothing():
+    # A child in its parent's own cell is dropped, so that motions must be about as long as the cells are wide.
+    primitives = (*TRANSLATIONS, *((3 * x, 3 * y, 0) for x, y, _ in TRANSLATIONS))
+    fine, tiny, coarse = (
+        planned(DOOR, zero(), step=0.2, cell_size=size, primitives=primitives) for size in (None, 1e-3, 0.3)
+    )
+    assert same(fine, tiny) and coarse.stats.num_nodes < 0.7 * fine.stats.num_nodes
+    fine, coarse = (planned(ROOMS, step=0.25, cell_size=size, searchers=("bl",)) for size in (None, 0.5))
+    assert coarse.stats.num_nodes < fine.stats.num_nodes
+
+
+def test_a_nudge_among_as_many_primitives_as_there_may_be():
+    bar = Problem(Workspace(((0, 0), (2, 2))), [RectangleRobot(0.2, 0.1)], [(1.03, 1.03, 0.1)], [(1.13, 1.13, 0.1)])
+    primitives = (*FOUR_NEIGHBORS, *((0, 0, turn) for turn in range(1, 251)))
+    solution = planned(bar, searchers=("bl",), step=0.5, primitives=primitives)
+    assert solution.cost == pytest.approx(np.hypot(0.1, 0.1))
+
+
+# Refusals
+
+
+class Bounding:
+    is_lower_bound = True
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def __call__(self, q):
+        return self.answer
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("heuristic", "message"),
+    [
+        *((Bounding(answer), "heuristic") for answer in (0.0, None, np.zeros(0), np.zeros((1, 2)), "far")),
+        (BLOptions(), r"bl_plan\(problem, options=BLOptions"),
+        (robot_distance_fns(ROOMS), r"sum_of_distances\(distance_fns\)"),
+    ],
+)
+def test_what_is_no_heuristic_is_refused(heuristic, message):
+    with pytest.raises(ValueError, match=message):
+        bl_plan(ROOMS, heuristic)

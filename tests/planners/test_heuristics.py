@@ -1,15 +1,25 @@
+"""Heuristics: sums over robots of straight lines, oracles and PLRs, of positions and of bodies that turn."""
+
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planner_helpers import ROOM
 
 from plr_jax import (
+    BLOptions,
     Box,
     DiscRobot,
+    Euclidean,
+    PlaneSpace,
     Problem,
     RectangleRobot,
+    RigidBodySpace,
+    Status,
     Workspace,
     bl_plan,
     construct,
@@ -17,18 +27,16 @@ from plr_jax import (
     robot_distance_fns,
     sba_star_plan,
     scenes,
+    solve_eikonal,
+    straight_line,
+    sum_of_distances,
+    validate,
+    zero,
 )
-from plr_jax._types import DimensionedFn, SeparableHeuristic, StackableDistanceFn
-from plr_jax.oracles import Euclidean
-from plr_jax.planners._heuristics import _distance_fns, estimates, straight_line, sum_of_distances, zero
+from plr_jax.planners._heuristics import estimates
 
-ROOM = Workspace(((0, 0), (10, 10)))
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
 MIXED = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], [(1, 1, 0), (1, 8, 0)], [(4, 5, 0), (8, 8, 3)], 0.5)
-
-
-def euclidean_to(*goal):
-    return Euclidean(goal)
 
 
 def taxicab(x):
@@ -43,23 +51,22 @@ def test_zero_is_zero_for_any_team():
     assert np.array_equal(zero().per_robot(np.ones((3, 5, 3))), np.zeros((3, 5)))
 
 
-def test_straight_line_of_discs():
+def test_straight_lines_turn_the_shorter_way_and_ignore_the_heading_of_discs():
     q = [[(1, 1), (9, 9)], [(4, 5), (6, 5)]]
     assert np.array_equal(straight_line(DISCS).per_robot(q), [[5, 0], [0, 5]])
     assert np.array_equal(straight_line(DISCS)(q), [5, 5])
+    terms = straight_line(MIXED).per_robot([[(1, 1, 7.0), (8, 8, -3.0)]])
+    assert np.allclose(terms, [[5, 0.5 * (2 * np.pi - 6)]], rtol=1e-14)
 
 
-def test_straight_line_turns_the_shorter_way_and_ignores_the_heading_of_discs():
-    q = [[(1, 1, 7.0), (8, 8, -3.0)]]
-    expected = 0.5 * (2 * np.pi - 6)
-    assert np.allclose(straight_line(MIXED).per_robot(q), [[5, expected]], rtol=1e-14)
-
-
-def test_sum_of_distances_of_euclideans():
-    heuristic = sum_of_distances([euclidean_to(0, 0), euclidean_to(1, 1)])
+def test_a_function_sees_as_many_coordinates_as_it_has_dimensions():
+    heuristic = sum_of_distances([Euclidean((0, 0)), Euclidean((1, 1))])
     q = [[(3, 4), (1, 2)], [(0, 0), (4, 5)]]
     assert np.array_equal(heuristic.per_robot(q), [[5, 1], [0, 5]])
     assert np.array_equal(heuristic(q), [6, 5])
+    both = sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])
+    assert np.array_equal(both.per_robot([[(3, 4, 1), (3, 4, 12)]]), [[5, 13]])
+    assert robot_distance_fns(scenes.four_rooms(2))[0].dim == 2 and Euclidean((1, 2, 3)).dim == 3
 
 
 def test_an_empty_batch():
@@ -71,12 +78,6 @@ def test_an_empty_batch():
 def test_infinite_where_a_robot_has_no_way():
     heuristic = sum_of_distances([taxicab, lambda x: np.where(x[:, 0] > 5, np.inf, 1.0)])
     assert np.array_equal(heuristic([[(1, 1), (6, 0)], [(1, 1), (4, 0)]]), [np.inf, 3])
-
-
-def test_results_on_the_device_come_to_the_host():
-    heuristic = sum_of_distances([lambda x: jnp.abs(jnp.asarray(x)).sum(axis=1), taxicab])
-    value = heuristic([[(1, 2), (3, 4)]])
-    assert isinstance(value, np.ndarray) and value.dtype == np.float64 and value[0] == 10
 
 
 # Laws
@@ -94,23 +95,8 @@ def test_straight_line_bounds_every_path_from_below(seed):
 @given(st.integers(0, 2**32 - 1))
 def test_terms_sum_to_the_heuristic(seed):
     q = np.random.default_rng(seed).uniform(-7, 17, (9, 2, 3))
-    for heuristic in (zero(), straight_line(MIXED), sum_of_distances([euclidean_to(1, 2), euclidean_to(3, 4, 5)])):
+    for heuristic in (zero(), straight_line(MIXED), sum_of_distances([Euclidean((1, 2)), Euclidean((3, 4, 5))])):
         assert np.array_equal(heuristic(q), heuristic.per_robot(q).sum(axis=1))
-
-
-def test_distances_of_the_inflated_workspace_are_no_shorter_than_straight_lines():
-    problem = scenes.four_rooms(2)
-    q = np.stack([problem.workspace.inflate(0.4).sample_free(500, seed) for seed in range(2)], axis=1)
-    exact = sum_of_distances(robot_distance_fns(problem))
-    assert (exact.per_robot(q) >= straight_line(problem).per_robot(q) - 1e-9).all()
-
-
-# How many coordinates a function sees
-
-
-def test_a_function_of_the_plane_sees_the_position_of_a_rectangle():
-    q = [[(3, 4, 1), (3, 4, 12)]]
-    assert np.array_equal(sum_of_distances([euclidean_to(0, 0), euclidean_to(0, 0, 0)]).per_robot(q), [[5, 13]])
 
 
 def test_a_function_without_dim_is_asked_once_and_sees_all_coordinates():
@@ -134,7 +120,7 @@ def test_what_a_function_raises_comes_through_with_a_hint():
         raise NoFuelError("no fuel")
 
     with pytest.raises(NoFuelError, match="no fuel") as caught:
-        sum_of_distances([euclidean_to(0, 0), distance])([[(1, 2, 3), (1, 2, 3)]])
+        sum_of_distances([Euclidean((0, 0)), distance])([[(1, 2, 3), (1, 2, 3)]])
     (note,) = caught.value.__notes__
     assert "robot 1 was given (x, y, theta)" in note and "fn.dim = 2" in note
     with pytest.raises(NoFuelError) as caught:
@@ -142,20 +128,11 @@ def test_what_a_function_raises_comes_through_with_a_hint():
     assert not hasattr(caught.value, "__notes__")
 
 
-def test_a_function_of_more_coordinates_than_there_are():
-    with pytest.raises(ValueError, match="robot 1 takes 3 coordinates, configurations have 2"):
-        sum_of_distances([euclidean_to(0, 0), euclidean_to(0, 0, 0)])(np.zeros((1, 2, 2)))
-
-
-def test_oracles_say_how_many_coordinates_they_take():
-    oracle = robot_distance_fns(scenes.four_rooms(2))[0]
-    assert oracle.dim == 2 and Euclidean((1, 2, 3)).dim == 3
-
-
 # A team in one call
 
 
-def plrs_of_a_team():
+@pytest.fixture(scope="module")
+def plrs():
     """PLRs of different sizes and dimensions, the last with two-level tables."""
 
     def bent(x):
@@ -165,47 +142,16 @@ def plrs_of_a_team():
     return [*planes, construct(bent, Box((0, 0, 0), (1, 1, 7)), max_depth=19)]
 
 
-def test_a_stack_of_plrs_equals_the_plrs_bit_for_bit():
-    plrs = plrs_of_a_team()
+def test_a_stack_of_plrs_equals_the_plrs_bit_for_bit(plrs):
     assert plrs[-1].tables.blocks is not None
     heuristic = sum_of_distances(plrs)
-    for n in (1, 17, 70_000):
+    for n in (1, 17, 9_000):
         q = np.random.default_rng(n).uniform(-0.1, 1.1, (n, 3, 3))
         expected = np.stack([plr(q[:, i, : plr.dim]) for i, plr in enumerate(plrs)], axis=1).astype(np.float64)
         assert np.isinf(expected).any() or n < 10
         assert np.array_equal(heuristic.per_robot(q), expected)
-
-
-def test_a_type_that_offers_a_stack_is_called_all_at_once():
-    class Constant:
-        dim = 2
-
-        def __init__(self, value):
-            self.value = value
-
-        def __call__(self, x):
-            raise AssertionError("called for one robot")
-
-        @staticmethod
-        def stack(fns):
-            return lambda q: np.tile([fn.value for fn in fns], (len(q), 1)).astype(float)
-
-    assert np.array_equal(sum_of_distances([Constant(1), Constant(2)])(np.zeros((4, 2, 2))), [3, 3, 3, 3])
-
-
-def test_a_stack_refuses_another_team():
-    plrs = plrs_of_a_team()
-    with pytest.raises(ValueError, match=r"shape \(n, 3, dof\), got \(5, 2, 3\)"):
-        type(plrs[0]).stack(plrs)(np.zeros((5, 2, 3)))
-    with pytest.raises(ValueError, match="robot 2 has 3 dimensions, got 2"):
-        sum_of_distances(plrs)(np.zeros((5, 3, 2)))
-
-
-def test_plrs_beside_other_functions():
-    plr = plrs_of_a_team()[1]
-    q = np.random.default_rng(0).uniform(0, 1, (10, 2, 2))
-    heuristic = sum_of_distances([plr, taxicab])
-    assert np.array_equal(heuristic.per_robot(q)[:, 0], np.asarray(plr(q[:, 0]), np.float64))
+        beside = sum_of_distances([plrs[1], taxicab])
+        assert np.array_equal(beside.per_robot(q[:, 1:, :2])[:, 0], expected[:, 1])
 
 
 def test_distance_functions_see_few_batch_sizes():
@@ -224,17 +170,7 @@ def test_distance_functions_see_few_batch_sizes():
     assert sizes == [1, 2, 4, 8, 16, 32, 512, 1024, 4096]
 
 
-def test_what_functions_may_offer_is_told_by_protocols():
-    plr = plrs_of_a_team()[0]
-    assert isinstance(plr, StackableDistanceFn) and isinstance(plr, DimensionedFn)
-    assert isinstance(euclidean_to(1, 2), DimensionedFn) and not isinstance(euclidean_to(1, 2), StackableDistanceFn)
-    assert not isinstance(taxicab, DimensionedFn)
-    for heuristic in (zero(), straight_line(DISCS), sum_of_distances([taxicab])):
-        assert isinstance(heuristic, SeparableHeuristic)
-    assert not isinstance(taxicab, SeparableHeuristic)
-
-
-# Refusals
+# Refusals, and what has no estimate
 
 
 @pytest.mark.parametrize(
@@ -251,55 +187,65 @@ def test_a_factory_that_was_not_called_is_refused(plan, factory, call):
         plan(DISCS, factory)
 
 
-@pytest.mark.parametrize("shape", [(4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4)])
-def test_joint_configurations_of_another_shape(shape):
-    for heuristic in (straight_line(DISCS), sum_of_distances([taxicab, taxicab])):
-        with pytest.raises(ValueError, match=r"Joint configurations must have shape \(n, 2, "):
-            heuristic(np.zeros(shape))
-
-
-def test_a_straight_line_refuses_configurations_of_other_robots():
-    with pytest.raises(ValueError, match=r"must have shape \(n, 2, 2\), got \(4, 2, 3\)"):
-        straight_line(DISCS)(np.zeros((4, 2, 3)))
-
-
-def test_a_single_joint_configuration_gets_a_hint():
-    with pytest.raises(ValueError, match=r"Use q\[None\] for a single one"):
-        zero()(DISCS.starts)
-
-
-@pytest.mark.parametrize("value", ["word", [[[1, 2], [3]]], [[["a", "b"]]]])
-def test_joint_configurations_that_are_no_numbers(value):
-    with pytest.raises(ValueError, match="Joint configurations must"):
-        zero()(value)
-
-
-@pytest.mark.parametrize("value", [[], taxicab, 3, [taxicab, 3]])
-def test_distance_functions_that_are_none(value):
-    # Not by way of the public name, whose annotation the tests check first.
-    with pytest.raises(ValueError, match=r"distance_fns must|The distance function of robot 1 must"):
-        _distance_fns(value)
-
-
-@pytest.mark.parametrize("dim", [0, 2.5, "2"])
-def test_a_dim_that_is_none(dim):
+def with_dim(dim):
     def distance(x):
         return x[:, 0]
 
     distance.dim = dim
-    with pytest.raises(ValueError, match="`dim` of the distance function of robot 0"):
-        sum_of_distances([distance])
+    return distance
 
 
-@pytest.mark.parametrize("result", [np.zeros((3, 1)), np.zeros(2), 1.0, None, ["a"] * 3])
-def test_results_of_another_shape_name_the_robot(result):
-    with pytest.raises(ValueError, match=r"The distance function of robot 1('s answer must be| must give)"):
-        sum_of_distances([taxicab, lambda x: result])(np.zeros((3, 2, 2)))
+LINE, SUM = straight_line(DISCS), sum_of_distances([taxicab, taxicab])
 
 
-def test_masked_distances_are_infinite():
-    heuristic = sum_of_distances([lambda x: np.ma.masked_greater(x[:, 0], 5)])
-    np.testing.assert_array_equal(heuristic([[(1, 0)], [(9, 0)]]), [1, np.inf])
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        *(
+            (lambda heuristic=heuristic, shape=shape: heuristic(np.zeros(shape)), r"must have shape \(n, 2, ")
+            for heuristic in (LINE, SUM)
+            for shape in ((4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4))
+        ),
+        (lambda: LINE(np.zeros((4, 2, 3))), r"must have shape \(n, 2, 2\), got \(4, 2, 3\)"),
+        (lambda: zero()(DISCS.starts), r"Use q\[None\] for a single one"),
+        *(
+            (lambda q=q: zero()(q), "Joint configurations must")
+            for q in ("word", [[[1, 2], [3]]], [[["a", "b"]]])
+        ),
+        *(
+            (lambda fns=fns: sum_of_distances(fns), "distance_fns must|The distance function of robot 1 must")
+            for fns in ([], taxicab, 3, [taxicab, 3])
+        ),
+        *(
+            (lambda dim=dim: sum_of_distances([with_dim(dim)]), "`dim` of the distance function of robot 0")
+            for dim in (0, 2.5, "2")
+        ),
+        (
+            lambda: sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])(np.zeros((1, 2, 2))),
+            "robot 1 takes 3 coordinates, configurations have 2",
+        ),
+        *(
+            (lambda result=result: sum_of_distances([taxicab, lambda x: result])(np.zeros((3, 2, 2))),
+             r"The distance function of robot 1('s answer must be| must give)")
+            for result in (np.zeros((3, 1)), np.zeros(2), 1.0, None, ["a"] * 3)
+        ),
+        (
+            lambda: sum_of_distances([taxicab, lambda x: np.where(x[:, 0] == 2, np.nan, 1)])([[(1, 1), (2, 0)]]),
+            r"robot 1 returned NaN at \[2.0, 0.0\]",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_refused(ask, message):
+    with pytest.raises(ValueError, match=message):
+        ask()
+
+
+def test_a_stack_refuses_another_team(plrs):
+    with pytest.raises(ValueError, match=r"shape \(n, 3, dof\), got \(5, 2, 3\)"):
+        type(plrs[0]).stack(plrs)(np.zeros((5, 2, 3)))
+    with pytest.raises(ValueError, match="robot 2 has 3 dimensions, got 2"):
+        sum_of_distances(plrs)(np.zeros((5, 3, 2)))
 
 
 class Stacked:
@@ -313,25 +259,139 @@ class Stacked:
         return lambda q: np.ma.masked_greater(q[..., 0], 5)
 
 
-def test_masked_distances_of_a_stack_are_infinite():
+def test_masked_distances_are_infinite():
+    heuristic = sum_of_distances([lambda x: np.ma.masked_greater(x[:, 0], 5)])
+    np.testing.assert_array_equal(heuristic([[(1, 0)], [(9, 0)]]), [1, np.inf])
     terms = sum_of_distances([Stacked(), Stacked()]).per_robot([[(1, 0), (9, 0)]])
     assert type(terms) is np.ndarray and terms.tolist() == [[1, np.inf]]
-
-
-def test_masked_estimates_are_infinite():
     q = np.array([[(1.0, 0)], [(9, 0)], [(-1, 0)]])
     np.testing.assert_array_equal(estimates(lambda q: np.ma.masked_greater(q[:, 0, 0], 5), q), [1, np.inf, 0])
 
 
-def test_nan_from_a_function_names_the_robot_and_the_place():
-    with pytest.raises(ValueError, match=r"robot 1 returned NaN at \[2.0, 0.0\]"):
-        sum_of_distances([taxicab, lambda x: np.where(x[:, 0] == 2, np.nan, 1)])([[(1, 1), (1, 1)], [(1, 1), (2, 0)]])
-
-
-def test_configurations_that_are_not_finite_have_no_estimate():
+def test_configurations_that_are_not_finite_have_no_estimate(plrs):
     q = np.zeros((2, 2, 2))
     q[1, 0, 1] = np.nan
-    for heuristic in (straight_line(DISCS), sum_of_distances([taxicab, taxicab])):
+    for heuristic in (LINE, SUM):
         assert np.array_equal(np.isinf(heuristic(q)), [False, True])
-    plr = plrs_of_a_team()[0]
-    assert np.array_equal(np.isinf(sum_of_distances([plr, plr]).per_robot(q)), [[False, False], [True, False]])
+    of_plrs = sum_of_distances([plrs[0]] * 2).per_robot(q)
+    assert np.array_equal(np.isinf(of_plrs), [[False, False], [True, False]])
+
+
+# Positions and headings
+
+FULL = 2 * math.pi
+DOMAIN = Box((0, 0, -math.pi), (4, 4, math.pi), periodic=(False, False, True))
+SMALL = Workspace(((0, 0), (4, 4)))
+TEAM = Problem(
+    SMALL, [DiscRobot(0.3), RectangleRobot(1.0, 0.4)], [(1, 1, 0), (1, 3, 3)], [(3, 1, 0), (3, 3, -3)], 0.7
+)
+
+
+@pytest.fixture(scope="module")
+def of_team():
+    """PLRs of positions, and of positions and headings: in an empty room length, and weighted turn."""
+    first, second = TEAM.goals
+
+    def turning_cost(x):
+        turn = np.arccos(np.clip(np.cos(x[:, 2] - second[2]), -1, 1))
+        return np.hypot(*(x - second)[:, :2].T) + 0.7 * turn
+
+    positions = construct(Euclidean(first[:2]), SMALL.bounds, leaf="continuous", max_leaves=500)
+    return [positions, construct(turning_cost, DOMAIN, leaf="continuous", max_leaves=1500)]
+
+
+def joint(position, headings):
+    """The disc at its start, the rectangle at a position with some headings."""
+    q = np.empty((len(headings), 2, 3))
+    q[:, 0], q[:, 1, :2], q[:, 1, 2] = (1, 1, 5.0), position, headings
+    return q
+
+
+def test_the_heading_of_a_rectangle_counts(of_team):
+    headings = np.array([-3.0, -1.5, 0.0, 1.5, 3.0])
+    terms = sum_of_distances(of_team).per_robot(joint((3, 3), headings))
+    np.testing.assert_allclose(terms[:, 1], 0.7 * np.array([0, 1.5, 3.0, FULL - 4.5, FULL - 6.0]), atol=0.1)
+    assert np.ptp(terms[:, 1]) > 1.5  # which the leading two coordinates say nothing of
+
+
+def test_headings_outside_the_domain_are_wrapped(of_team):
+    headings = np.linspace(-3.1, 3.1, 23)
+    heuristic = sum_of_distances(of_team)
+    inside = heuristic.per_robot(joint((1.3, 2.1), headings))
+    for turns in (-3, -1, 1, 2):
+        outside = heuristic.per_robot(joint((1.3, 2.1), headings + turns * FULL))
+        np.testing.assert_allclose(outside, inside, atol=1e-4)
+    assert np.isfinite(inside).all()
+
+
+def test_a_stack_of_positions_and_headings_equals_each_alone(of_team):
+    q = np.random.default_rng(0).uniform((0, 0, -9), (4, 4, 9), (300, 2, 3))
+    stacked = sum_of_distances(of_team).per_robot(q)
+    # Others than PLRs are called one by one.
+    alone = [lambda x, fn=fn: np.asarray(fn(x)) for fn in of_team]
+    alone[0].dim, alone[1].dim = 2, 3
+    np.testing.assert_array_equal(sum_of_distances(alone).per_robot(q), stacked)
+    # A disc's heading is ignored.
+    q[:, 0, 2] += 1.0
+    np.testing.assert_array_equal(sum_of_distances(of_team).per_robot(q), stacked)
+
+
+def test_a_mixed_team_is_planned_for(of_team):
+    solution = bl_plan(TEAM, sum_of_distances(of_team))
+    assert solution.status is Status.SOLVED and validate(TEAM, solution.path).valid
+    # What estimates say proves nothing.
+    assert solution.lower_bound == pytest.approx(straight_line(TEAM)(TEAM.starts[None])[0], rel=1e-6)
+
+
+# What is proven
+
+
+DOOR = Workspace(((0, 0), (4, 4)), [[(1.9, 0), (2.1, 0), (2.1, 1.7), (1.9, 1.7)],
+                                    [(1.9, 2.3), (2.1, 2.3), (2.1, 4), (1.9, 4)]])  # fmt: skip
+THROUGH = Problem(
+    DOOR,
+    [DiscRobot(0.2), RectangleRobot(0.9, 0.2)],
+    [(0.5, 0.5, 0.0), (0.6, 3.2, math.pi / 2)],
+    [(3.5, 3.4, 0.0), (3.4, 0.9, math.pi / 2)],
+    0.4,
+)
+
+
+@pytest.fixture(scope="module")
+def proven():
+    """PLRs of a disc and of a rectangle that has to turn to fit through a door."""
+    disc, rectangle = THROUGH.robots
+    return [
+        solve_eikonal(PlaneSpace(DOOR, disc), THROUGH.goals[0, :2], max_leaves=500),
+        solve_eikonal(
+            RigidBodySpace(DOOR, rectangle, float(THROUGH.rotation_weights[1])), THROUGH.goals[1], max_leaves=2000
+        ),
+    ]
+
+
+def test_only_lower_bounds_bound_costs(proven):
+    estimate, bound = sum_of_distances(proven), sum_of_distances([plr.lower for plr in proven])
+    assert not estimate.is_lower_bound and bound.is_lower_bound
+    assert not sum_of_distances([proven[0].lower, proven[1]]).is_lower_bound
+    assert sum_of_distances([robot_distance_fns(THROUGH)[0], proven[1].lower]).is_lower_bound
+    starts = THROUGH.starts[None]
+    assert (bound.per_robot(starts) <= estimate.per_robot(starts)).all()
+    straight = straight_line(THROUGH)(starts)[0]
+    guessed, known = (bl_plan(THROUGH, h, BLOptions(max_expansions=1)) for h in (estimate, bound))
+    assert guessed.lower_bound == pytest.approx(straight, rel=1e-6)
+    assert known.lower_bound == pytest.approx(max(straight, bound(starts)[0]), rel=1e-6)
+
+
+def test_bounds_of_bodies_are_nowhere_above_paths_that_are_there(proven):
+    """Along a path of the team, what is left of it costs each robot at least its bound; turns count."""
+    solution = bl_plan(THROUGH)
+    assert validate(THROUGH, solution.path).valid
+    path = np.asarray(solution.path)
+    change = np.diff(path, axis=0)
+    angle = np.arccos(np.clip(np.cos(change[..., 2]), -1, 1))
+    cost = np.hypot(change[..., 0], change[..., 1]) + angle * [0.0, 0.4]
+    left = np.concatenate([np.cumsum(cost[::-1], axis=0)[::-1], np.zeros((1, 2))])
+    bound = sum_of_distances([plr.lower for plr in proven]).per_robot(path)
+    assert (bound <= left + 1e-6).all() and (bound.sum(axis=0) > 0.7 * left.sum(axis=0)).all()
+    turned_away = THROUGH.goals[None] - [0, 0, 1.2]
+    assert 0 < sum_of_distances([plr.lower for plr in proven]).per_robot(turned_away)[0, 1] <= 0.4 * 1.2

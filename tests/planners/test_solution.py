@@ -1,22 +1,61 @@
+"""What one can do with a solution: follow its path, and save it in a file that gives it back to the bit."""
+
+import json
+import re
+import warnings
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from solution_helpers import NONE, PROBLEM, ROOM, SOLUTION, TURN, findings, found_by_a_planner
+from hypothesis.extra import numpy as arrays
 
-from plr_jax import Problem, RectangleRobot, makespan
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, makespan, scenes
 from plr_jax._problem import motion_costs
 from plr_jax.planners import Solution, Stats, Status
-from plr_jax.planners._solution import solution_of, straight_line_bound
+from plr_jax.planners import _solution as module
+from plr_jax.planners._solution import save_solution, solution_of, straight_line_bound
+
+ROOM = Workspace(((0, 0), (10, 10)))
+PROBLEM = Problem(
+    ROOM, [DiscRobot(0.5), RectangleRobot(2, 1)], [(1, 1, 7), (5, 5, 3.0)], [(4, 5, 7), (5, 8, -3.0)], 2.0
+)
+TURN = 2 * np.pi - 6  # from heading 3 to -3 by the shorter way
+PATH = np.array(
+    [[(1, 1, 7), (5, 5, 3.0)], [(1, 5, 7), (5, 5, -3.0)], [(1, 5, 7), (5, 5, -3.0)], [(4, 5, 7), (5, 8, -3.0)]]
+)
+SOLUTION = solution_of(
+    PROBLEM, PATH, 8.5, Status.SOLVED, Stats(9, 8, 7, 6, {"a": 0.1}, ((0.25, 99.5), (0.5, 1 / 3))), PATH, 1.25
+)
+NONE = solution_of(PROBLEM, None, 8.0, Status.EXHAUSTED, Stats(1), PROBLEM.starts[None])
+COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
+finite = st.floats(-1e6, 1e6)
+amounts = st.floats(0, 1e300)
 
 
-def test_the_bound_is_the_cost_of_straight_motions():
-    assert straight_line_bound(PROBLEM) == pytest.approx(5 + 3 + 2 * TURN)
+@st.composite
+def found_by_a_planner(draw):
+    """What a planner may have found: a random path, in which rows may repeat, or none; and what it says of it."""
+    steps = draw(st.integers(1, 7))
+    path = draw(arrays.arrays(np.float64, (steps, 2, 3), elements=finite))
+    path = np.repeat(path, draw(st.lists(st.integers(1, 3), min_size=steps, max_size=steps)), axis=0)
+    bounds = draw(st.tuples(*[amounts | st.just(float("inf"))] * 2))
+    stats = {
+        "history": tuple(draw(st.lists(st.tuples(amounts, amounts), max_size=3))),
+        "seconds": draw(st.dictionaries(st.text(max_size=5), amounts, max_size=3)),
+        **dict(zip(COUNTS, draw(st.tuples(*[st.integers(0, 2**60)] * len(COUNTS))), strict=True)),
+    }
+    path = draw(st.sampled_from([path, None]))
+    return solution_of(
+        PROBLEM, path, bounds[0], draw(st.sampled_from(Status)), Stats(**stats), PROBLEM.starts[None], bounds[1]
+    )
 
 
 def test_a_solution_computes_its_costs_from_the_path():
     path = np.array([[(1, 1, 7), (5, 5, 3.0)], [(1, 5, 7), (5, 5, -3.0)], [(4, 5, 7), (5, 8, -3.0)]])
     solution = solution_of(PROBLEM, path, 8.0, Status.SOLVED, Stats(3), path)
+    assert straight_line_bound(PROBLEM) == pytest.approx(5 + 3 + 2 * TURN)
     assert solution.solved and solution.path is path and solution.lower_bound == 8.0
     assert solution.cost == pytest.approx(4 + 3 + 3 + 2 * TURN)
     assert solution.makespan == pytest.approx(4 + 3)
@@ -25,28 +64,22 @@ def test_a_solution_computes_its_costs_from_the_path():
 
 
 def test_no_path_costs_infinitely_much():
-    solution = solution_of(PROBLEM, None, 8.0, Status.EXHAUSTED, Stats(1), PROBLEM.starts[None])
-    assert not solution.solved and solution.path is None and solution.times is None
-    assert solution.cost == solution.makespan == np.inf and solution.lower_bound == 8.0
+    assert not NONE.solved and NONE.path is None and NONE.times is None
+    assert NONE.cost == NONE.makespan == np.inf and NONE.lower_bound == 8.0
+    with pytest.raises(ValueError, match="no path to follow, the planner ended because: the frontier is empty"):
+        NONE.path_at([0.0])
 
 
-def test_a_path_may_be_there_whatever_the_status():
-    path = np.stack([PROBLEM.starts, PROBLEM.goals])
-    for status in Status:
-        assert solution_of(PROBLEM, path, 0.0, status, Stats(2), path).solved
-
-
-def test_the_statuses_are_messages():
+def test_a_path_may_be_there_whatever_the_status_which_is_a_message():
     assert len(set(Status)) == 6
-    assert all(" " in status and status == str(status) for status in Status)
+    for status in Status:
+        assert solution_of(PROBLEM, PATH, 0.0, status, Stats(2), PATH).solved
+        assert " " in status and status == str(status)
 
 
-def test_seconds_to_the_first_path():
+def test_statistics():
     assert Stats(1).first_solution == np.inf
     assert Stats(1, history=((0.25, 9.0), (0.5, 8.0))).first_solution == 0.25
-
-
-def test_statistics_of_two_solutions_share_nothing():
     first, second = Stats(1), Stats(1)
     first.seconds["search"] = 1.0
     assert second.seconds == {}
@@ -69,23 +102,18 @@ def test_robots_share_a_clock():
     np.testing.assert_allclose(at[3:, 1, 2], -3)
 
 
-def test_times_beyond_the_ends_are_those_of_the_ends():
-    at = SOLUTION.path_at([-np.inf, -1, -0.0, 0, SOLUTION.makespan, 8, np.inf])
-    np.testing.assert_array_equal(at[:4], [PROBLEM.starts] * 4)
-    np.testing.assert_array_equal(at[4:], [PROBLEM.goals] * 3)
-
-
-def test_times_may_have_any_shape():
+def test_times_may_have_any_shape_and_are_those_of_the_ends_beyond_them():
+    at = SOLUTION.path_at([-np.inf, -1, -0.0, SOLUTION.makespan, 8, np.inf])
+    np.testing.assert_array_equal(at, [*[PROBLEM.starts] * 3, *[PROBLEM.goals] * 3])
     np.testing.assert_array_equal(SOLUTION.path_at(2), SOLUTION.path_at([2])[0])
     assert SOLUTION.path_at([]).shape == (0, 2, 3)
     times = np.linspace(0, 7, 6)
     np.testing.assert_array_equal(SOLUTION.path_at(times.reshape(2, 3)).reshape(6, 2, 3), SOLUTION.path_at(times))
 
 
-@given(findings(), st.lists(st.floats(0, 1), min_size=2, max_size=20))
+@given(found_by_a_planner(), st.lists(st.floats(0, 1), min_size=2, max_size=20))
 @settings(max_examples=60, deadline=None)
-def test_no_robot_is_faster_than_the_clock_and_one_keeps_up_with_it(found, shares):
-    solution = found_by_a_planner(*found)
+def test_no_robot_is_faster_than_the_clock_and_one_keeps_up_with_it(solution, shares):
     if solution.path is None:
         return
     times, scale = np.sort(shares) * solution.makespan, 1e-9 * (1 + solution.makespan)
@@ -112,13 +140,6 @@ def test_a_turn_that_costs_nothing_is_made_at_once_but_not_before_the_start():
     np.testing.assert_array_equal(at[:, 0], [(3, 3, 0), (3, 3, 1), (5, 3, 1), (7, 3, 1)])
 
 
-@pytest.mark.parametrize("path", [PROBLEM.starts[None], np.stack([PROBLEM.starts] * 3)], ids=["one row", "three"])
-def test_robots_that_stay_where_they_are(path):
-    still = solution_of(PROBLEM, path, 0.0, Status.SOLVED, Stats(1), path)
-    assert still.makespan == 0
-    np.testing.assert_array_equal(still.path_at([-1, 0, 1]), [PROBLEM.starts] * 3)
-
-
 @pytest.mark.parametrize(
     ("times", "message"),
     [
@@ -134,6 +155,178 @@ def test_what_is_no_time(times, message, unchecked_types):
         SOLUTION.path_at(times)
 
 
-def test_without_a_path_there_is_nowhere_to_be():
-    with pytest.raises(ValueError, match="no path to follow, the planner ended because: the frontier is empty"):
-        NONE.path_at([0.0])
+# Files
+
+
+def assert_same(a, b):
+    """Two solutions are the same to the bit, but for the samples."""
+    for name in {each.name for each in fields(Solution)} - {"path", "times", "samples"}:
+        assert getattr(a, name) == getattr(b, name), name
+    for one, other in ((a.path, b.path), (a.times, b.times)):
+        assert (one is None) == (other is None)
+        if one is not None:
+            assert one.shape == other.shape and one.dtype == other.dtype and one.tobytes() == other.tobytes()
+
+
+@given(solution=found_by_a_planner())
+@settings(max_examples=60, deadline=None)
+def test_a_solution_survives_the_file_to_the_bit(solution, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("solutions")
+    solution.save(folder / "a.json")
+    again = Solution.load(folder / "a.json")
+    assert_same(again, solution)
+    assert again.samples.shape == ((0, 0, 0) if solution.path is None else (0, 2, 3))
+    again.save(str(folder / "b.json"))
+    assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
+
+
+def test_the_file_is_json_as_the_standard_has_it(tmp_path):
+    def no_such_word(word):
+        raise AssertionError(word)
+
+    for solution in (NONE, SOLUTION):
+        solution.save(tmp_path / "a.json")
+        entry = json.loads((tmp_path / "a.json").read_text(), parse_constant=no_such_word)
+        assert (entry["format"], entry["version"]) == ("plr_jax solution", 1)
+        assert entry["status"] == solution.status.name
+    assert entry["path"] == PATH.tolist() and entry["times"] == SOLUTION.times.tolist()
+    NONE.save(tmp_path / "a.json")
+    entry = json.loads((tmp_path / "a.json").read_text())
+    assert [entry[name] for name in ("cost", "makespan", "motions_factor", "path", "times")] == [None] * 5
+    assert entry["lower_bound"] == 8.0
+
+
+def test_numbers_of_numpy_are_saved_as_those_of_python(tmp_path):
+    stats = Stats(
+        np.int32(5), np.int64(4), seconds={"a": np.float32(0.5)}, history=((np.float64(0.25), np.int64(9)),)
+    )
+    solution = replace(SOLUTION, cost=np.float64(11.5), stats=stats)
+    solution.save(tmp_path / "a.json")
+    assert_same(Solution.load(tmp_path / "a.json"), solution)
+
+
+def test_more_keys_are_written_and_ignored(tmp_path):
+    save_solution(SOLUTION, tmp_path / "a.json", clearance=0.5)
+    assert json.loads((tmp_path / "a.json").read_text())["clearance"] == 0.5
+    assert_same(Solution.load(tmp_path / "a.json"), SOLUTION)
+
+
+def test_a_failed_save_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "a.json"
+    SOLUTION.save(path)
+    old = path.read_bytes()
+    contradictions = [
+        replace(SOLUTION, times=None),
+        replace(SOLUTION, cost=float("inf")),
+        replace(SOLUTION, makespan=6.0),
+        replace(SOLUTION, cost=float("nan")),
+        replace(SOLUTION, path=np.where(PATH == 8, np.nan, PATH)),
+        replace(NONE, cost=1.0),
+    ]
+    for solution in contradictions:
+        with pytest.raises(ValueError, match=r"expected|must be"):
+            solution.save(path)
+    monkeypatch.setattr(module, "_MOST_BYTES", 300)
+    with pytest.raises(ValueError, match=r"has at most 300 bytes, this one would have \d+"):
+        SOLUTION.save(path)
+    monkeypatch.undo()
+
+    def fail(_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.fsync", fail)
+    with pytest.raises(OSError, match="disk full"):
+        NONE.save(path)
+    assert path.read_bytes() == old and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_solution_may_be_larger_than_a_scene(tmp_path):
+    SOLUTION.save(tmp_path / "a.json")
+    with (tmp_path / "a.json").open("ab") as file:
+        file.write(b" " * 2**24)
+    assert_same(Solution.load(tmp_path / "a.json"), SOLUTION)
+
+
+def refused(text, message, tmp_path):
+    """Fails unless such a file is refused by its name."""
+    path = tmp_path / "a.json"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=re.escape(f"{path}: ") + f"(?s:.*){message}"), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Solution.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected JSON"),
+        ("{", "expected JSON"),
+        ("[1]", 'expected a solution file, with "format": "plr_jax solution"'),
+        ('"plr_jax solution"', "expected a solution file"),
+        ('{"format": "plr_jax solution"}', "expected a version number of at least 1, got None"),
+        ('{"format": "plr_jax solution", "version": 1}', "missing status, cost, makespan"),
+        ("[" * 100_000, "recursion"),
+        ("[" * 33 + "]" * 33, "at most 32 deep"),
+        ("[" + "1" * 400 + "]", "larger integer"),
+        ("[" + "1" * 5000 + "]", "Exceeds the limit"),
+        (b'{"a": "\xff"}', "expected text in UTF-8"),
+        (b" " * (2**26 + 1), "at most 67,108,864 bytes"),
+    ],
+    ids=range(12),
+)
+def test_what_is_no_solution_file_is_refused_by_name(text, message, tmp_path):
+    refused(text, message, tmp_path)
+
+
+def test_a_scene_file_is_no_solution_file(tmp_path):
+    path = tmp_path / "a.json"
+    scenes.save(scenes.maze(), path)
+    refused(path.read_bytes(), "expected a solution file", tmp_path)
+    SOLUTION.save(path)
+    with pytest.raises(ValueError, match="expected a scene file"):
+        scenes.load(path)
+    with pytest.raises(FileNotFoundError):
+        Solution.load(tmp_path / "b.json")
+    with pytest.raises(ValueError, match=re.escape("a\0b: ")):
+        Solution.load("a\0b")
+
+
+STATS = {**dict.fromkeys(COUNTS, 1), "seconds": {}, "history": [], "found_by": "bl"}
+DEEP = {"a": [[[[[]]]]]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 2}, "has version 2, this release reads up to 1: update plr-jax"),
+        *(({"version": version}, "expected a version number") for version in (0, 1.0, True, "1", None, [])),
+        *(
+            ({"status": status}, 'expected "status" to be one of SOLVED')
+            for status in ("solved", 1, None, ["SOLVED"])
+        ),
+        *(({name: -1}, f'"{name}" must be a finite number of at least 0') for name in ("cost", "lower_bound")),
+        *(({"motions_factor": value}, "must be a finite number") for value in (True, "1", [], float("nan"))),
+        *(({"cost": value}, "must be a finite number") for value in (float("inf"), float("nan"), "1", DEEP)),
+        *(({name: None}, f"null all or none; null are {name}") for name in ("cost", "makespan", "path", "times")),
+        ({"path": None, "times": None}, "null are path, times"),
+        ({"makespan": 7.5}, 'expected "times" from 0 to the makespan 7.5'),
+        *(({"path": path}, "path") for path in ([], [[]], [[[]]], [1, 2], "abc", {}, [[[1, 2]], [[1]]], DEEP)),
+        *(({"path": [[[1, x]]] * 4}, '"path" to be finite') for x in (float("nan"), float("inf"), None)),
+        *(({"path": [[[1.0] * n]] * 4}, "2 or 3") for n in (1, 4)),
+        ({"path": PATH[:3].tolist()}, '"times" to be 3 finite numbers that never fall'),
+        *(({"times": [0, a, b, 7]}, "that never fall") for a, b in ((5, 4), (4, float("nan")), (8, 8))),
+        *(({"times": times}, "times") for times in ([1, 4, 4, 7], [], 7, "abc", [[0, 4, 4, 7]], [0, 4, 4, {}])),
+        *(({"stats": stats}, 'expected "stats" to have the keys') for stats in (None, [], {}, {"num_nodes": 1})),
+        *(({"stats": {**STATS, "num_nodes": n}}, "must be an integer >= 0") for n in (-1, 1.5, True, "1", None)),
+        *(({"stats": {**STATS, "seconds": x}}, '"seconds"') for x in ([], 1, {"a": -1}, {"a": None}, {"a": {}})),
+        *(
+            ({"stats": {**STATS, "history": x}}, "history|seconds must|a cost must")
+            for x in ({}, 1, [1], [[1]], [[1, 2, 3]], [[1, float("nan")]], [["1", 2]], [[-1, 2]], [[1, None]])
+        ),
+    ],
+    ids=str,
+)
+def test_what_contradicts_a_solution_is_refused_by_name(changes, message, tmp_path):
+    SOLUTION.save(tmp_path / "a.json")
+    entry = json.loads((tmp_path / "a.json").read_text())
+    refused(json.dumps({**entry, **changes}), message, tmp_path)

@@ -61,7 +61,7 @@ def posted(theta, goal, ahead):
 
 
 @given(headings, sides, ulps)
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_all_turn_the_same_way(theta, side, k):
     goal = half_turn_from(theta, side, k)
     path = np.array([[(0, 0, theta)], [(0, 0, goal)]])
@@ -81,8 +81,7 @@ def test_all_turn_the_same_way(theta, side, k):
     assert path_cost(problem, path) == pytest.approx(HAND.circumscribed_radius * np.pi, rel=1e-9)
 
 
-@pytest.mark.parametrize("k", [-3, 0, 1])
-@pytest.mark.parametrize(("y", "theta"), [(9.6, -3.141092653589793), (0.4, 0.0005)])
+@pytest.mark.parametrize(("y", "theta", "k"), [(9.6, -3.141092653589793, -3), (0.4, 0.0005, 1)])
 def test_a_planned_half_turn_is_valid(y, theta, k):
     """Beside a wall, where the hand has room for one of the two ways."""
     start, goal = (5.0, y, theta), (5.0, y, half_turn_from(theta, -1, k))

@@ -33,15 +33,16 @@ def test_a_team_has_headings_if_any_robot_has_corners():
 
 
 def turn(a, b):
-    return float(shorter_turn(np.array([a]), np.array([b]))[0])
+    return float(shorter_turn(np.array([a], float), np.array([b], float))[0])
 
 
-def test_the_turn_is_the_shorter_one_and_half_a_turn_goes_counterclockwise():
-    assert turn(0.1, 0.3) == pytest.approx(0.2)
-    assert turn(0.3, 0.1) == pytest.approx(-0.2)
-    assert turn(3.0, -3.0) == pytest.approx(2 * np.pi - 6)
-    assert turn(0.0, 40 * np.pi + 1) == pytest.approx(1.0)
-    assert turn(0.0, np.pi) == turn(0.0, -np.pi) == np.pi
+@pytest.mark.parametrize(
+    ("a", "b", "by"),
+    [(0.1, 0.3, 0.2), (0.3, 0.1, -0.2), (3, -3, 2 * np.pi - 6), (0, 40 * np.pi + 1, 1), (0, np.pi, np.pi),
+     (0, -np.pi, np.pi)],
+)  # fmt: skip
+def test_the_turn_is_the_shorter_one_and_half_a_turn_goes_counterclockwise(a, b, by):
+    assert turn(a, b) == pytest.approx(by, abs=1e-12)
 
 
 @given(st.floats(-50, 50), st.floats(-50, 50))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import BAR, WING
+from robot_helpers import BAR, POINT, WING
 from space_helpers import (
     BOUNDS,
     check_classification,
@@ -10,159 +10,97 @@ from space_helpers import (
     random_boxes,
     random_workspace,
     rectangle,
+    states,
 )
 
-from plr_jax import (
-    CellState,
-    ConfigurationSpace,
-    DiscRobot,
-    FreeTest,
-    MotionCost,
-    PlaneSpace,
-    Problem,
-    Workspace,
-    validate,
-)
+from plr_jax import CellState, DiscRobot, PlaneSpace, Workspace
 
 BLOCKED, FREE, MIXED = CellState
 DISC = DiscRobot(0.25)
 
 
-def states(space, *boxes):
-    lo, hi = np.array(boxes, dtype=float).reshape(-1, 2, 2).transpose(1, 0, 2)
-    return space.classify(lo, hi).tolist()
+def space_of(robot, *walls):
+    return PlaneSpace(Workspace(BOUNDS, [rectangle(*wall) for wall in walls]), robot)
 
 
-def test_a_plane_is_a_configuration_space():
-    space = PlaneSpace(Workspace(BOUNDS))
-    assert isinstance(space, ConfigurationSpace) and isinstance(space, FreeTest)
-    assert space.domain == space.workspace.bounds
-    assert space.motion_cost == MotionCost((((0, 1), 1.0),))
+WALL, LEAN = (1, 1, 2, 2), (2, 0.5, 3, 2.5)
+S = 0.25 / np.sqrt(2)  # so far beyond a corner its diagonal leaves what a disc keeps off
 
 
-def test_boxes_beside_a_wall_are_told_exactly():
-    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2)]))
-    assert states(space, (0, 0, 1, 1), (1, 0, 2, 1), (0, 0, 4, 1), (2, 2, 4, 3)) == [FREE] * 4
-    assert states(space, (1, 1, 2, 2), (1.25, 1.25, 1.5, 1.5), (1, 1.5, 1.5, 2), (4, 0, 5, 1)) == [BLOCKED] * 4
-    assert states(space, (0.5, 1, 1.5, 2), (0, 0, 1.01, 1.01), (0, 0, 4, 3), (3, 2, 4.5, 3)) == [MIXED] * 4
+@pytest.mark.parametrize(
+    ("space", "boxes", "expected"),
+    [
+        (space_of(POINT, WALL), [(0, 0, 1, 1), (1, 0, 2, 1), (0, 0, 4, 1), (2, 2, 4, 3)], FREE),
+        (space_of(POINT, WALL), [WALL, (1.25, 1.25, 1.5, 1.5), (1, 1.5, 1.5, 2), (4, 0, 5, 1)], BLOCKED),
+        (space_of(POINT, WALL), [(0.5, 1, 1.5, 2), (0, 0, 1.01, 1.01), (0, 0, 4, 3), (3, 2, 4.5, 3)], MIXED),
+        # Two walls that touch, and a wall and the bounds, cover boxes together.
+        (space_of(POINT, WALL, LEAN), [(1.5, 1.25, 2.5, 1.75), (1, 1, 3, 2)], BLOCKED),
+        (space_of(DISC, WALL, LEAN), [(1.5, 1.25, 2.5, 1.75), (1, 1, 3, 2)], BLOCKED),
+        (space_of(POINT, (1, 0, 2, 1)), [(1.25, -0.5, 1.75, 0.5)], BLOCKED),
+        # A gap that a disc does not fit through is blocked though no wall covers it; one as wide as it stays open.
+        (space_of(DISC, (1, 0, 2, 1.4), (1, 1.8, 2, 3)), [(1, 1.4, 2, 1.8), (0.95, 1.2, 2.05, 2)], BLOCKED),
+        (space_of(DISC, (1, 0, 2, 1.25), (1, 1.75, 2, 3)), [(1.25, 1.25, 1.75, x) for x in (1.75, 1.5)], MIXED),
+        (space_of(POINT, (2, 0, 2 + 1e-7, 3)), [(1.5, 1, 2.5, 2)], MIXED),
+        (space_of(POINT, (2, 0, 2 + 1e-7, 3)), [(1.5, 1, 2, 2)], FREE),
+        # Around the round corner of what a disc keeps off.
+        (space_of(DISC, WALL), [(2 + S + 1e-6, 2 + S + 1e-6, 2.5, 2.5)], FREE),
+        (space_of(DISC, WALL), [(2, 2, 2 + 0.98 * S, 2 + 0.98 * S)], BLOCKED),
+        (space_of(DISC, WALL), [(2, 2, 2 + 1.01 * S, 2 + 1.01 * S)], MIXED),
+    ],
+    ids=range(13),
+)
+def test_boxes_drawn_by_hand(space, boxes, expected):
+    assert states(space, *boxes) == [expected] * len(boxes)
 
 
-def test_a_box_that_two_touching_walls_cover_together_is_blocked():
-    for robot in (None, DISC):
-        workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2, 0.5, 3, 2.5)])
-        space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
-        assert states(space, (1.5, 1.25, 2.5, 1.75), (1, 1, 3, 2)) == [BLOCKED, BLOCKED]
-    at_the_bounds = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 0, 2, 1)]))
-    assert states(at_the_bounds, (1.25, -0.5, 1.75, 0.5)) == [BLOCKED]
+def test_gaps_and_thin_walls_on_the_way():
+    assert space_of(DISC, (1, 0, 2, 1.25), (1, 1.75, 2, 3)).are_free([[0.5, 1.5]], [[2.5, 1.5]])[0]
+    assert not space_of(DISC, (1, 0, 2, 1.4), (1, 1.8, 2, 3)).is_free([[1.5, 1.6]])[0]
+    assert not space_of(POINT, (2, 0, 2 + 1e-7, 3)).are_free([[1.5, 1.5]], [[2.5, 1.5]])[0]
 
 
-def test_a_gap_that_a_disc_does_not_fit_through_is_blocked_though_no_wall_covers_it():
-    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 0, 2, 1.4), rectangle(1, 1.8, 2, 3)]), DISC)
-    assert states(space, (1, 1.4, 2, 1.8), (0.95, 1.2, 2.05, 2)) == [BLOCKED, BLOCKED]
-    assert not space.is_free([[1.5, 1.6]])[0]
-
-
-def test_a_gap_exactly_as_wide_as_a_disc_stays_open():
-    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 0, 2, 1.25), rectangle(1, 1.75, 2, 3)]), DISC)
-    assert states(space, (1.25, 1.25, 1.75, 1.75), (1.25, 1.25, 1.75, 1.5)) == [MIXED, MIXED]
-    assert space.are_free([[0.5, 1.5]], [[2.5, 1.5]])[0]
-
-
-@pytest.mark.parametrize("thickness", [1e-3, 1e-7])
-def test_a_thin_wall_through_a_box_leaves_it_mixed(thickness):
-    space = PlaneSpace(Workspace(BOUNDS, [rectangle(2, 0, 2 + thickness, 3)]))
-    assert states(space, (1.5, 1, 2.5, 2), (1.5, 1, 2, 2)) == [MIXED, FREE]
-    assert not space.are_free([[1.5, 1.5]], [[2.5, 1.5]])[0]
-
-
-def test_boxes_are_mixed_or_free_around_the_round_corner_of_what_a_disc_keeps_off():
-    space = PlaneSpace(Workspace(BOUNDS, [rectangle(1, 1, 2, 2)]), DISC)
-    s = 0.25 / np.sqrt(2)  # where the diagonal leaves the rounded corner (2, 2)
-    boxes = [
-        (2 + s + 1e-6, 2 + s + 1e-6, 2.5, 2.5),
-        (2, 2, 2 + 0.98 * s, 2 + 0.98 * s),
-        (2, 2, 2 + 1.01 * s, 2 + 1.01 * s),
-    ]
-    assert states(space, *boxes) == [FREE, BLOCKED, MIXED]
-
-
-@pytest.mark.parametrize("robot", [None, DiscRobot(0.2)])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("robot", [POINT, DiscRobot(0.2)])
+@pytest.mark.parametrize("seed", range(2))
 def test_samples_agree_with_what_is_proven(seed, robot):
     workspace = random_workspace(seed)
-    space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
+    space = PlaneSpace(workspace, robot)
     lo, hi = random_boxes(np.random.default_rng(seed), space.domain, 400)
     radius = space.robot.rounding
     state = check_classification(space, lambda q: keep_clear(workspace, shapely.points(q), radius), lo, hi, 9)
     assert set(state) == set(CellState)
     # Exact, but for a disc beside corners: compared with an obstacle grown by fine arcs.
-    grown = workspace.free_space if robot is None else workspace.free_space.boundary.buffer(0.2, quad_segs=64)
-    free = workspace.free_space if robot is None else workspace.free_space.difference(grown)
+    grown = workspace.free_space if robot == POINT else workspace.free_space.boundary.buffer(0.2, quad_segs=64)
+    free = workspace.free_space if robot == POINT else workspace.free_space.difference(grown)
     boxes = shapely.box(*lo.T, *hi.T)
     share = shapely.area(shapely.intersection(boxes, free)) / shapely.area(boxes)
-    assert (state[share > 1 - 1e-9] == FREE).all() or robot is not None
+    assert (state[share > 1 - 1e-9] == FREE).all() or robot != POINT
     assert (state[share > 1 - 1e-12] != BLOCKED).all()
     assert (state[(share > 1e-6) & (share < 0.99)] == MIXED).all()
     assert (state[shapely.distance(boxes, free) > 0.005 * 0.2] == BLOCKED).all()
 
 
-@pytest.mark.parametrize("robot", [None, DISC])
-def test_motions_are_those_that_validate_accepts(robot):
-    workspace = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
-    space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(0.3, (3.7, 2.7), (200, 2))
-    q = q[space.is_free(q)]
-    q0, q1 = q[: len(q) // 2], q[len(q) // 2 : 2 * (len(q) // 2)]
-    problems = [Problem(workspace, [space.robot], [a], [b]) for a, b in zip(q0, q1, strict=True)]
-    expected = [validate(p, np.stack([p.starts, p.goals])).valid for p in problems]
-    free = space.are_free(q0, q1)
-    assert free.tolist() == expected
-    assert 0 < free.sum() < len(free)
-
-
-@pytest.mark.parametrize("robot", [None, DiscRobot(0.2)])
+@pytest.mark.parametrize("robot", [POINT, DiscRobot(0.2)])
 def test_motions_are_free_where_their_samples_are(robot):
     workspace = random_workspace(7)
-    space = PlaneSpace(workspace, robot) if robot else PlaneSpace(workspace)
+    space = PlaneSpace(workspace, robot)
     q0, q1 = np.random.default_rng(7).uniform(0, (4, 3), (2, 400, 2))
     radius = space.robot.rounding
     proven, sampled = check_motions(space, lambda q: keep_clear(workspace, shapely.points(q), radius), q0, q1, 257)
     assert (sampled & ~proven).sum() <= 2 and proven.sum() > 20
 
 
-def test_what_is_not_finite_is_not_free():
-    space = PlaneSpace(Workspace(BOUNDS), DISC)
-    q = np.array([[1.0, 1.0], [np.nan, 1.0], [np.inf, 1.0], [-1.0, 1.0]])
-    assert space.is_free(q).tolist() == [True, False, False, False]
-    assert space.are_free(q[[0] * 4], q).tolist() == [True, False, False, False]
-
-
-def test_bad_input_is_refused():
-    workspace = Workspace(BOUNDS)
-    space = PlaneSpace(workspace)
-    with pytest.raises(ValueError, match="must be a Workspace"):
-        PlaneSpace(BOUNDS)
-    for robot in (BAR, WING, "disc"):
-        with pytest.raises(ValueError, match=r"a point or a disc.*RigidBodySpace"):
-            PlaneSpace(workspace, robot)
-    with pytest.raises(ValueError, match="no free space"):
-        PlaneSpace(workspace, DiscRobot(1.6))
-    with pytest.raises(ValueError, match=r"q must have shape \(n, 2\)"):
-        space.is_free([[0.0, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="as many starts as ends"):
-        space.are_free([[0.0, 0.0]], np.zeros((2, 2)))
-    with pytest.raises(ValueError, match="as many lower corners"):
-        space.classify([[0.0, 0.0]], np.ones((2, 2)))
-    with pytest.raises(ValueError, match=r"hi nowhere below lo.*box 1"):
-        space.classify([[0.0, 0.0], [1.0, 0.0]], [[1.0, 1.0], [0.0, 1.0]])
-    with pytest.raises(ValueError, match="finite corners"):
-        space.classify([[0.0, np.nan]], [[1.0, 1.0]])
-
-
-def test_no_boxes_and_no_motions_are_fine():
-    space, none = PlaneSpace(Workspace(BOUNDS)), np.zeros((0, 2))
-    assert space.classify(none, none).shape == space.is_free(none).shape == space.are_free(none, none).shape == (0,)
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("workspace", "robot", "message"),
+    [
+        (BOUNDS, DISC, "must be a Workspace"),
+        *((Workspace(BOUNDS), robot, r"a point or a disc.*RigidBodySpace") for robot in (BAR, WING, "disc")),
+        (Workspace(BOUNDS), DiscRobot(1.6), "no free space"),
+    ],
+)
+def test_bad_input_is_refused(workspace, robot, message):
+    with pytest.raises(ValueError, match=message):
+        PlaneSpace(workspace, robot)
 
 
 def test_boxes_are_seen_from_where_all_their_free_samples_are():

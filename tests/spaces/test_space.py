@@ -1,7 +1,51 @@
 import numpy as np
 import pytest
+from robot_helpers import BAR
 
-from plr_jax import Box, ConfigurationSpace, FreeTest, MotionCost
+from plr_jax import Box, ConfigurationSpace, FreeTest, MotionCost, PlanarArm, PlaneSpace, RigidBodySpace, Workspace
+
+OPEN = Workspace(((-4, -4), (4, 4)))
+ARM = PlanarArm(OPEN, [1, 0.5, 0.5], (0, 0), 0.1, self_collision=True)
+PI = np.pi
+SPACES = {  # and what their domains and costs are
+    "plane": (PlaneSpace(OPEN), OPEN.bounds, (((0, 1), 1.0),)),
+    "body": (RigidBodySpace(OPEN, BAR), Box((-4, -4, -PI), (4, 4, PI), (False, False, True)),
+             (((0, 1), 1.0), ((2,), np.hypot(0.45, 0.15)))),
+    "weighted body": (RigidBodySpace(OPEN, BAR, 2), Box((-4, -4, -PI), (4, 4, PI), (False, False, True)),
+                      (((0, 1), 1.0), ((2,), 2.0))),
+    "arm": (ARM, Box((-PI,) * 3, (PI,) * 3, (True,) * 3), (((0, 1, 2), 1.0),)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("space", "domain", "blocks"), SPACES.values(), ids=SPACES)
+def test_what_all_spaces_have_in_common(space, domain, blocks):
+    assert isinstance(space, ConfigurationSpace) and isinstance(space, FreeTest)
+    assert space.domain == domain and space.motion_cost == MotionCost(blocks)
+    none = np.zeros((0, domain.dim))
+    assert space.classify(none, none).shape == space.is_free(none).shape == space.are_free(none, none).shape == (0,)
+    # What is not finite is not free.
+    q = np.zeros((3, domain.dim))
+    q[1, 0], q[2, -1] = np.nan, np.inf
+    assert space.is_free(q).tolist() == [True, False, False]
+    assert space.are_free(q[[0] * 3], q).tolist() == [True, False, False]
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("method", "arguments", "message"),
+    [
+        ("is_free", [[[0.0, 0.0, 0.0, 0.0]]], r"q must have shape \(n, "),
+        ("are_free", [np.zeros((1, 2)), np.zeros((2, 2))], "as many starts as ends"),
+        ("classify", [np.zeros((1, 2)), np.ones((2, 2))], "as many lower corners"),
+        ("classify", [[[0.0, 0.0], [1.0, 0.0]], [[1.0, 1.0], [0.0, 1.0]]], r"hi nowhere below lo.*box 1"),
+        ("classify", [[[0.0, np.nan]], [[1.0, 1.0]]], "finite corners"),
+        ("classify", [np.zeros((1, 4)), np.ones((1, 4))], r"lo must have shape \(n, 2\)"),
+    ],
+)
+def test_other_configurations_and_boxes_are_refused(method, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        getattr(PlaneSpace(OPEN), method)(*arguments)
+
 
 SHIP = Box((0, 0, -np.pi), (4, 3, np.pi), periodic=(False, False, True))
 

@@ -176,22 +176,18 @@ def _sites(
                 f"distance gives inf from the demand point {points[new].tolist()} to itself: is it in its domain?"
             )
         sites, distances = np.append(sites, new), np.concatenate([distances, row])
-    num_parts = _num_parts(np.isfinite(distances))
+    # How many sites it takes to reach all points, where those that reach a point in common reach the same.
+    reaches = np.isfinite(distances)
+    num_parts, left = 0, np.ones(reaches.shape[1], bool)
+    while left.any():
+        site = np.argmax(reaches[:, np.argmax(left)])
+        num_parts, left = num_parts + 1, left & ~reaches[site]
     if num_parts > k:
         raise ValueError(
             f"The demand points lie in {num_parts} parts of free space that no path joins, so that k={k} facilities "
             f"cannot reach all of them: use k={num_parts} or more, or leave points out."
         )
     return sites, distances
-
-
-def _num_parts(reaches: Any) -> int:
-    """How many sites it takes to reach all points, where those that reach a point in common reach the same."""
-    count, left = 0, np.ones(reaches.shape[1], bool)
-    while left.any():
-        site = np.argmax(reaches[:, np.argmax(left)])
-        count, left = count + 1, left & ~reaches[site]
-    return count
 
 
 def _drawn(

@@ -2,15 +2,19 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, run_members
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import (
+    PartCorner,
+    PartIndex,
+    PartSide,
     Pieces,
     areas,
     boxes_as_pieces,
@@ -21,15 +25,16 @@ from plr_jax.geometry.convex_pieces import (
     difference_of_cones,
 )
 from plr_jax.geometry.corners import TurnRegions
-from plr_jax.oracles.cells.sight import Sight, Walls
+from plr_jax.oracles.cells.sight import Sight, meet_walls
 
 _CHUNK = 1 << 16  # pairs of a piece and a source at a time, where there are many
 _FILLED = 1 - 1e-9
 """Share of a cell's area that its pieces fill, for it to be worth asking whether a wall is in it."""
-_OF_PIECES = ("origin", "center", "distance", "best")
-Found = TypeVar("Found", bound="VisibleSources")
 _LEAD = 1 / 128
 """Tolerances by which a source may be better yet and is left out; cells are halved less often."""
+
+OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
+Found = TypeVar("Found", bound="VisibleSources")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +73,7 @@ class VisibleSources:
     @property
     def sources(self) -> Sources:
         """All sources of the oracle."""
-        return self.sight.sources
+        return self.sight.cones.sources
 
     @property
     def slack(self) -> float:
@@ -91,7 +96,7 @@ class VisibleSources:
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Whether points are seen by sources."""
-        return self.sight.see_points(source, points)
+        return self.sight.shadows.table.sees(self.sight.cones.view[source], points)
 
     def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """The order of sources in which the first of equals is taken."""
@@ -110,139 +115,101 @@ class VisibleSources:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = run_members(self.first_pair, rows)
-        of_pieces = {name: getattr(self, name)[rows] for name in ("cell", *_OF_PIECES)}
-        return replace(
-            self,
-            pieces=self.pieces[:, rows],
-            piece=piece,
-            source=self.source[pairs],
-            by_all=self.by_all[pairs],
-            **of_pieces,
-        )
+        columns = {name: getattr(self, name)[rows] for name in ("cell", "origin", "center", "distance", "best")}
+        return replace(self._of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
+
+    def _of_pairs(self: Found, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Found:
+        return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def parts(
-        self,
-        parent: Int[np.ndarray, "parts"],
-        axis: Int[np.ndarray, "parts"],
-        is_upper: Bool[np.ndarray, "parts"],
-        lo: Float[np.ndarray, "parts 2"],
-        hi: Float[np.ndarray, "parts 2"],
+        self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
     ) -> "VisibleSources":
         """Of parts of the cells: boxes that lie in a cell each and are cut from it along one axis."""
         return settled_cells(*self.cut(parent, axis, is_upper, lo, hi), lo, hi)
 
     def cut(
-        self: Found,
-        parent: Int[np.ndarray, "parts"],
-        axis: Int[np.ndarray, "parts"],
-        is_upper: Bool[np.ndarray, "parts"],
-        lo: Float[np.ndarray, "parts 2"],
-        hi: Float[np.ndarray, "parts 2"],
-    ) -> tuple[Found, Bool[np.ndarray, "pieces"]]:
+        self: Found, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
+    ) -> tuple[Found, Bool[np.ndarray, "some"]]:
         """Parts of the cells with the pairs of these, before anything is asked of them, and which pieces were cut."""
         pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
-        inherited = replace(self._of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
-        return inherited, is_cut
+        return replace(self._of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
 
     def append(self: Found, *others: Found) -> Found:
         """Of these cells followed by others."""
-        if not others:
-            return self
         several = (self, *others)
-        cells = np.cumsum([0] + [each.num_cells for each in several])
-        pieces = np.cumsum([0] + [len(each.cell) for each in several])
         columns = {
-            name: np.concatenate([getattr(each, name) for each in several])
-            for name in (*_OF_PIECES, "source", "by_all")
+            name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))
+            for name in ("cell", "pieces", "origin", "center", "distance", "best", "piece", "source", "by_all")
         }
-        return type(self)(
-            sight=self.sight,
-            num_cells=int(cells[-1]),
-            cell=np.concatenate([each.cell + start for each, start in zip(several, cells[:-1], strict=True)]),
-            pieces=np.concatenate([each.pieces for each in several], axis=1),
-            piece=np.concatenate([each.piece + start for each, start in zip(several, pieces[:-1], strict=True)]),
-            **columns,
-        )
+        # Cells and pieces are counted on from one to the next.
+        for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
+            columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
+        return replace(self, num_cells=sum(each.num_cells for each in several), **columns)
 
 
 def visible_sources(sight: Sight, regions: TurnRegions, domain: Box) -> VisibleSources:
     """Those of the domain as one cell: the triangles of free space, and all sources that each may use."""
     triangles = regions.triangulation.triangles.transpose(2, 0, 1)
     pieces, triangle = clip_to_box(triangles, domain.lo, domain.hi)
+    origin, found = np.arange(len(triangle)), []
     # Of no pieces, one part without any.
-    chunks = parts(np.diff(regions.first)[triangle] + 1, _CHUNK) or [slice(0, 0)]
-    found = [_of_triangles(sight, regions, pieces, triangle, chunk) for chunk in chunks]
-    first, *others = found
-    return replace(first.append(*others), num_cells=1, cell=np.zeros(sum(len(p.cell) for p in found), int))
+    for chunk in parts(np.diff(regions.first)[triangle] + 1, _CHUNK) or [slice(0, 0)]:
+        # Of each piece the goal, and the turn points that see some of its triangle.
+        part, count = pieces[:, chunk], len(origin[chunk])
+        entry, piece = run_members(regions.first, triangle[chunk])
+        goal = np.zeros(count, int)
+        piece = np.concatenate([np.arange(count), piece])
+        source = np.concatenate([goal, regions.turns.vertex[regions.turn[entry]]])
+        order = np.argsort(piece, kind="stable")
+        of_pieces = goal, part, origin[chunk], centers(part), np.full(count, np.inf), goal
+        unsettled = VisibleSources(sight, 1, *of_pieces, piece[order], source[order], np.zeros(len(piece), bool))
+        found.append(_settled(unsettled, np.ones(count, bool)))
+    together = found[0].append(*found[1:])
+    return replace(together, num_cells=1, cell=np.zeros_like(together.cell))
 
 
-def _of_triangles(
-    sight: Sight, regions: TurnRegions, pieces: Pieces, triangle: Int[np.ndarray, "pieces"], chunk: slice
-) -> VisibleSources:
-    """Some pieces of triangles as one cell: the goal and the turn points that see some of its triangle for each."""
-    part, origin = pieces[:, chunk], np.arange(pieces.shape[1])[chunk]
-    count = part.shape[1]
-    entry, piece = run_members(regions.first, triangle[chunk])
-    piece = np.concatenate([np.arange(count), piece])
-    source = np.concatenate([np.zeros(count, int), regions.turns.vertex[regions.turn[entry]]])
-    order = np.argsort(piece, kind="stable")
-    piece, source = piece[order], source[order]
-    cell, unknown, by_all = np.zeros(count, int), np.full(count, np.inf), np.zeros(len(piece), bool)
-    unsettled = VisibleSources(sight, 1, cell, part, origin, centers(part), unknown, cell, piece, source, by_all)
-    return _settled(unsettled, np.ones(count, bool))
-
-
-def are_filled(
+def filled(
     cell: Int[np.ndarray, "pieces"],
-    area: Float[np.ndarray, "pieces"],
-    walls: Walls,
-    lo: Float[np.ndarray, "cells 2"],
-    hi: Float[np.ndarray, "cells 2"],
-) -> Bool[np.ndarray, "cells"]:
-    """Which cells of several pieces lie in free space altogether."""
+    pieces: Pieces,
+    origin: Int[np.ndarray, "pieces"],
+    walls: shapely.STRtree,
+    boxes: tuple[Float[np.ndarray, "cells 2"], Float[np.ndarray, "cells 2"]],
+) -> tuple[Pieces, Int[np.ndarray, "pieces"], OfPieces, OfPieces]:
+    """Where several pieces fill a cell that lies in free space altogether, the first of them is all of it.
+
+    Returns:
+        The pieces; the origin of each; which stay, those without area do not; and which are of such cells.
+    """
+    (lo, hi), area = boxes, areas(pieces)
     total, count = (np.bincount(cell, weight, len(lo)) for weight in (area, None))
-    filled = np.flatnonzero((total >= _FILLED * np.prod(hi - lo, axis=1)) & (count > 1))
-    result = np.zeros(len(lo), bool)
-    result[filled[~walls.meet(lo[filled], hi[filled])]] = True
-    return result
+    whole = (total >= _FILLED * np.prod(hi - lo, axis=1)) & (count > 1)
+    whole[whole] = ~meet_walls(walls, lo[whole], hi[whole])
+    is_merged = whole[cell]
+    first = np.flatnonzero(is_merged & np.append(True, cell[1:] != cell[:-1])[: len(cell)])
+    stays = (area > 0) & ~is_merged
+    if len(first):
+        pieces, origin, stays[first] = pieces.copy(), origin.copy(), True
+        pieces[:, first], origin[first] = boxes_as_pieces(lo[whole], hi[whole]), -1
+    return pieces, origin, stays, is_merged
 
 
 def settled_cells(
-    found: Found,
-    changed: Bool[np.ndarray, "pieces"],
-    lo: Float[np.ndarray, "cells 2"],
-    hi: Float[np.ndarray, "cells 2"],
+    found: Found, changed: OfPieces, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]
 ) -> Found:
     """Settled, after the pieces of cells that lie in free space altogether are put together."""
-    area = areas(found.pieces)
-    merged = are_filled(found.cell, area, found.sight.walls, lo, hi)
-    stays = area > 0
-    if merged.any():
-        is_merged = merged[found.cell]
-        is_first = np.append(True, found.cell[1:] != found.cell[:-1])
-        stays = (stays & ~is_merged) | (is_merged & is_first)
-        whole = found.cell[is_merged & is_first]
-        pieces, origin = found.pieces.copy(), found.origin.copy()
-        pieces[:, is_merged & is_first] = boxes_as_pieces(lo[whole], hi[whole])
-        origin[is_merged & is_first] = -1
-        owner = np.where(is_merged, np.flatnonzero(is_first)[np.cumsum(is_first) - 1], np.arange(len(area)))
+    pieces, origin, stays, is_merged = filled(found.cell, found.pieces, found.origin, found.sight.walls, (lo, hi))
+    if is_merged.any():
+        # The piece that is the whole cell has the sources of all, none of which is known to be seen by all of it.
+        owner = np.where(is_merged, found.first_piece[found.cell], np.arange(len(stays)))
         key = owner[found.piece] * np.int64(len(found.sources.points)) + found.source
         _, index = np.unique(key, return_index=True)
-        found = replace(
-            found,
-            pieces=pieces,
-            origin=origin,
-            piece=owner[found.piece[index]],
-            source=found.source[index],
-            by_all=found.by_all[index] & ~is_merged[found.piece[index]],
-        )
-        changed = changed | is_merged
+        found = replace(found._of_pairs(index), pieces=pieces, origin=origin)
+        found = replace(found, piece=owner[found.piece], by_all=found.by_all & ~is_merged[found.piece])
     rows = np.flatnonzero(stays)
-    found, changed = found._of_pieces(rows), changed[rows]
-    return _settled(replace(found, num_cells=len(lo)), changed)
+    return _settled(replace(found._of_pieces(rows), num_cells=len(lo)), (changed | is_merged)[rows])
 
 
-def _settled(found: Found, changed: Bool[np.ndarray, "pieces"]) -> Found:
+def _settled(found: Found, changed: OfPieces) -> Found:
     """After what no point of the changed pieces can use is left out, and pieces from which nothing leads to the goal.
 
     What is seen of one's center is what is seen of all, or of a part; a source that another one beats wherever the
@@ -258,15 +225,17 @@ def _settled(found: Found, changed: Bool[np.ndarray, "pieces"]) -> Found:
     keep[open_[~bends]] = False
     open_ = open_[bends]
     piece, source = found.piece[open_], found.source[open_]
-    seen, alike = found.sight.see(source, found.pieces[:, piece], center[piece])
+    view = found.sight.cones.view[source]
+    seen, alike = found.sight.shadows.see(view, found.pieces[:, piece], center[piece])
     by_all, by_center = found.by_all.copy(), found.by_all | ~changed[found.piece]
     by_all[open_], by_center[open_] = seen & alike, seen
     keep[open_[alike & ~seen]] = False
-    found = replace(found, piece=found.piece[keep], source=found.source[keep], by_all=by_all[keep])
-    return undominated(found, changed, by_center[keep])
+    # Far from the origin rounding may leave none to a piece that is all but a line: then it keeps those that it had.
+    keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
+    return undominated(replace(found, by_all=by_all)._of_pairs(keep), changed, by_center[keep])
 
 
-def undominated(found: Found, changed: Bool[np.ndarray, "pieces"], by_center: Bool[np.ndarray, "pairs"]) -> Found:
+def undominated(found: Found, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Found:
     """With the distance at the centers of changed pieces, and without pairs that another one beats everywhere.
 
     A center that none of the sources is said to see keeps the bound of its distance that it has.
@@ -278,8 +247,7 @@ def undominated(found: Found, changed: Bool[np.ndarray, "pieces"], by_center: Bo
     order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
     best_pair, distance, best = np.full(len(changed), -1), found.distance.copy(), found.best.copy()
     best_pair[piece[order]], distance[piece[order]], best[piece[order]] = pairs[order], length[order], source[order]
-    by_best = best_pair >= 0
-    by_best[by_best] = found.by_all[best_pair[by_best]]
+    by_best = np.append(found.by_all, False)[best_pair]
     several = np.bincount(found.piece, minlength=len(changed)) > 1
     rivals = np.flatnonzero((changed & several & np.isfinite(distance))[found.piece])
     rivals = rivals[best_pair[found.piece[rivals]] != rivals]
@@ -291,12 +259,5 @@ def undominated(found: Found, changed: Bool[np.ndarray, "pieces"], by_center: Bo
     )
     keep = np.isfinite(distance)[found.piece]
     keep[rivals[lowest > np.where(by_best[piece], -_LEAD * found.sight.tolerance, 0.0)]] = False
-    found = replace(
-        found,
-        distance=distance,
-        best=best,
-        piece=found.piece[keep],
-        source=found.source[keep],
-        by_all=found.by_all[keep],
-    )
+    found = replace(found, distance=distance, best=best)._of_pairs(keep)
     return found._of_pieces(np.flatnonzero(np.isfinite(distance)))

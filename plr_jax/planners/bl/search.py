@@ -4,7 +4,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
@@ -13,13 +13,19 @@ from tqdm import tqdm
 from plr_jax._arrays import runs
 from plr_jax._deadline import require_time
 from plr_jax._types import HeuristicFn, SeparableHeuristic
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, require_estimates
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.options import BLOptions
 from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
 
 # Joint configurations and their children: products of the robots' primitives, scored and checked together.
+
+
+Plain: TypeAlias = HeuristicFn | None
+Table: TypeAlias = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
+Terms: TypeAlias = Float[np.ndarray, "_ _"]  # what each primitive of each configuration scores
+Scores: TypeAlias = Float[np.ndarray, "n m"]
+Joint: TypeAlias = UInt8[np.ndarray, "n m robots"]  # joint primitives
 
 
 class Successors(NamedTuple):
@@ -33,16 +39,14 @@ class Successors(NamedTuple):
         whole: Whether no collision-free child is missing.
     """
 
-    score: Float[np.ndarray, "n m"]
-    primitive: UInt8[np.ndarray, "n m robots"]
+    score: Scores
+    primitive: Joint
     num_scored: int
     num_valid: int
     whole: Bool[np.ndarray, "n"]
 
 
-def best_successors(
-    joint: JointLattice, terms: tuple[Float[np.ndarray, "_ _"], ...], state: State, width: int
-) -> Successors:
+def best_successors(joint: JointLattice, terms: Sequence[Terms], state: State, width: int) -> Successors:
     """The best children of joint configurations, one robot added after the other.
 
     The product of the first robots' primitives is cut to the ``width`` best collision-free ones before the next
@@ -82,8 +86,6 @@ _CHUNK = 1 << 15  # nodes at a time, between two looks at the clock
 _PURPOSE = "the heuristic was known"
 _INFINITE = 1e30  # estimates that are too large for sums of float32 count as infinite
 
-Table = Float[np.ndarray, "_"]  # an estimate of each configuration of a robot's lattice
-
 
 class HeuristicTable(NamedTuple):
     """A weighted heuristic over the robots' lattices.
@@ -97,9 +99,9 @@ class HeuristicTable(NamedTuple):
     """
 
     weight: float
-    tables: tuple[Table, ...]
-    scores: tuple[Float[np.ndarray, "nodes primitives"], ...]
-    plain: HeuristicFn | None
+    tables: Sequence[Table]
+    scores: Sequence[Terms]
+    plain: Plain
     farthest: float
 
     def __call__(self, joint: JointLattice, state: State) -> Float[np.ndarray, "n"]:
@@ -110,9 +112,7 @@ class HeuristicTable(NamedTuple):
         known = values < _INFINITE
         return self.weight * np.where(known, values, max(self.farthest, 2 * values[known].max(initial=0.0)))
 
-    def rescored(
-        self, joint: JointLattice, state: State, children: Successors
-    ) -> tuple[Float[np.ndarray, "n m"], UInt8[np.ndarray, "n m robots"]]:
+    def rescored(self, joint: JointLattice, state: State, children: Successors) -> tuple[Scores, Joint]:
         """Successors by the heuristic itself where straight lines chose them."""
         if self.plain is None:
             return children.score, children.primitive
@@ -145,11 +145,7 @@ def tabulate(joint: JointLattice, heuristic: SeparableHeuristic, deadline: float
 
 
 def heuristic_table(
-    joint: JointLattice,
-    values: Sequence[Float[np.ndarray, "_"]],
-    weight: float,
-    plain: HeuristicFn | None = None,
-    deadline: float = math.inf,
+    joint: JointLattice, values: Sequence[Table], weight: float, plain: Plain = None, deadline: float = math.inf
 ) -> HeuristicTable:
     """A heuristic's terms, with a weight; of a ``plain`` one, those of straight lines.
 
@@ -158,18 +154,13 @@ def heuristic_table(
     Raises:
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
-    tables, scores = tuple(_finite(column) for column in values), []
-    for lattice, table in zip(joint.lattices, tables, strict=True):
+    tables, scores = [], []
+    for lattice, estimate in zip(joint.lattices, values, strict=True):
         require_time(deadline, _PURPOSE)
-        scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
-    return HeuristicTable(weight, tables, tuple(scores), plain, float(2 * sum(table.max() for table in tables)))
-
-
-def _finite(values: Table) -> Table:
-    """A table whose infinite estimates exceed all others."""
-    known = values < _INFINITE
-    largest = values[known].max(initial=0.0)
-    return np.where(known, values, 2 * largest)
+        known = estimate < _INFINITE
+        tables.append(np.where(known, estimate, 2 * estimate[known].max(initial=0.0)))
+        scores.append((lattice.cost + weight * tables[-1][lattice.child]).astype(np.float32))
+    return HeuristicTable(weight, tables, scores, plain, float(2 * sum(table.max() for table in tables)))
 
 
 _NODE_BYTES = 350  # what a node takes in the tree, in the frontier and among the claimed cells
@@ -199,10 +190,8 @@ class SearchTree:
         """Add a child of a node; its index."""
         node = self.size
         if node == len(self.cost):
-            capacity = max(1024, 2 * node)
-            self.state, self.cost, self.parent = (
-                np.resize(column, (capacity, *column.shape[1:])) for column in (self.state, self.cost, self.parent)
-            )
+            rows = np.arange(max(1024, 2 * node)) % node  # what is beyond the size is of no account
+            self.state, self.cost, self.parent = self.state[rows], self.cost[rows], self.parent[rows]
         self.state[node], self.cost[node], self.parent[node] = state, cost, parent
         self.size = node + 1
         return node
@@ -247,10 +236,8 @@ class BestFirstSearch:
 
     def __init__(self, joint: JointLattice, estimate: HeuristicTable, options: BLOptions, budget: SearchBudget):
         self.joint, self.estimate, self.options, self.budget = joint, estimate, options, budget
-        self.cells = [
-            claimed_cells(lattice, robot.circumscribed_radius, options.cell_size)
-            for lattice, robot in zip(joint.lattices, joint.problem.robots, strict=True)
-        ]
+        radii = [robot.circumscribed_radius for robot in joint.problem.robots]
+        self.cells = [claimed_cells(*each, options.cell_size) for each in zip(joint.lattices, radii, strict=True)]
         self.held = HeldMemory(budget)
         self.held.add(bytes_of_tables(joint))
         self.most_products = 0  # bytes that the widest products took so far
@@ -273,8 +260,7 @@ class BestFirstSearch:
         """
         last = self.num_expansions + max_expansions
         while self.found is None and self.frontier and self.num_expansions < last:
-            limit = self.budget.exceeded()
-            if limit:
+            if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
             batch = [heapq.heappop(self.frontier)[2] for _ in range(int(min(self.size, len(self.frontier), left)))]
@@ -311,16 +297,13 @@ class BestFirstSearch:
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(alike), size):
                 some = alike[begin : begin + size]
-                self._hold_products(len(some) * width, most)
+                # Count the widest products so far as held: they may be as wide again.
+                num_bytes = (len(some) * width) * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
+                self.held.add(max(0, num_bytes - self.most_products))
+                self.most_products = max(self.most_products, num_bytes)
                 self._find_successors(some, width)
                 self.num_expansions += len(some)
                 self.budget.num_expansions += len(some)
-
-    def _hold_products(self, num: int, num_primitives: int) -> None:
-        """Count the widest products so far as held: they may be as wide again."""
-        num_bytes = num * (_COPIES * len(self.joint.lattices) + _SCORE_BYTES * num_primitives)
-        self.held.add(max(0, num_bytes - self.most_products))
-        self.most_products = max(self.most_products, num_bytes)
 
     def _find_successors(self, nodes: list[int], width: int) -> None:
         """Find the best children of nodes, and keep the first of each."""
@@ -346,44 +329,37 @@ class BestFirstSearch:
 
     def _cells_of(self, state: State) -> Shaped[np.ndarray, "n"]:
         """Joint cells, each as bytes."""
-        columns = [cells[column] for cells, column in zip(self.cells, state.T, strict=True)]
-        cells = np.stack(columns, axis=1, dtype=np.int32)
+        cells = [of_robot[column] for of_robot, column in zip(self.cells, state.T, strict=True)]
+        cells = np.stack(cells, axis=1, dtype=np.int32)
         return cells.view(f"V{cells.shape[1] * cells.itemsize}")[:, 0]
 
     def _add_children(self, node: int) -> None:
         """Claim the cells of a node's next children, and return it to the frontier by the score of the one after."""
         successors, missing = self.successors[node], self.options.branching
-        while (child := self._next_unclaimed(successors)) is not None and missing:
-            self.claimed.add(successors.cell[child].tobytes())
-            self._push(successors, child, node)
-            successors.at, missing = child + 1, missing - 1
-        if child is not None:
-            self._return(successors.score[child], node)
-            return
+        for child in range(successors.at, len(successors.score)):
+            cell, score = successors.cell[child].tobytes(), successors.score[child]
+            if cell in self.claimed:
+                continue
+            if not missing:
+                successors.at = child
+                self._return(score, node)
+                return
+            state, cost = successors.state[child], successors.cost[child]
+            self.claimed.add(cell)
+            added = self.tree.add(state, cost, node)
+            self._return(score, added)
+            if np.array_equal(state, self.goal):
+                self.found = added
+            self.nearest = min(self.nearest, score - cost)
+            self.budget.num_nodes += 1
+            self.held.add(_NODE_BYTES + 8 * len(state))
+            missing -= 1
         del self.successors[node]
         self.held.add(-successors.num_bytes)
         if not successors.whole and successors.width < _WIDEST:
             self.wider[node] = successors.width * _WIDER
             # A cut may leave nothing but children that collide: then look again at once.
             self._return(successors.score[-1] if len(successors.score) else self.tree.cost[node], node)
-
-    def _next_unclaimed(self, successors: SuccessorList) -> int | None:
-        """The best child whose cell is free to claim."""
-        for child in range(successors.at, len(successors.score)):
-            if successors.cell[child].tobytes() not in self.claimed:
-                return child
-        return None
-
-    def _push(self, successors: SuccessorList, child: int, parent: int) -> None:
-        """Make a child a node of the frontier."""
-        state, cost, score = successors.state[child], successors.cost[child], successors.score[child]
-        node = self.tree.add(state, cost, parent)
-        self._return(score, node)
-        if np.array_equal(state, self.goal):
-            self.found = node
-        self.nearest = min(self.nearest, score - cost)
-        self.budget.num_nodes += 1
-        self.held.add(_NODE_BYTES + 8 * len(state))
 
     def _return(self, score: float | np.floating, node: int) -> None:
         """Put a node into the frontier; among equals the newest comes first."""

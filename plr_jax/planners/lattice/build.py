@@ -9,7 +9,6 @@ Where both lie in one cell, one more primitive leads from each to the other, and
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -19,26 +18,28 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, straight_costs
-from plr_jax.collision.walls import MotionTest, motion_test
+from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.planners._budget import PRIMITIVES as PRIMITIVES
+from plr_jax.planners._budget import Primitive
 from plr_jax.planners.lattice.joint import Ends, Lattice, MotionTable
 from plr_jax.robots.robot import Robot
-
-Primitive: TypeAlias = tuple[int, int, int]
-"""A motion to another cell: so many columns, rows and turns away."""
-
-PRIMITIVES: tuple[Primitive, ...] = (
-    *((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy),
-    (0, 0, 1),
-    (0, 0, -1),
-)
-"""To the eight neighbors, and a turn either way for robots that turn."""
 
 _SAMPLES = 7  # along an axis of a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot that are kept for the next problem
 _CHUNK = 1 << 12  # cells at a time, between two looks at the clock
+
+
+Cells: TypeAlias = Int[np.ndarray, "n"]
+Offsets: TypeAlias = Int[np.ndarray, "primitives dof"]
+Children: TypeAlias = Int[np.ndarray, "n primitives"]
+Flags: TypeAlias = Bool[np.ndarray, "n primitives"]
+Configurations: TypeAlias = Float[np.ndarray, "n dof"]
+Costs: TypeAlias = Float[np.ndarray, "n primitives"]
+Entries: TypeAlias = tuple[Int[np.ndarray, "n 2 primitives"], Float[np.ndarray, "n 2 primitives"]]
+EachWay: TypeAlias = Float[np.ndarray, "n #primitives dof"]
 
 
 class Grid(NamedTuple):
@@ -59,9 +60,7 @@ class Grid(NamedTuple):
         axes = [lo + (np.arange(n) + 0.5) * side for lo, n, side in zip(*self, strict=True)]
         return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
-    def neighbors(
-        self, cells: Int[np.ndarray, "n"], offsets: Int[np.ndarray, "primitives dof"]
-    ) -> tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]:
+    def neighbors(self, cells: Cells, offsets: Offsets) -> tuple[Children, Flags]:
         """The cells some offsets away, and whether they exist."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
@@ -82,14 +81,17 @@ class Motions(NamedTuple):
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
-    def with_ends(
-        self, starts: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "robots dof"]
-    ) -> list[Lattice]:
+    def with_ends(self, starts: Configurations, goals: Configurations) -> list[Lattice]:
         """The lattices of robots of this kind."""
         ends, differ = np.concatenate([starts, goals]), straight_costs(starts, goals, 1.0) > 0
         motions, cells = self._with_representatives(ends), self.grid.cells_of(ends)
         if (differ & (cells[: len(starts)] == cells[len(starts) :])).any():
-            motions = motions._with_primitive_within_cells()
+            # One more primitive: from a start to a goal in its cell, and back.
+            motions = motions._replace(
+                offsets=np.append(motions.offsets, np.zeros_like(motions.offsets[:1]), axis=0),
+                child=np.append(motions.child, np.arange(len(motions.q))[:, None], axis=1),
+                cost=np.append(motions.cost, np.full((len(motions.q), 1), np.inf), axis=1),
+            )
         table = motions._table(ends)
         nodes = table.num_cells + np.arange(len(ends))
         # A goal that is the start, but for whole turns, is the same node.
@@ -112,13 +114,6 @@ class Motions(NamedTuple):
         motions.connect(np.unique(around[exists]))
         return motions
 
-    def _with_primitive_within_cells(self) -> "Motions":
-        """The motions with one more primitive: from a start to a goal in its cell, and back."""
-        nowhere = np.arange(len(self.q))[:, None]
-        offsets = np.append(self.offsets, np.zeros_like(self.offsets[:1]), axis=0)
-        cost = np.append(self.cost, np.full(nowhere.shape, np.inf), axis=1)
-        return self._replace(offsets=offsets, child=np.append(self.child, nowhere, axis=1), cost=cost)
-
     @property
     def _nodes(self) -> Int[np.ndarray, "cells"]:
         """The node of each cell's representative, where it has one."""
@@ -132,16 +127,10 @@ class Motions(NamedTuple):
         cost = self._costs(leads, ends[:, None], self.q[cells])
         away = np.where(np.isfinite(cost), nodes[cells], num_cells + np.arange(len(ends))[:, None])
         cost[:, 0] = 0.0
-        return MotionTable(
-            np.concatenate([self.q[self.free], ends]),
-            np.concatenate([child, away], dtype=np.int32),
-            np.concatenate([self.cost[self.free], cost]),
-            num_cells,
-        )
+        q, cost = np.concatenate([self.q[self.free], ends]), np.concatenate([self.cost[self.free], cost])
+        return MotionTable(q, np.concatenate([child, away], dtype=np.int32), cost, num_cells)
 
-    def _entries(
-        self, ends: Float[np.ndarray, "ends dof"], nodes: Int[np.ndarray, "ends"]
-    ) -> tuple[Int[np.ndarray, "ends 2 primitives"], Float[np.ndarray, "ends 2 primitives"]]:
+    def _entries(self, ends: Configurations, nodes: Cells) -> Entries:
         """Where motions to starts, then goals, begin, and what they cost, as in :class:`Ends`."""
         num_robots, cells = len(ends) // 2, self.grid.cells_of(ends)
         others, others_nodes, others_cells = (np.roll(column, num_robots, axis=0) for column in (ends, nodes, cells))
@@ -156,20 +145,12 @@ class Motions(NamedTuple):
         begin = np.where(enters, self._nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         return np.stack(begin, axis=1), np.stack(cost, axis=1)
 
-    def _neighbors(
-        self, cells: Int[np.ndarray, "n"], offsets: Int[np.ndarray, "primitives dof"]
-    ) -> tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]:
+    def _neighbors(self, cells: Cells, offsets: Offsets) -> tuple[Children, Flags]:
         """The cells some offsets away, and whether they are others that have a representative."""
         target, exists = self.grid.neighbors(cells, offsets)
         return target, exists & self.free[target] & (target != cells[:, None])
 
-    def _costs(
-        self,
-        possible: Bool[np.ndarray, "n primitives"],
-        begin: Float[np.ndarray, "n #primitives dof"],
-        end: Float[np.ndarray, "n #primitives dof"],
-        deadline: float = math.inf,
-    ) -> Float[np.ndarray, "n primitives"]:
+    def _costs(self, possible: Flags, begin: EachWay, end: EachWay, deadline: float = math.inf) -> Costs:
         """Costs of straight motions, ``inf`` for those that are not possible or not free."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
@@ -177,24 +158,29 @@ class Motions(NamedTuple):
         cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
+    def represent(self, cells: slice, deadline: float) -> None:
+        """Find a configuration of each of some cells, whole positions, and whether it is free, in place."""
+        q, clearance_of = self.q[cells].copy(), self.test.workspace.clearance
+        free = self.test(q, q, deadline)
+        per_position = math.prod(self.grid.shape[2:])
+        clearance = np.repeat(clearance_of(q[::per_position, :2]), per_position)
+        reach = np.hypot(*self.grid.side[:2]) / 2
+        blocked = np.flatnonzero(~free & (clearance + reach >= self.test.robot.inscribed_radius))
+        along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+        samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
+        samples[:, :2] += np.tile(np.array(list(product(along, along))) * self.grid.side[:2], (len(blocked), 1))
+        room, open_ = np.full(len(samples), -np.inf), self.test(samples, samples, deadline)
+        room[open_] = clearance_of(samples[open_, :2])
+        best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
+        q[blocked], free[blocked] = samples[best], open_[best]
+        self.q[cells], self.free[cells] = q, free
+
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
         """Test the motions that begin in some cells, in place; ``TimeoutError`` past the deadline."""
         child, leads = self._neighbors(cells, self.offsets)
         cost = self._costs(leads & self.free[cells, None], self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
-
-
-@dataclass(frozen=True)
-class _Recipe:
-    """What motions are built from, the key under which they are kept; when to give up makes no difference to them."""
-
-    workspace: Workspace
-    robot: Robot
-    rotation_weight: float
-    step: float
-    primitives: tuple[Primitive, ...]
-    deadline: float = field(compare=False)
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
@@ -216,42 +202,21 @@ def build_lattices(
         TimeoutError: If the deadline, on the clock of ``time.perf_counter``, passes first.
     """
     primitives = tuple((int(x), int(y), int(turn)) for x, y, turn in primitives)
-    kinds: dict[tuple[Robot, float], list[int]] = {}
-    for i, robot in enumerate(problem.robots):
-        kinds.setdefault((robot, float(problem.rotation_weights[i])), []).append(i)
-    lattices: dict[int, Lattice] = {}
-    for (robot, weight), alike in kinds.items():
-        recipe = _Recipe(problem.workspace, robot, weight, step, primitives, deadline)
+    kinds, lattices = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), {}
+    for robot, weight in dict.fromkeys(kinds):
+        alike = [i for i, kind in enumerate(kinds) if kind == (robot, weight)]
         starts, goals = (q[alike, : robot.dof] for q in (problem.starts, problem.goals))
         is_small = num_configurations(problem.workspace, robot, step) * (1 + len(primitives)) <= _MOST_KEPT
-        motions = _kept(recipe) if is_small else _motions(recipe)
+        motions_of = _kept if is_small else _motions
+        motions = motions_of(problem.workspace, robot, weight, step, primitives, Indifferent(deadline))
         lattices.update(zip(alike, motions.with_ends(starts, goals), strict=True))
     return [lattices[i] for i in range(len(problem.robots))]
 
 
-@lru_cache(maxsize=8)
-def _kept(recipe: _Recipe) -> Motions:
-    return _motions(recipe)
-
-
-def _motions(recipe: _Recipe) -> Motions:
-    grid = _grid(recipe.workspace, recipe.robot, recipe.step)
-    test = motion_test(recipe.workspace, recipe.robot, recipe.deadline)
-    dof, q = len(grid.shape), grid.centers()
-    offsets = np.array([(0, 0, 0), *(p for p in recipe.primitives if dof == 3 or p[2] == 0)])[:, :dof]
-    child = np.empty((len(q), len(offsets)), dtype=np.intp)
-    motions = Motions(
-        grid, offsets, test, recipe.rotation_weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape)
-    )
-    for cells in _chunks(grid, recipe.deadline):
-        q[cells], motions.free[cells] = _representatives(test, grid, q[cells], recipe.deadline)
-    for cells in _chunks(grid, recipe.deadline):
-        motions.connect(np.arange(cells.start, cells.stop), recipe.deadline)
-    return motions
-
-
-def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
-    """Cells no larger than a step; headings are centered on the axes, along which hallways lie most often."""
+def _motions(
+    workspace: Workspace, robot: Robot, weight: float, step: float, primitives: tuple[Primitive, ...], deadline: float
+) -> Motions:
+    # Cells no larger than a step; headings are centered on the axes, along which hallways lie most often.
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
     side = width / shape
@@ -260,7 +225,20 @@ def _grid(workspace: Workspace, robot: Robot, step: float) -> Grid:
         quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
         shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
         lo = np.append(lo, -side[2] / 2)
-    return Grid(lo, tuple(shape.tolist()), side)
+    grid = Grid(lo, tuple(shape.tolist()), side)
+    test = motion_test(workspace, robot, deadline)
+    dof, q = len(grid.shape), grid.centers()
+    offsets = np.array([(0, 0, 0), *(p for p in primitives if dof == 3 or p[2] == 0)])[:, :dof]
+    child = np.empty((len(q), len(offsets)), dtype=np.intp)
+    motions = Motions(grid, offsets, test, weight, q, np.empty(len(q), dtype=bool), child, np.empty(child.shape))
+    for cells in _chunks(grid, deadline):
+        motions.represent(cells, deadline)
+    for cells in _chunks(grid, deadline):
+        motions.connect(np.arange(cells.start, cells.stop), deadline)
+    return motions
+
+
+_kept = lru_cache(maxsize=8)(_motions)
 
 
 def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
@@ -270,22 +248,3 @@ def _chunks(grid: Grid, deadline: float) -> Iterator[slice]:
     for begin in range(0, num_cells, size):
         require_time(deadline, "the lattice was built")
         yield slice(begin, min(begin + size, num_cells))
-
-
-def _representatives(
-    test: MotionTest, grid: Grid, centers: Float[np.ndarray, "cells dof"], deadline: float
-) -> tuple[Float[np.ndarray, "cells dof"], Bool[np.ndarray, "cells"]]:
-    """A configuration of every cell, and whether it is free."""
-    q = centers.copy()
-    free = test(q, q, deadline)
-    per_position = int(np.prod(grid.shape[2:]))
-    clearance = np.repeat(test.workspace.clearance(q[::per_position, :2]), per_position)
-    blocked = np.flatnonzero(~free & (clearance + np.hypot(*grid.side[:2]) / 2 >= test.robot.inscribed_radius))
-    along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    samples = np.repeat(q[blocked], _SAMPLES**2, axis=0)
-    samples[:, :2] += np.tile(np.array(list(product(along, along))) * grid.side[:2], (len(blocked), 1))
-    room, open_ = np.full(len(samples), -np.inf), test(samples, samples, deadline)
-    room[open_] = test.workspace.clearance(samples[open_, :2])
-    best = np.arange(len(blocked)) * _SAMPLES**2 + room.reshape(-1, _SAMPLES**2).argmax(axis=1)
-    q[blocked], free[blocked] = samples[best], open_[best]
-    return q, free

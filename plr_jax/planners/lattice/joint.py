@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csgraph as sparse_graphs
 from scipy.sparse import csr_array
 
+from plr_jax._arrays import runs
 from plr_jax._problem import Problem
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.robots.robot import Robot
@@ -49,9 +50,11 @@ class Ends(NamedTuple):
     cost: Float[np.ndarray, "*robots 2 2 primitives"]
 
 
-def motions_with_ends(
-    table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]
-) -> tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]:
+OfKinds: TypeAlias = Sequence[Float[np.ndarray, "_ _"]]  # of each kind, a row of numbers a robot
+Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]
+
+
+def motions_with_ends(table: MotionTable, ends: Ends, node: Int[np.ndarray, "n"]) -> Leads:
     """Where the primitives of nodes lead one robot, or each its own of several, and what they cost.
 
     Motions to a start or a goal take the place of those to its cell.
@@ -66,32 +69,18 @@ def motions_with_ends(
     return child, cost
 
 
-@dataclass(frozen=True, eq=False)
 class Lattice:
-    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells."""
+    """One robot's configurations and motions: those of its kind, its start and its goal in place of their cells.
 
-    table: MotionTable
-    ends: Ends
+    Attributes:
+        q: The configurations.
+        start, goal: The nodes of its ends.
+        num_primitives: Primitives, staying among them.
+    """
 
-    @property
-    def q(self) -> Float[np.ndarray, "nodes dof"]:
-        """The configurations."""
-        return self.table.q
-
-    @property
-    def start(self) -> int:
-        """The node of the start."""
-        return int(self.ends.node[0])
-
-    @property
-    def goal(self) -> int:
-        """The node of the goal."""
-        return int(self.ends.node[1])
-
-    @property
-    def num_primitives(self) -> int:
-        """Primitives, staying among them."""
-        return self.table.child.shape[1]
+    def __init__(self, table: MotionTable, ends: Ends):
+        self.table, self.ends, self.q, self.num_primitives = table, ends, table.q, table.child.shape[1]
+        self.start, self.goal = (int(node) for node in ends.node)
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
@@ -104,7 +93,7 @@ class Lattice:
         return self._motions[1]
 
     @cached_property
-    def _motions(self) -> tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]]:
+    def _motions(self) -> Leads:
         return motions_with_ends(self.table, self.ends, np.arange(len(self.q)))
 
     @cached_property
@@ -114,8 +103,7 @@ class Lattice:
         return float(np.hypot(offset[..., 0], offset[..., 1]).max())
 
 
-State: TypeAlias = Int[np.ndarray, "n robots"]
-"""Joint configurations, as indices into the robots' lattices."""
+State: TypeAlias = Int[np.ndarray, "n robots"]  # joint configurations, as indices into the robots' lattices
 
 
 class JointLattice(NamedTuple):
@@ -176,9 +164,7 @@ class Kind:
     members: Int[np.ndarray, "robots"]
     ends: Ends
 
-    def motions(
-        self, node: Int[np.ndarray, "robots"]
-    ) -> tuple[Int[np.ndarray, "robots primitives"], Float[np.ndarray, "robots primitives"]]:
+    def motions(self, node: Int[np.ndarray, "n"]) -> Leads:
         """Where the primitives of each robot lead from its node, and what they cost."""
         return motions_with_ends(self.table, self.ends, node)
 
@@ -199,18 +185,15 @@ class Edges:
 
     def __init__(self, kind: Kind):
         self.kind, self.num_nodes = kind, len(kind.table.q)
-        begin, primitive = np.nonzero(np.isfinite(kind.table.cost))
-        shared = begin, kind.table.child[begin, primitive], kind.table.cost[begin, primitive]
-        self.num_shared = len(begin)
-        ends = kind.ends
+        leads, ends = np.nonzero(np.isfinite(kind.table.cost)), kind.ends
+        shared = leads[0], kind.table.child[leads], kind.table.cost[leads]
         own = np.nonzero((ends.begin >= 0) & np.isfinite(ends.cost))
         into_ends = ends.begin[own], ends.node[own[:2]], ends.cost[own]
-        self.num_edges = self.num_shared + len(own[0])
+        nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
+        self.begin, self.end, self.cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
+        self.num_shared, self.num_edges = len(leads[0]), len(self.begin) - 1
         first = np.searchsorted(own[0], np.arange(1, len(kind.members)))
         self.own = np.split(np.arange(self.num_shared, self.num_edges), first)
-        nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
-        columns = zip(shared, into_ends, nowhere, strict=True)
-        self.begin, self.end, self.cost = (np.concatenate(column) for column in columns)
         away = kind.table.q[self.end[:-1], :2] - kind.table.q[self.begin[:-1], :2]
         self.stride = float(np.hypot(*away.T).max())
 
@@ -218,8 +201,7 @@ class Edges:
     def _into_nodes(self) -> Int[np.ndarray, "k nodes"]:
         """The shared edges that end in each node, filled up with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
-        end = self.end[order]
-        rank = np.arange(len(end)) - np.searchsorted(end, end)
+        end, rank = runs(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.own))
         into = np.full((size, self.num_nodes), self.num_edges)
         into[rank, end] = order
@@ -252,31 +234,27 @@ class Edges:
         return order[np.searchsorted(key, nodes[:-1] * self.num_nodes + nodes[1:])]
 
     @cached_property
-    def _cheapest(self) -> Bool[np.ndarray, "edges"]:
-        """Whether an edge is one that is shared, leads elsewhere, and has no cheaper one beside it."""
+    def _cheapest(self) -> Int[np.ndarray, "m"]:
+        """The shared edges that lead elsewhere and have no cheaper one beside them."""
         order, key = self._by_nodes
-        cheapest = np.zeros(len(self.begin), dtype=bool)
-        cheapest[order[np.append(True, key[1:] != key[:-1])]] = True
-        cheapest[self.num_shared :] = False
-        return cheapest & (self.begin != self.end)
+        edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
+        return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
         """Cost of the cheapest motions from each node to the goals of some robots; ``inf`` where there are none.
 
         That is a lone robot's cost-to-go. It may pass the representative of its start, which it never visits.
         """
-        edge, num_nodes = np.flatnonzero(self._cheapest), self.num_nodes
-        begin, end, cost = [self.end[edge]], [self.begin[edge]], [self.cost[edge]]
         # Backward, each search begins at a node of its own, from which the edges into the goal lead.
-        for i, row in enumerate(rows.tolist()):
-            own = self.own[row][self.end[self.own[row]] == self.kind.ends.node[row, 1]]
-            begin.append(np.full(len(own), num_nodes + i))
-            end.append(self.begin[own])
-            cost.append(self.cost[own])
-        edges = np.concatenate(cost), (np.concatenate(begin), np.concatenate(end))
-        graph = csr_array(edges, shape=(num_nodes + len(rows),) * 2)
-        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + np.arange(len(rows)))[:, :num_nodes]
-        costs[np.arange(len(rows)), self.kind.ends.node[rows, 1]] = 0.0
+        goals, searches, shared = self.kind.ends.node[rows, 1], np.arange(len(rows)), self._cheapest
+        search = np.repeat(searches, [len(self.own[row]) for row in rows])
+        own = np.concatenate([self.own[row] for row in rows])
+        into_goal = self.end[own] == goals[search]
+        edge = np.append(shared, own[into_goal])
+        begin = np.append(self.end[shared], self.num_nodes + search[into_goal])
+        graph = csr_array((self.cost[edge], (begin, self.begin[edge])), shape=(self.num_nodes + len(rows),) * 2)
+        costs = sparse_graphs.dijkstra(graph, indices=self.num_nodes + searches)[:, : self.num_nodes]
+        costs[searches, goals] = 0.0
         return costs
 
     def costs_to_come(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
@@ -286,28 +264,22 @@ class Edges:
     @cached_property
     def _graph(self) -> csr_array:
         """The cheapest shared edges."""
-        edge = np.flatnonzero(self._cheapest)
+        edge = self._cheapest
         return csr_array((self.cost[edge], (self.begin[edge], self.end[edge])), shape=(self.num_nodes,) * 2)
 
 
 def kinds_of(joint: JointLattice) -> list[Kind]:
     """The robots of a team by the tables that they share, in the order of their first ones."""
-    members: dict[int, list[int]] = {}
-    for i, lattice in enumerate(joint.lattices):
-        members.setdefault(id(lattice.table), []).append(i)
     kinds = []
-    for alike in members.values():
+    for table in {id(lattice.table): lattice.table for lattice in joint.lattices}.values():
+        alike = [i for i, lattice in enumerate(joint.lattices) if lattice.table is table]
         ends = Ends(*map(np.stack, zip(*(joint.lattices[i].ends for i in alike), strict=True)))
-        robot, table = joint.problem.robots[alike[0]], joint.lattices[alike[0]].table
-        kinds.append(Kind(robot, table, np.array(alike), ends))
+        kinds.append(Kind(joint.problem.robots[alike[0]], table, np.array(alike), ends))
     return kinds
 
 
-def by_robot(kinds: Sequence[Kind], values: Sequence[Float[np.ndarray, "_ _"]]) -> list[Float[np.ndarray, "_"]]:
+def by_robot(kinds: Sequence[Kind], values: OfKinds) -> list[Float[np.ndarray, "_"]]:
     """What is known of each kind's robots, as rows in the order of the team."""
-    rows = {
-        robot: row
-        for kind, of_kind in zip(kinds, values, strict=True)
-        for robot, row in zip(kind.members.tolist(), of_kind, strict=True)
-    }
-    return [rows[i] for i in range(len(rows))]
+    order = np.argsort(np.concatenate([kind.members for kind in kinds]))
+    rows = [row for of_kind in values for row in of_kind]
+    return [rows[i] for i in order]

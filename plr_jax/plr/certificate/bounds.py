@@ -142,7 +142,13 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources) -> LeafBounds:
         below, above = bounds_of_pieces(
             visible, np.arange(len(leaf)), lambda *cones, leaf=leaf: functions.below_cones(leaf[cones[3]], *cones[:3])
         )
-        low_enough, high_enough = _good_bounds(least, most, visible.slack)
+        # Bounds that need not be better, given errors that are met.
+        largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+        spare = (
+            np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
+            + visible.slack
+        )
+        low_enough, high_enough = least - spare, most + spare
         open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
         open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
         np.minimum.at(lower, leaf[~open_], below[~open_])
@@ -152,15 +158,6 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources) -> LeafBounds:
         visible = _halved(visible, np.flatnonzero(open_))
         leaf = leaf[open_][visible.cell // 2]
     return LeafBounds(lower - visible.slack, upper + visible.slack)
-
-
-def _good_bounds(
-    least: Float[np.ndarray, "leaves"], most: Float[np.ndarray, "leaves"], slack: float
-) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-    """Bounds that need not be better, given errors that are met."""
-    largest = max(most.max(initial=0.0), -least.min(initial=0.0))
-    spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest) + slack
-    return least - spare, most + spare
 
 
 def _halved(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:

@@ -49,18 +49,7 @@ def _mirrored(symmetries: list[Symmetry], domain: Box, start: Float[np.ndarray, 
     if not symmetries:
         return None
     matrices = np.stack([symmetry.matrix for symmetry in symmetries])
-    axes = _common_axes(matrices)
-    signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
-    center = _fixed_point(symmetries, domain, start)
-    mirrors = _with_pivots(signs < 0, ~np.array(domain.periodic))
-    if center is None or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
-        return None
-    folding = Folding(domain, center, axes, mirrors, (False,) * domain.dim)
-    return replace(folding, mirrors=folding.cutting) if folding.cutting else None
-
-
-def _common_axes(matrices: Float[np.ndarray, "n dim dim"]) -> Float[np.ndarray, "dim dim"]:
-    """Axes, one a row, along which all reflections are diagonal; those along which they are already stay."""
+    # Axes, one a row, along which all reflections are diagonal; those along which they are already stay.
     dim = matrices.shape[1]
     mixes = (np.abs(matrices * (1 - np.eye(dim))) > _SAME).any(axis=(0, 1))
     axes = np.eye(dim)
@@ -71,7 +60,13 @@ def _common_axes(matrices: Float[np.ndarray, "n dim dim"]) -> Float[np.ndarray, 
         largest = np.abs(vectors).argmax(axis=0)
         vectors *= np.sign(vectors[largest, np.arange(len(largest))])
         axes[np.ix_(mixes, mixes)] = vectors.T
-    return axes
+    signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
+    center = _fixed_point(symmetries, domain, start)
+    mirrors = _with_pivots(signs < 0, ~np.array(domain.periodic))
+    if center is None or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
+        return None
+    folding = Folding(domain, center, axes, mirrors, (False,) * domain.dim)
+    return replace(folding, mirrors=folding.cutting) if folding.cutting else None
 
 
 def _fixed_point(

@@ -188,7 +188,13 @@ def grow_best_first(
     """
 
     def split_some(nodes: Nodes) -> Nodes | None:
-        batch = _next_batch(nodes, limits, encoding)
+        # Leaves to split next: the better half of those that would be split if no better ones came up.
+        #
+        # Of the last few all: some are sampled in vain, but a round of a few takes as long as one of many.
+        order = split_order(nodes)
+        wanted = order[: _splits_allowed(nodes, order, limits, encoding)]
+        wanted = wanted[nodes.child[wanted] < 0]
+        batch = wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]
         if len(batch) == 0:
             return None
         children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
@@ -199,17 +205,6 @@ def grow_best_first(
 
     nodes = grow(root, split_some, limits)
     return nodes, *_choose_leaves(nodes, limits, encoding)
-
-
-def _next_batch(nodes: Nodes, limits: Limits, encoding: Encoding) -> Int[np.ndarray, "batch"]:
-    """Leaves to split next: the better half of those that would be split if no better ones came up.
-
-    Of the last few all: some are sampled in vain, but a round of a few takes as long as one of many.
-    """
-    order = split_order(nodes)
-    wanted = order[: _splits_allowed(nodes, order, limits, encoding)]
-    wanted = wanted[nodes.child[wanted] < 0]
-    return wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]
 
 
 def _splits_allowed(nodes: Nodes, order: Int[np.ndarray, "splits"], limits: Limits, encoding: Encoding) -> int:

@@ -93,7 +93,11 @@ class _Search:
         """A larger tree, after more boxes were looked at; None if there is none."""
         if now.is_final:
             return None
-        most = self._expected_leaves(now)
+        # How many leaves the limits may allow, going by the bytes that a tree leaves.
+        bits = (self._limits.max_bytes - now.num_bytes) * 8
+        is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
+        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
+        most = float(min(self._limits.max_leaves, len(now) + more))
         least = LEAST_SHARE if self._limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         least_share = least / (most if most < _UNLIMITED else len(now))
         price = self._next_price(now, most / len(now), least_share)
@@ -104,13 +108,6 @@ class _Search:
     def _share(self, tree: _Tree) -> float:
         """Of what the limits allow, how much a tree takes."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
-
-    def _expected_leaves(self, tree: _Tree) -> float:
-        """How many leaves the limits may allow, going by the bytes that a tree leaves."""
-        bits = (self._limits.max_bytes - tree.num_bytes) * 8
-        is_crowded = len(tree) == 1 and self._num_sources * _BITS_A_SOURCE > bits
-        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
-        return float(min(self._limits.max_leaves, len(tree) + more))
 
     def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
         """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""

@@ -157,23 +157,7 @@ def neighbor_of_largest_contact(
     -1 where it touches none, across the seams of ``periodic`` axes neither.
     """
     tree, is_periodic = tree_of(cells), np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    mine, others = _touching(tree, unreachable, reachable, is_periodic)
-    contact = _contacts(cells, mine, others, is_periodic)
-    order = np.lexsort((others, -contact, mine))
-    mine, others = mine[order], others[order]
-    first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
-    donor = np.full(len(cells), -1)
-    donor[mine[first]] = others[first]
-    return donor[unreachable]
-
-
-def _touching(
-    tree: Tree,
-    unreachable: Int[np.ndarray, "unreachable"],
-    reachable: Int[np.ndarray, "reachable"],
-    is_periodic: Bool[np.ndarray, "dim"],
-) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Pairs of an unreachable and a reachable leaf that touch."""
+    # Pairs of an unreachable and a reachable leaf that touch.
     holds = _holding(tree, unreachable), _holding(tree, reachable)
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
@@ -183,7 +167,13 @@ def _touching(
 
     roots = np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64)
     mine, others = tree.order[leaf_pairs(tree, tree, roots, keep)]
-    return mine, others
+    contact = _contacts(cells, mine, others, is_periodic)
+    order = np.lexsort((others, -contact, mine))
+    mine, others = mine[order], others[order]
+    first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
+    donor = np.full(len(cells), -1)
+    donor[mine[first]] = others[first]
+    return donor[unreachable]
 
 
 def _holding(tree: Tree, leaves: Int[np.ndarray, "some"]) -> Bool[np.ndarray, "nodes"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.frame import folding_numbers, frame_of, mirrored_axes
-from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.primitives import Picked, rounded
 
 
 @jax.tree_util.register_dataclass
@@ -91,14 +91,3 @@ def radius(
     """Length of some coordinates, of which the gradient at 0 is 0; 0 where points are ``outside``."""
     square = reduce(jnp.add, (rounded(jnp.square(jnp.where(outside, 0, z[..., axis]))) for axis in axes))
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), square)
-
-
-@jax.custom_jvp
-def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
-    return jnp.where(value == value, value, jnp.nan)
-
-
-@rounded.defjvp
-def _rounded_with_tangent(primals, tangents):
-    return rounded(primals[0]), tangents[0]

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt32
 
-from plr_jax.plr.query.folded import FoldedWindow, radius, rounded
+from plr_jax.plr.query.folded import FoldedWindow, radius
 from plr_jax.plr.query.frame import Frame, Outside, require_resolved
-from plr_jax.plr.query.pages import Pages, index_in_block, shift_right
-from plr_jax.plr.query.picked import Picked, gather
+from plr_jax.plr.query.pages import index_in_block
+from plr_jax.plr.query.primitives import Picked, gather, rounded, shift_right
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.query.trie import Trie
 
@@ -108,7 +108,10 @@ def find_row(tables: Tables, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*b
     places = [_place(tables, x, axis) for axis in range(tables.dim)]
     index = _joined_bits(places, *tables.bits)
     if tables.pages is not None:
-        return _slot_in_page(tables.pages, places, index)
+        # Slot of points in given blocks.
+        mask, right, start = tables.pages.bits
+        word = gather(tables.pages.words, index)
+        return shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
     if tables.blocks is not None:
         index = index_in_block(tables.blocks, places, index)
     return gather(tables.leaf_of_slot, index).astype(jnp.uint32)
@@ -302,15 +305,6 @@ def _joined_bits(
 ) -> UInt32[Array, "*batch"]:
     """Some bits of a point's place along each axis, side by side."""
     return reduce(jnp.bitwise_or, [shift_right(place & mask[axis], right[axis]) for axis, place in enumerate(places)])
-
-
-def _slot_in_page(
-    pages: Pages, places: list[UInt32[Array, "*batch"]], block: UInt32[Array, "*batch"]
-) -> UInt32[Array, "*batch"]:
-    """Slot of points in given blocks."""
-    mask, right, start = pages.bits
-    word = gather(pages.words, block)
-    return shift_right(word, start[0]) + (word & _joined_bits(places, mask, right))
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[Array, "*batch dim"]) -> UInt32[Array, "*batch"]:

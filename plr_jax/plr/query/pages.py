@@ -30,7 +30,7 @@ from plr_jax.plr.query.grid import (
     slots_in_blocks,
     spread_bits,
 )
-from plr_jax.plr.query.picked import Picked, gather
+from plr_jax.plr.query.primitives import Picked, gather, shift_right
 
 # Two-level tables of any size: each coarse block has a little table of its own, just as fine as its leaves need.
 
@@ -130,11 +130,6 @@ def index_in_block(
         if number == 0:
             start = word >> np.uint32(axes * blocks.width)
     return start + index
-
-
-def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
-    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
-    return x >> (by & np.uint32(WORD_BITS - 1))
 
 
 _BLOCK_BITS = (10, 12, 14, 16)  # few, as words of each number are compiled for; the fewest are read the fastest

@@ -112,7 +112,12 @@ class TableStack:
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
         """Distance of every robot in every joint configuration, of which a PLR sees its leading coordinates."""
-        self._require_fit(q.shape)
+        shape = q.shape
+        if len(shape) != 3 or shape[1] != len(self.tables):
+            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
+        for i, table in enumerate(self.tables):
+            if table.dim > shape[2]:
+                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)
         # All calls are under way before the first result is waited for.
@@ -122,13 +127,6 @@ class TableStack:
             for column, of_robot in zip(columns, answer, strict=True):
                 column[:] = np.asarray(of_robot)[: len(column)]
         return distances.T
-
-    def _require_fit(self, shape: tuple[int, ...]) -> None:
-        if len(shape) != 3 or shape[1] != len(self.tables):
-            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
-        for i, table in enumerate(self.tables):
-            if table.dim > shape[2]:
-                raise ValueError(f"The PLR of robot {i} has {table.dim} dimensions, got {shape[2]}.")
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
         """The batch in the precision of JAX's floats, filled up to one of the compiled sizes."""

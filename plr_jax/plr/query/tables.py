@@ -46,14 +46,13 @@ from plr_jax.plr.query.grid import (
 )
 from plr_jax.plr.query.pages import (
     Blocks,
-    PagedLeaves,
     Pages,
     build_pages,
     choose_block_bits,
     leaves_of_slots,
     pack_blocks,
 )
-from plr_jax.plr.query.picked import Picked
+from plr_jax.plr.query.primitives import Picked
 from plr_jax.plr.query.trie import Trie
 
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
@@ -133,7 +132,19 @@ def build_tables(
     if leaf.has_deep_trees and rows <= MOST_ROWS:
         for slots in (max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows), _MOST_PAGED_SLOTS):
             if (paged := build_pages(cells, slots)) is not None:
-                return _paged_tables(domain, paged, numbers, leaf, slots)
+                # Tables with pages and room for so many slots.
+                of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
+                return Tables(
+                    frame=jnp.asarray(frame_of(domain)),
+                    bits=_bits_of_index(paged.block_bits),
+                    blocks=None,
+                    pages=paged.pages,
+                    leaf_of_slot=jnp.asarray(padded(paged.leaf_of_slot.astype(np.uint16), slots)),
+                    numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
+                    leaf=leaf,
+                    periodic=_periodic_axes(domain),
+                    unresolved=unresolved_types(domain),
+                )
     table = padded(numbers.astype(np.float32), rows)
     return _tables_by_leaf(domain, cells, table, leaf, slot_bits_of_rows(rows_of_file), max_entries(num_bytes))
 
@@ -158,24 +169,6 @@ def _tables_by_leaf(
         pages=None,
         leaf_of_slot=jnp.asarray(padded(leaf_of_slot.astype(index_type), slots)),
         numbers=jnp.asarray(laid_out(table)),
-        leaf=leaf,
-        periodic=_periodic_axes(domain),
-        unresolved=unresolved_types(domain),
-    )
-
-
-def _paged_tables(
-    domain: Box, paged: PagedLeaves, numbers: Float[np.ndarray, "leaves count"], leaf: Any, slots: int
-) -> Tables:
-    """Tables with pages and room for so many slots."""
-    of_slot = padded(numbers.astype(np.float32)[paged.leaf_of_slot], slots)
-    return Tables(
-        frame=jnp.asarray(frame_of(domain)),
-        bits=_bits_of_index(paged.block_bits),
-        blocks=None,
-        pages=paged.pages,
-        leaf_of_slot=jnp.asarray(padded(paged.leaf_of_slot.astype(np.uint16), slots)),
-        numbers=jnp.asarray(np.ascontiguousarray(of_slot.T)),
         leaf=leaf,
         periodic=_periodic_axes(domain),
         unresolved=unresolved_types(domain),

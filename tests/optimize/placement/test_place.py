@@ -7,30 +7,113 @@ import numpy as np
 import pytest
 
 from plr_jax import Placement, VisibilityGraph, Workspace, construct_pairs, place, scenes
+from plr_jax._pytree import as_pytree
 from plr_jax.optimize import OptimizationInterrupted
 from plr_jax.optimize.placement import place as driver
+from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, nearest_and_pulls, slopes_at
+from plr_jax.optimize.placement.search import moved, starts
 
 SQUARE = Workspace(((0, 0), (1, 1)))
 MAZE = scenes.maze().workspace
-TWO_ROOMS = Workspace(((0, 0), (3, 1)), [[(1, 0), (2, 0), (2, 1), (1, 1)]])
+COSTS = {"sum": np.sum, "max": np.max}
+either_objective = pytest.mark.parametrize("objective", COSTS)
+
+
+def manhattan(x, y):
+    return jnp.abs(x - y).sum(axis=-1)
 
 
 def euclidean(x, y):
     return jnp.sqrt(((x - y) ** 2).sum(axis=-1))  # without a gradient for a point and itself
 
 
-@pytest.fixture(scope="module")
-def pairs():
-    return construct_pairs(MAZE, max_bytes=2048)
+def around_the_corner(x, y):
+    """In an L, all of [0, 4] x [0, 4] but [0, 3] x [0, 3]: straight, or by the corner (3, 3)."""
+    (ax, ay), (bx, by) = (x - 3).T, (y - 3).T
+    is_hidden = (jnp.minimum(ax, bx) < 0) & (jnp.minimum(ay, by) < 0)
+    is_hidden &= jnp.where(ax < bx, ax * by - ay * bx, ay * bx - ax * by) > 0
+    return jnp.where(is_hidden, euclidean(x, 3.0) + euclidean(y, 3.0), euclidean(x, y))
 
 
-@pytest.fixture(scope="module")
-def exact():
-    return VisibilityGraph(MAZE, scenes.maze().goals[0])
+def in_two_rooms(x, y):
+    return jnp.where((x[..., 0] < 1.5) == (y[..., 0] < 1.5), euclidean(x, y), jnp.inf)
 
 
 def random_points(seed, n=20):
     return np.random.default_rng(seed).random((n, 2))
+
+
+def problem_of(objective, n, seed=0, distance=manhattan):
+    weights = 0.5 + np.random.default_rng(seed + 100).random(n)
+    return LocationProblem(
+        SQUARE, as_pytree(distance), PlacementObjective(objective), random_points(seed, n), weights
+    )
+
+
+# --- parts -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("k", "distance"), [(1, manhattan), (3, manhattan), (5, in_two_rooms)])
+def test_no_exchange_makes_the_sum_of_a_start_less(k, distance):
+    problem = problem_of("sum", 40, distance=distance)
+    problem = problem._replace(points=3 * problem.points)
+    (start,) = starts(problem, k, 1, np.random.default_rng(1))
+    each = [np.stack([*start[:i], point, *start[i + 1 :]]) for i in range(k) for point in problem.points]
+    costs = problem.cost(problem.distances(np.array([start, *each])).min(axis=1))
+    assert costs.min() >= costs[0] * (1 - 2e-6)
+
+
+@either_objective
+@pytest.mark.parametrize(("n", "k", "count"), [(40, 4, 6), (3, 1, 3)])
+def test_starts_differ_and_the_cheapest_is_first(objective, n, k, count):
+    problem = problem_of(objective, n)
+    found = starts(problem, k, 6, np.random.default_rng(0))
+    assert found.shape == (count, k, 2)
+    assert len({tuple(sorted(map(tuple, start))) for start in found.tolist()}) == count
+    assert (np.diff(problem.cost(problem.distances(found).min(axis=1))) >= 0).all()
+    assert {tuple(x) for x in found.reshape(-1, 2)} <= {tuple(x) for x in problem.points}
+
+
+@either_objective
+def test_pulls_become_the_slopes_of_the_cost(objective):
+    problem = problem_of(objective, n=30)
+    weights, x = problem.weights / problem.weights.max(), np.random.default_rng(1).random((2, 3, 2))
+    given = (jnp.asarray(each) for each in (problem.points, weights, x, 1e-5))
+    nearest, pulls = nearest_and_pulls(problem.objective, problem.distance, *given)
+
+    def cost(x):
+        return COSTS[objective](weights * problem.distances(x).min(axis=1), axis=-1)
+
+    np.testing.assert_allclose(COSTS[objective](weights * np.asarray(nearest, float), axis=-1), cost(x), rtol=1e-6)
+    for change in 1e-4 * np.eye(6).reshape(6, 3, 2):  # all costs are linear up to the next kink
+        slope = (cost(x + change) - cost(x - change)) / 2e-4
+        np.testing.assert_allclose(np.asarray(pulls)[:, change != 0][:, 0], slope, atol=0.02)
+
+
+def test_slopes_of_pairs():
+    x, y = np.array([[0.2, 0.3], [0.5, 0.5]]), np.array([[0.4, 0.1], [0.1, 0.1]])
+    distances, slopes = slopes_at(as_pytree(manhattan), x, y)
+    np.testing.assert_allclose(distances, [0.4, 0.8], rtol=1e-6)
+    assert slopes.tolist() == [[-1, 1], [1, 1]]
+
+
+def test_steps_stay_in_free_space_and_slide_along_walls():
+    x = MAZE.sample_free(2000, seed=0)
+    step = np.random.default_rng(0).normal(0, 0.1, x.shape)
+    end = moved(MAZE, x, step)
+    assert MAZE.is_visible(x, end).all()
+    is_free = MAZE.is_visible(x, x + step)
+    assert 0.2 < is_free.mean() < 0.9
+    np.testing.assert_array_equal(end[is_free], (x + step)[is_free])
+    # What is blocked never goes back, and mostly goes on.
+    ahead = ((end - x) * step).sum(axis=1)[~is_free]
+    assert (ahead >= 0).all() and (ahead > 0).mean() > 0.9
+    assert (np.linalg.norm(end - x, axis=1) <= np.linalg.norm(step, axis=1) * (1 + 1e-12)).all()
+    on_wall = moved(SQUARE, np.array([[0.5, 0.0]]), np.array([[0.1, -0.02]]))
+    assert on_wall[0, 0] > 0.57 and on_wall[0, 1] >= 0
+
+
+# --- optima ----------------------------------------------------------------------------------------------
 
 
 def geometric_median_cost(points, weights):
@@ -54,93 +137,77 @@ def smallest_circle_radius(points):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_median_is_the_geometric_median(seed):
+def test_one_median_is_the_geometric_median_and_one_center_that_of_the_smallest_circle(seed):
     points, weights = random_points(seed), 0.5 + np.random.default_rng(9).random(20)
-    found = place(euclidean, SQUARE, points, weights=weights)
-    assert found.cost == pytest.approx(geometric_median_cost(points, weights), rel=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_one_center_is_that_of_the_smallest_circle(seed):
-    points = random_points(seed)
-    found = place(euclidean, SQUARE, points, objective="max")
-    assert found.cost == pytest.approx(smallest_circle_radius(points), rel=1e-6)
+    median = place(euclidean, SQUARE, points, weights=weights)
+    assert median.cost == pytest.approx(geometric_median_cost(points, weights), rel=1e-6)
+    center = place(euclidean, SQUARE, points, objective="max")
+    assert center.cost == pytest.approx(smallest_circle_radius(points), rel=1e-6)
 
 
 def test_a_median_is_a_demand_point_that_outweighs_the_others():
-    points = random_points(0, 5)
-    found = place(euclidean, SQUARE, points, weights=[1, 1, 5, 1, 1])
+    points = random_points(0)
+    found = place(euclidean, SQUARE, points, weights=np.where(np.arange(20) == 2, 20, 1))
     assert found.facilities.tolist() == [points[2].tolist()]
 
 
 def test_a_median_is_the_corner_that_all_must_pass():
-    wall = Workspace(((0, 0), (4, 4)), [[(0, 0), (3, 0), (3, 3), (0, 3)]])  # leaves an L
+    wall = Workspace(((0, 0), (4, 4)), [[(0, 0), (3, 0), (3, 3), (0, 3)]])
     points = np.array([[0.5, 3.5], [0.2, 3.1], [3.5, 0.5], [3.1, 0.2]])
-    found = place(construct_pairs(wall), wall, points)
+    found = place(around_the_corner, wall, points)
     assert found.cost == pytest.approx(np.linalg.norm(points - [3, 3], axis=1).sum(), rel=1e-5)
     np.testing.assert_allclose(found.facilities, [[3, 3]], atol=1e-3)
 
 
-def grid_of(spacing):
-    axis = np.arange(spacing / 2, 1, spacing)
+@pytest.mark.parametrize(("objective", "k"), [("sum", 1), ("max", 2)])
+def test_places_in_the_maze_are_as_good_as_those_of_a_grid(objective, k):
+    exact, cost, spacing = VisibilityGraph(MAZE, scenes.maze().goals[0]), COSTS[objective], 1 / 25
+    demand, (axis, step) = (
+        MAZE.sample_free(15, seed=2 + k),
+        np.linspace(spacing / 2, 1 - spacing / 2, 25, retstep=True),
+    )
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    return grid[MAZE.is_free(grid)]
-
-
-@pytest.mark.parametrize("objective", ["sum", "max"])
-def test_one_place_in_the_maze_is_as_good_as_a_dense_grid(objective, pairs, exact):
-    demand, spacing = MAZE.sample_free(15, seed=3), 1 / 150
-    cost = {"sum": np.sum, "max": np.max}[objective]
-    found = place(pairs, MAZE, demand, objective=objective)
-    of_grid = cost([exact.with_goal(point)(grid_of(spacing)) for point in demand], axis=0).min()
-    assert found.cost <= of_grid * (1 + 1e-6)
-    slope = len(demand) if objective == "sum" else 1
-    assert found.cost >= of_grid - slope * spacing / np.sqrt(2)
-    at = exact.with_goal(found.facilities[0])(demand)
-    assert found.cost == pytest.approx(cost(at), rel=1e-6)
-
-
-@pytest.mark.parametrize("objective", ["sum", "max"])
-def test_two_places_in_the_maze_are_as_good_as_all_pairs_of_a_grid(objective, pairs, exact):
-    demand = MAZE.sample_free(12, seed=4)
-    cost = {"sum": np.sum, "max": np.max}[objective]
-    found = place(pairs, MAZE, demand, 2, objective=objective)
-    distances = np.stack([exact.with_goal(point)(grid_of(1 / 25)) for point in demand], axis=1)
-    of_pairs = min(cost(np.minimum(row, distances), axis=1).min() for row in distances)
-    assert found.cost <= of_pairs
-    true = np.stack([exact.with_goal(x)(demand) for x in found.facilities])
-    assert found.cost == pytest.approx(cost(true.min(axis=0)), rel=1e-6)
-
-
-@pytest.mark.parametrize("objective", ["sum", "max"])
-def test_what_a_placement_says_of_itself(objective, pairs):
-    demand, weights = MAZE.sample_free(60, seed=5), 1 + np.arange(60) % 3
-    found = place(pairs, MAZE, demand, 4, objective=objective, weights=weights)
+    from_each = [exact.with_goal(point) for point in demand]
+    distances = np.stack([distance(grid[MAZE.is_free(grid)]) for distance in from_each], axis=1)
+    found = place(construct_pairs(MAZE, max_bytes=2048), MAZE, demand, k, objective=objective)
     assert MAZE.is_free(found.facilities).all()
-    distances = np.asarray(pairs(found.facilities[:, None], demand))
+    of_grid = min(cost(np.minimum(row, distances), axis=1).min() for row in (distances if k == 2 else [np.inf]))
+    if k == 1:  # a finer grid around the best of the coarse one
+        best = grid[MAZE.is_free(grid)][cost(distances, axis=1).argmin()]
+        fine = best + np.stack(np.meshgrid(*[np.linspace(-step, step, 31)] * 2), axis=-1).reshape(-1, 2)
+        fine = fine[MAZE.is_free(fine)]
+        of_grid = min(of_grid, cost([distance(fine) for distance in from_each], axis=0).min())
+    assert found.cost <= of_grid * (1 + 1e-6)
+    nearest = np.stack([exact.with_goal(x)(demand) for x in found.facilities]).min(axis=0)
+    assert found.cost == pytest.approx(cost(nearest), rel=1e-6)
+
+
+@either_objective
+def test_what_a_placement_says_of_itself(objective):
+    points, weights = random_points(5), 1 + np.arange(20) % 3
+    found = place(euclidean, SQUARE, points, 3, objective=objective, weights=weights)
+    assert isinstance(found, Placement) and repr(found).startswith("Placement(3 facilities, cost ")
+    distances = np.linalg.norm(found.facilities[:, None] - points, axis=2)
     assert (found.assignment == distances.argmin(axis=0)).all()
     np.testing.assert_allclose(found.distances, distances.min(axis=0), atol=1e-6)
-    costs = weights * found.distances
-    assert found.cost == found.costs.min() == (costs.sum() if objective == "sum" else costs.max())
+    assert found.cost == found.costs.min() == COSTS[objective](weights * found.distances)
     assert (found.costs <= found.start_costs).all() and (np.diff(found.start_costs) >= 0).all()
     assert found.cost < 0.995 * found.start_costs[0]
-    assert repr(found).startswith("Placement(4 facilities, cost ")
 
 
-def test_the_same_seed_gives_the_same_placement(pairs):
-    demand = MAZE.sample_free(40, seed=6)
-    first, second, other = (place(pairs, MAZE, demand, 3, seed=seed) for seed in (1, 1, 2))
+def test_the_same_seed_gives_the_same_placement():
+    first, second, other = (place(euclidean, SQUARE, random_points(6), 3, seed=seed) for seed in (1, 1, 2))
     assert (first.facilities == second.facilities).all() and (first.costs == second.costs).all()
     assert not np.array_equal(first.start_costs, other.start_costs)
 
 
 def test_a_weight_counts_as_often_as_the_point():
-    points, weights = random_points(7, 9), np.arange(1, 10) % 3 + 1
-    weighted = place(euclidean, SQUARE, points, 2, weights=weights)
-    assert weighted.cost == pytest.approx(place(euclidean, SQUARE, points.repeat(weights, axis=0), 2).cost, rel=1e-5)
+    points, weights = random_points(7, 10), np.array([1, 2, 3, 1, 2, 3, 1, 2, 3, 2])
+    weighted = place(euclidean, SQUARE, points, 3, weights=weights)
+    assert weighted.cost == pytest.approx(place(euclidean, SQUARE, points.repeat(weights, axis=0), 3).cost, rel=1e-5)
 
 
-@pytest.mark.parametrize("objective", ["sum", "max"])
+@either_objective
 def test_costs_are_in_the_units_of_weights_and_lengths(objective):
     points, large = random_points(8), Workspace(((0, 0), (1000, 1000)))
     one = place(euclidean, SQUARE, points, 3, objective=objective)
@@ -152,28 +219,25 @@ def test_as_many_facilities_as_points_are_at_the_points():
     points = random_points(0, 4)
     found = place(euclidean, SQUARE, points, 4)
     assert found.cost == 0 and sorted(found.facilities.tolist()) == sorted(points.tolist())
-
-
-def test_points_that_are_all_one():
-    found = place(euclidean, SQUARE, np.full((5, 2), 0.5), 2)
+    found = place(euclidean, SQUARE, np.full((5, 2), 0.5), 2)  # points that are all one
     assert found.cost == 0 and (found.facilities == 0.5).all()
 
 
-@pytest.mark.parametrize("objective", ["sum", "max"])
+@either_objective
 def test_every_part_of_free_space_gets_a_facility(objective):
-    pairs, demand = construct_pairs(TWO_ROOMS), TWO_ROOMS.sample_free(30, seed=0)
+    rooms = Workspace(((0, 0), (3, 1)), [[(1, 0), (2, 0), (2, 1), (1, 1)]])
+    left, right = random_points(0), random_points(1) + np.array([2, 0])
+    both = np.concatenate([left, right])
     with pytest.raises(ValueError, match=r"in 2 parts of free space that no path joins, so that k=1 .*: use k=2"):
-        place(pairs, TWO_ROOMS, demand, objective=objective)
-    found = place(pairs, TWO_ROOMS, demand, 2, objective=objective)
-    in_left = demand[:, 0] < 1.5
-    apart = [place(pairs, TWO_ROOMS, demand[part], objective=objective).cost for part in (in_left, ~in_left)]
-    total = sum(apart) if objective == "sum" else max(apart)
-    assert found.cost == pytest.approx(total, rel=1e-5)
+        place(in_two_rooms, rooms, both, objective=objective)
+    apart = [place(in_two_rooms, rooms, demand, objective=objective).cost for demand in (left, right)]
+    found = place(in_two_rooms, rooms, both, 2, objective=objective)
+    assert found.cost == pytest.approx(COSTS[objective](apart), rel=1e-5)
 
 
 @pytest.mark.parametrize("interrupted", ["moved", "searched"])
-def test_an_interrupt_keeps_the_best_so_far(interrupted, monkeypatch, pairs):
-    calls, original = itertools.count(), getattr(driver, interrupted)
+def test_an_interrupt_keeps_the_best_so_far(interrupted, monkeypatch):
+    calls, original, points = itertools.count(), getattr(driver, interrupted), random_points(6)
 
     def interrupt(*args):
         if next(calls) == 5:
@@ -181,12 +245,10 @@ def test_an_interrupt_keeps_the_best_so_far(interrupted, monkeypatch, pairs):
         return original(*args)
 
     monkeypatch.setattr(driver, interrupted, interrupt)
-    demand = MAZE.sample_free(40, seed=6)
     with pytest.warns(OptimizationInterrupted, match="best found so far"):
-        found = place(pairs, MAZE, demand, 3)
+        found = place(euclidean, SQUARE, points, 3)
     monkeypatch.undo()
-    assert place(pairs, MAZE, demand, 3).cost < found.cost < found.start_costs[0]
-    assert MAZE.is_free(found.facilities).all()
+    assert place(euclidean, SQUARE, points, 3).cost < found.cost < found.start_costs[0]
 
 
 DEMAND = random_points(0, 5)
@@ -229,7 +291,3 @@ def test_what_cannot_be_placed(change, message):
     given = {"distance": euclidean, "workspace": SQUARE, "demand": DEMAND} | change
     with pytest.raises(ValueError, match=message):
         place(**given)
-
-
-def test_a_placement_is_public():
-    assert isinstance(place(euclidean, SQUARE, DEMAND, num_iterations=1, num_restarts=1), Placement)

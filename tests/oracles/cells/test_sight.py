@@ -8,27 +8,27 @@ from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, as_pieces, box
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.oracles.cells.sight import GoalCones, Walls
+from plr_jax.oracles.cells.sight import GoalCones, meet_walls
 
 
 @given(st.integers(0, 100_000))
 @settings(max_examples=15, deadline=None)
 def test_walls_meet_the_boxes_whose_inside_they_reach(seed):
     rng = np.random.default_rng(seed)
-    boundary = WORKSPACES[seed % 3](rng).boundary
+    workspace = WORKSPACES[seed % 3](rng)
     lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
-    inside = shapely.multilinestrings(list(shapely.linestrings(boundary.segments)))
+    inside = shapely.multilinestrings(list(shapely.linestrings(workspace.boundary.segments)))
     reach = shapely.length(shapely.intersection(inside, shapely.box(*(lo + 1e-9).T, *(hi - 1e-9).T)))
-    met = Walls(boundary).meet(lo, hi)
+    met = meet_walls(workspace.edge_tree, lo, hi)
     assert met[reach > 1e-6].all()
     assert not met[shapely.distance(inside, shapely.box(*lo.T, *hi.T)) > 1e-9].any()
 
 
 def test_a_wall_along_the_side_of_a_box_is_not_in_it():
-    walls = Walls(Workspace(TEN, [box(4, 4, 6, 6)]).boundary)
+    walls = Workspace(TEN, [box(4, 4, 6, 6)]).edge_tree
     lo = np.array([[2.0, 4], [6, 6], [3, 3], [4.5, 4.5], [0, 0]])
     hi = np.array([[4.0, 6], [7, 7], [5, 5], [5, 5], [10, 10]])
-    np.testing.assert_array_equal(walls.meet(lo, hi), [False, False, True, False, True])
+    np.testing.assert_array_equal(meet_walls(walls, lo, hi), [False, False, True, False, True])
 
 
 def test_the_goal_is_never_asked_and_corners_where_paths_wrap_around_them():

@@ -17,6 +17,7 @@ from plr_jax import BLOptions
         ({"heuristic_weight": 1e300}, "heuristic_weight must be"),
         ({"time_limit": 10**400}, "time_limit must be"),
         ({"step": 10**400}, "step must be"),
+        *(({"searchers": other}, "searchers must be some of") for other in (5, [[]], iter(["bl"]), None)),
         ({"batch": 0}, "batch must be an integer of at least 1, got 0"),
         ({"branching": -3}, "branching must be an integer of at least 1, got -3"),
         ({"width": True}, "width must be an integer"),
@@ -34,12 +35,7 @@ from plr_jax import BLOptions
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
+@pytest.mark.usefixtures("unchecked_types")
 def test_options_that_make_no_sense(options, message):
     with pytest.raises(ValueError, match=message):
         BLOptions(**options)
-
-
-@pytest.mark.parametrize("searchers", [5, [[]], iter(["bl"]), None])
-def test_searchers_of_another_type_are_refused(searchers, unchecked_types):
-    with pytest.raises(ValueError, match="searchers must be some of"):
-        BLOptions(searchers=searchers)

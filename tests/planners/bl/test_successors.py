@@ -2,13 +2,24 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import TIGHT, TIGHT_TEAM, apart, free_states, hallway, heuristic_table, joint_lattice_of
+from planner_helpers import TIGHT, TIGHT_TEAM, apart, heuristic_table, joint_lattice_of
 
 from plr_jax import DiscRobot, Problem, scenes
 from plr_jax.planners import straight_line
 from plr_jax.planners.bl.search import best_successors
 
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
+
+
+def free_states(joint, num, seed):
+    """Random joint configurations in which no two robots overlap, some of them close together."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < num:
+        state = np.array([[rng.integers(len(lattice.q)) for lattice in joint.lattices]])
+        if apart(joint, state, np.zeros((1, len(joint.lattices)), np.uint8)).all():
+            found.append(state[0])
+    return np.array(found, dtype=np.int32)
 
 
 def terms_of(joint):
@@ -50,7 +61,7 @@ def test_all_children_when_nothing_is_cut(problem, step):
     assert children.num_valid == num_valid
 
 
-@pytest.mark.parametrize("width", [1, 7, 60])
+@pytest.mark.parametrize("width", [1, 7, 100])
 def test_a_cut_product_gives_some_of_the_children_and_says_so(width):
     joint = joint_lattice_of(TIGHT_TEAM, 1.0)
     terms, state = terms_of(joint), free_states(joint, 12, seed=4)
@@ -63,8 +74,9 @@ def test_a_cut_product_gives_some_of_the_children_and_says_so(width):
         assert (np.diff(children.score[row][: len(found)]) >= 0).all()
         if children.whole[row]:
             assert set(found) == set(expected)
-        if len(expected) > width:
-            assert not children.whole[row]
+        assert children.whole[row] <= (len(expected) <= width)
+        if width == 100 and expected:
+            assert children.score[row, 0] == pytest.approx(min(expected.values()), rel=1e-5)
     assert not children.whole.all()
 
 
@@ -79,31 +91,3 @@ def test_of_one_robot_the_best_are_kept_and_whole_is_exact():
         np.testing.assert_array_equal(children.whole, np.isfinite(terms[0]).sum(axis=1) <= width)
         assert children.num_scored == terms[0].size
         assert children.num_valid == np.isfinite(terms[0]).sum(), "counted before the cut"
-
-
-def test_a_wide_cut_of_three_robots_keeps_the_best_child():
-    joint = joint_lattice_of(TIGHT_TEAM, 1.0)
-    terms, state = terms_of(joint), free_states(joint, 12, seed=5)
-    children = best_successors(joint, terms, state, 100)
-    for row in range(len(state)):
-        expected = all_children(joint, terms, state[row])
-        if expected:
-            assert children.score[row, 0] == pytest.approx(min(expected.values()), rel=1e-5)
-
-
-def test_discs_face_to_face_have_the_children_that_one_draws():
-    # In a hallway one cell wide the left disc may step left or stay, and the right one likewise; both may step
-    # the same way at the same time, since they keep their distance.
-    problem = hallway(4)
-    joint = joint_lattice_of(problem, 1.0)
-    lattice = joint.lattices[0]
-    column = np.floor(lattice.q[:, 0]).astype(int).tolist()
-    state = np.array([[column.index(1), np.floor(joint.lattices[1].q[:, 0]).astype(int).tolist().index(2)]], np.int32)
-    children = best_successors(joint, terms_of(joint), state, 1000)
-    moves = {
-        (round(float(a[0] - 1.5)), round(float(b[0] - 2.5)))
-        for a, b in joint.configurations(joint.move(np.repeat(state, 9, axis=0), children.primitive[0, :9]))[
-            :, :, :2
-        ].astype(float)[: int(np.isfinite(children.score).sum())]
-    }
-    assert moves == {(-1, -1), (-1, 0), (-1, 1), (0, 0), (0, 1), (1, 1)}

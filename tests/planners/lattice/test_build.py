@@ -1,13 +1,68 @@
-from itertools import pairwise, product
+from itertools import product
 
 import networkx as nx
 import numpy as np
 import pytest
-from lattice_helpers import BAR, WALLS, lattice_of, offsets_between, reaches_goal, visited
-from planner_helpers import FOUR_NEIGHBORS, ROOM, deepest_overlap, graph_of
+import shapely
+from planner_helpers import ROOM, graph_of, nudged_team
+from robot_helpers import along, shapes
 
-from plr_jax import DiscRobot, PointRobot, Problem, scenes, validate
-from plr_jax.planners.lattice.build import PRIMITIVES
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
+from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
+
+BAR = RectangleRobot(1.3, 0.5)
+WALLS = Workspace(
+    ((0, 0), (6, 5)),
+    [[(2, 0), (2.3, 0), (2.3, 3), (2, 3)], [(4, 2.1), (5, 3), (4.2, 4)], shapely.box(3, 4.3, 3.2, 5)],
+)
+
+
+def lattice_of(problem, step, primitives=PRIMITIVES):
+    return build_lattices(problem, step, primitives)[0]
+
+
+def offsets_between(workspace, robot, step, q0, q1):
+    """Columns, rows and turns between the cells of configurations, by the definition of the grid."""
+    width = workspace.bounds.width
+    side = width / np.ceil(width / step - 1e-9)
+    cells = [np.floor((q[:, :2] - workspace.bounds.lo) / side).astype(int) for q in (q0, q1)]
+    cells = [np.clip(cell, 0, np.rint(width / side).astype(int) - 1) for cell in cells]
+    offset = cells[1] - cells[0]
+    if not isinstance(robot, RectangleRobot):
+        return np.column_stack([offset, np.zeros(len(offset), int)])
+    quarters = np.ceil(np.pi / 2 / min(step / robot.circumscribed_radius, np.pi / 4) - 1e-9)
+    turn = np.pi / 2 / quarters
+    sectors = [np.floor(q[:, 2] / turn + 0.5).astype(int) for q in (q0, q1)]
+    turns = (sectors[1] - sectors[0]) % int(4 * quarters)
+    return np.column_stack([offset, np.where(turns > 2 * quarters, turns - int(4 * quarters), turns)])
+
+
+def deepest_overlap(workspace, robot, q0, q1):
+    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
+    q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
+    box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    beyond = box.buffer(10, join_style="mitre").difference(box)
+    num_samples, region = 201, shapely.union_all([*workspace.obstacles, beyond])
+    bodies = shapes(robot, along(q0, q1, num_samples))
+    if isinstance(robot, RectangleRobot):
+        overlap = shapely.intersection(bodies, region)
+        depth = np.where(shapely.area(overlap) > 0, shapely.area(overlap) / robot.length, 0.0)
+        depth = np.where(depth > 0, depth, -shapely.distance(bodies, region))
+    else:
+        inside = shapely.distance(bodies, shapely.boundary(region))
+        distance = shapely.distance(bodies, region)
+        depth = robot.rounding - np.where(distance > 0, distance, -inside)
+    return depth.reshape(-1, num_samples).max(axis=1)
+
+
+def visited(lattice):
+    """The nodes of a lattice but for those that the start and the goal replace."""
+    return np.setdiff1d(np.arange(len(lattice.q)), lattice.ends.cell)
+
+
+def reaches_goal(lattice):
+    return nx.has_path(graph_of(lattice), lattice.start, lattice.goal)
+
 
 ALONE = {
     "point": Problem(WALLS, [PointRobot()], [(0.7, 0.6)], [(5.3, 4.7)]),
@@ -15,6 +70,13 @@ ALONE = {
     "bar": Problem(WALLS, [BAR], [(0.9, 0.7, 0.2)], [(5.2, 4.5, -6.4)]),
 }
 STEPS = {"point": 0.4, "disc": 0.45, "bar": 0.7}
+
+
+@pytest.fixture(scope="module", params=ALONE)
+def alone(request):
+    """A robot, its step and its lattice."""
+    problem, step = ALONE[request.param], STEPS[request.param]
+    return problem, step, lattice_of(problem, step)
 
 
 def tours(graph):
@@ -28,9 +90,8 @@ def tours(graph):
 # Motions
 
 
-@pytest.mark.parametrize("kind", ALONE)
-def test_every_motion_is_free_by_the_independent_check(kind):
-    problem, lattice = ALONE[kind], lattice_of(ALONE[kind], STEPS[kind])
+def test_every_motion_is_free_by_the_independent_check(alone):
+    problem, _, lattice = alone
     graph = graph_of(lattice).subgraph(visited(lattice))
     walked = 0
     for tour in tours(graph):
@@ -41,12 +102,10 @@ def test_every_motion_is_free_by_the_independent_check(kind):
     assert walked == graph.number_of_edges() > 300
 
 
-@pytest.mark.parametrize("kind", ALONE)
-def test_motions_that_are_missing_collide(kind):
-    problem, step = ALONE[kind], STEPS[kind]
-    robot, lattice = problem.robots[0], lattice_of(problem, step)
-    graph, num_blocked, nodes = graph_of(lattice), 0, visited(lattice)
-    for node in nodes[:: 1 if kind != "bar" else 5].tolist():
+def test_motions_that_are_missing_collide(alone):
+    problem, step, lattice = alone
+    (robot,), graph, num_blocked, nodes = problem.robots, graph_of(lattice), 0, visited(lattice)
+    for node in nodes[:: 1 if problem.dof == 2 else 5].tolist():
         others = np.setdiff1d(nodes, [node, *graph[node]])
         offsets = offsets_between(
             problem.workspace, robot, step, np.repeat(lattice.q[[node]], len(others), axis=0), lattice.q[others]
@@ -60,11 +119,9 @@ def test_motions_that_are_missing_collide(kind):
     assert num_blocked > 5
 
 
-@pytest.mark.parametrize("kind", ALONE)
-def test_motions_lead_to_the_cell_of_their_primitive(kind):
-    problem, step = ALONE[kind], STEPS[kind]
-    lattice = lattice_of(problem, step)
-    primitives = [p for p in PRIMITIVES if kind == "bar" or p[2] == 0]
+def test_motions_lead_to_the_cell_of_their_primitive(alone):
+    problem, step, lattice = alone
+    primitives = [p for p in PRIMITIVES if problem.dof == 3 or p[2] == 0]
     assert lattice.cost.shape == (len(lattice.q), 1 + len(primitives))
     node, primitive = np.nonzero(
         np.isfinite(lattice.cost[:, 1:]) & np.isin(np.arange(len(lattice.q)), visited(lattice))[:, None]
@@ -74,27 +131,28 @@ def test_motions_lead_to_the_cell_of_their_primitive(kind):
     np.testing.assert_array_equal(offsets, np.array(primitives)[primitive])
 
 
-@pytest.mark.parametrize("kind", ["disc", "bar"])
-def test_cells_without_a_configuration_have_a_blocked_center(kind):
-    problem, step = ALONE[kind], STEPS[kind]
-    robot, lattice, width = problem.robots[0], lattice_of(problem, step), problem.workspace.bounds.width
+def test_cells_without_a_configuration_have_a_blocked_center(alone):
+    problem, step, lattice = alone
+    (robot,), width = problem.robots, problem.workspace.bounds.width
     columns, rows = np.ceil(width / step - 1e-9).astype(int)
     side, missing = width / (columns, rows), []
     occupied = {tuple(cell) for cell in np.floor(lattice.q[:, :2] / side).astype(int).tolist()}
     for cell in product(range(columns), range(rows)):
         if cell not in occupied:
-            missing.append([*((np.array(cell) + 0.5) * side), 0.0][: 3 if kind == "bar" else 2])
-    q = np.array(missing)
-    assert len(q) > 3 and (deepest_overlap(problem.workspace, robot, q, q) > 0).all()
+            missing.append([*((np.array(cell) + 0.5) * side), 0.0][: problem.dof])
+    if robot != PointRobot():  # which has one wherever a cell is not all wall
+        q = np.array(missing)
+        assert len(q) > 3 and (deepest_overlap(problem.workspace, robot, q, q) > 0).all()
 
 
-def test_staying_costs_nothing_and_blocked_primitives_lead_back():
-    lattice = lattice_of(ALONE["bar"], 0.7)
-    nodes = np.arange(len(lattice.q))
-    np.testing.assert_array_equal(lattice.child[:, 0], nodes)
+def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
+    lattice = alone[2]
+    np.testing.assert_array_equal(lattice.child[:, 0], np.arange(len(lattice.q)))
     assert (lattice.cost[:, 0] == 0).all()
     blocked = np.isinf(lattice.cost)
     assert blocked.any() and (lattice.child[blocked] == np.nonzero(blocked)[0]).all()
+    lengths = np.linalg.norm((lattice.q[lattice.child] - lattice.q[:, None])[..., :2], axis=2)
+    assert lattice.stride == pytest.approx(lengths.max()) and lattice.stride > alone[1]
 
 
 def test_costs_are_lengths_and_weighted_turns():
@@ -105,31 +163,6 @@ def test_costs_are_lengths_and_weighted_turns():
     np.testing.assert_allclose(lattice.cost[lattice.start], expected, rtol=1e-12)
 
 
-def test_stride():
-    lattice = lattice_of(ALONE["disc"], 0.45)
-    lengths = np.linalg.norm(lattice.q[lattice.child] - lattice.q[:, None], axis=2)
-    assert lattice.stride == pytest.approx(lengths.max()) and lattice.stride > 0.45
-
-
-# Headings
-
-
-def test_headings_are_periodic():
-    problem = Problem(ROOM, [BAR], [(5.25, 5.25, 0.4)], [(1, 1, 0)])
-    lattice = lattice_of(problem, 0.5)
-    left, right = (1 + PRIMITIVES.index((0, 0, turn)) for turn in (1, -1))
-    for primitive, back in ((left, right), (right, left)):
-        nodes = [lattice.start]
-        while True:
-            assert np.isfinite(lattice.cost[nodes[-1], primitive])
-            assert lattice.child[lattice.child[nodes[-1], primitive], back] == nodes[-1]
-            nodes.append(int(lattice.child[nodes[-1], primitive]))
-            if nodes[-1] == lattice.start:
-                break
-        turned = sum(lattice.cost[node, primitive] for node in nodes[:-1]) / BAR.circumscribed_radius
-        assert turned == pytest.approx(2 * np.pi) and len(nodes) > 4
-
-
 # Reaching the goal
 
 
@@ -138,31 +171,86 @@ def test_passages_narrower_than_a_cell_are_found(step):
     assert reaches_goal(lattice_of(scenes.single_door(), step))
 
 
-def test_primitives_of_four_neighbors():
-    lattice = lattice_of(ALONE["point"], 0.5, FOUR_NEIGHBORS)
-    assert lattice.child.shape[1] == 5
-    away = [lattice.start, lattice.goal]
-    inner = np.setdiff1d(np.arange(len(lattice.q)), [*away, *lattice.child[away].ravel()])
-    moves = (lattice.q[lattice.child] - lattice.q[:, None])[inner]
-    straight = np.isclose(moves, 0).any(axis=2) | np.isinf(lattice.cost[inner])
-    assert straight.mean() > 0.8, "all but those to cells whose center is blocked run along an axis"
+# Starts and goals: exact, told apart, and each robot's own
 
 
-def test_without_turns_a_heading_is_never_left():
-    translations = PRIMITIVES[:8]
-    turned = Problem(ROOM, [BAR], [(2, 2, 0)], [(8, 8, 2)])
-    lattice = lattice_of(turned, 1.0, translations)
-    assert not reaches_goal(lattice) and reaches_goal(lattice_of(turned, 1.0))
-    assert reaches_goal(lattice_of(Problem(ROOM, [BAR], [(2, 2, 0)], [(8, 8, 0)]), 1.0, translations))
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        ((5.1, 5.1, 0), (5.3, 5.2, 0)),
+        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02)),
+        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02 + 4 * np.pi)),
+        ((5.1, 5.1, 3.1), (5.1, 5.1, -3.1)),
+        ((5.1, 5.1, 0), (5.1 + 1e-9, 5.1, 0)),
+        ((0.9, 9.1, 0), (0.7, 9.1, 0)),
+    ],
+    ids=["place", "heading", "heading-wrapped", "half-turn", "near", "corner"],
+)
+def test_ends_in_one_cell_are_told_apart(start, goal):
+    problem = Problem(ROOM, [BAR], [start], [goal])
+    coarse = lattice_of(problem, 40.0)
+    np.testing.assert_array_equal(coarse.q[[coarse.start, coarse.goal]], [start, goal])
+    lattice = lattice_of(problem, 1.0)
+    assert lattice.start != lattice.goal
+    np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
+    assert reaches_goal(lattice)
+    cheapest = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    way = np.hypot(goal[0] - start[0], goal[1] - start[1])
+    turn = abs(np.angle(np.exp(1j * (goal[2] - start[2]))))
+    assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
 
 
-# Paths
+def motions_at_ends(problem, robot, lattice, step):
+    """The motions from and to a start and a goal, by their definition: 1 where they are free, 0.5 where unsure."""
+
+    def offsets(pairs):
+        q0, q1 = lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]]
+        return offsets_between(problem.workspace, robot, step, q0, q1).tolist()
+
+    start, goal = lattice.start, lattice.goal
+    (offset,) = offsets(np.array([[start, goal]]))
+    same_cell = start != goal and not any(offset)
+    cells = np.setdiff1d(np.arange(lattice.table.num_cells), lattice.ends.cell).tolist()
+    pairs = [pair for end in {start, goal} for cell in cells for pair in ((end, cell), (cell, end))]
+    pairs = np.array([*pairs, (start, goal), (goal, start)])
+    leads = [tuple(offset) in PRIMITIVES for offset in offsets(pairs)]
+    leads[-2:] = [leads[-2] or same_cell, leads[-1] or same_cell]
+    pairs = pairs[leads]
+    depth = deepest_overlap(problem.workspace, robot, lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]])
+    free = np.select([depth < -1e-3, depth > 1e-3], [1.0, 0.0], 0.5)
+    motions = dict(zip(map(tuple, pairs.tolist()), free.tolist(), strict=True))
+    if same_cell:  # to the goal first
+        for cell in cells:
+            if (cell, goal) in motions:
+                motions[cell, start] = min(motions[cell, start], 1 - motions[cell, goal])
+    return motions
 
 
-def test_each_branch_of_a_lattice_is_a_path():
-    problem = scenes.single_door()
-    lattice = lattice_of(problem, 0.4)
-    nodes = nx.dijkstra_path(graph_of(lattice), lattice.start, lattice.goal, "cost")
-    report = validate(problem, lattice.q[nodes][:, None])
-    cheapest = sum(graph_of(lattice).edges[edge]["cost"] for edge in pairwise(nodes))
-    assert report.valid and report.cost == pytest.approx(cheapest)
+@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
+@pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
+def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
+    problem, num_blocked = nudged_team(robot), 0
+    for i, lattice in enumerate(build_lattices(problem, step, PRIMITIVES)):
+        dof = robot.dof
+        np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
+        np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
+        graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
+        of_others = set(range(lattice.table.num_cells, len(lattice.q))) - {lattice.start, lattice.goal}
+        assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
+        expected = motions_at_ends(problem, robot, lattice, step)
+        found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
+        for motion, is_free in expected.items():
+            if is_free != 0.5:
+                assert (motion in found) == (is_free == 1)
+                num_blocked += is_free == 0
+        assert found <= set(expected)
+        blocked = np.isinf(lattice.cost)
+        np.testing.assert_array_equal(lattice.child[blocked], np.nonzero(blocked)[0])
+        for u, v in found:
+            turn = np.angle(np.exp(1j * (lattice.q[v] - lattice.q[u])[2:])).sum()
+            way = np.hypot(*(lattice.q[v] - lattice.q[u])[:2]) + problem.rotation_weights[i] * abs(turn)
+            assert graph.edges[u, v]["cost"] == pytest.approx(way)
+    assert num_blocked > 3
+
+
+# Teams

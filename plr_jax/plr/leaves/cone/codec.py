@@ -161,7 +161,16 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
-    _write_ranks(body, _ranks(cones.source, len(sources.code)))
+    # Rank of each leaf's source among those lately used, 0 for the latest.
+    source = cones.source
+    rank, recent = np.zeros(len(source), np.int64), list(range(len(sources.code)))
+    for leaf in np.flatnonzero(np.diff(source, prepend=0)).tolist():
+        rank[leaf] = place = recent.index(int(source[leaf]))
+        recent.insert(0, recent.pop(place))
+    for each in range(_ESCAPE):
+        body.write((rank == each).astype(np.int64), 1)
+        rank = rank[rank > each]
+    body.write_coded(rank - _ESCAPE)
 
 
 def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: Int[np.ndarray, "dim"]) -> None:
@@ -175,11 +184,6 @@ def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """The next sources, and those of so many leaves; raises ``ValueError`` saying what is wrong with them."""
-    sources = _read_sources(body, domain)
-    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), len(sources.code)))
-
-
-def _read_sources(body: BitReader, domain: Box) -> StoredSources:
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_alike(1, _COUNT_BITS)[0])
     if num_fine:
@@ -205,7 +209,7 @@ def _read_sources(body: BitReader, domain: Box) -> StoredSources:
     sources = StoredSources(num_fine, exponent, fraction, code, parent, offset)
     if not (np.isfinite(offset).all() and np.abs(sources.points).max() < LARGEST and sources.offsets.max() < LARGEST):
         raise ValueError("it states sources whose coordinates or distances are too large")
-    return sources
+    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), len(sources.code)))
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
@@ -233,15 +237,6 @@ def cones_bits(domain: Box, cones: StoredCones) -> int:
     return body.num_bits
 
 
-def _ranks(source: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:
-    """Rank of each leaf's source among those lately used, 0 for the latest."""
-    rank, recent = np.zeros(len(source), np.int64), list(range(count))
-    for leaf in np.flatnonzero(np.diff(source, prepend=0)).tolist():
-        rank[leaf] = place = recent.index(int(source[leaf]))
-        recent.insert(0, recent.pop(place))
-    return rank
-
-
 def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
@@ -251,13 +246,6 @@ def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.nda
         recent.insert(0, recent.pop(place))
         latest[number + 1] = recent[0]
     return latest[np.searchsorted(changes, np.arange(len(rank)), side="right")]
-
-
-def _write_ranks(body: BitWriter, rank: Int[np.ndarray, "leaves"]) -> None:
-    for each in range(_ESCAPE):
-        body.write((rank == each).astype(np.int64), 1)
-        rank = rank[rank > each]
-    body.write_coded(rank - _ESCAPE)
 
 
 def _read_ranks(body: BitReader, num_leaves: int) -> Int[np.ndarray, "leaves"]:

@@ -31,7 +31,6 @@ from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tr
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
-from plr_jax.plr.sampling.cell_memory import CellMemory
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""
@@ -71,7 +70,28 @@ class Cone:
         _require_euclidean(sampler.domain)
         is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
         if is_default and sampler.memory is not None:
-            return _best_partition(sampler, sampler.memory, limits)
+            # The best partition of all, its leaves left for sources in sight where that costs little.
+            domain = sampler.domain
+            visible = sampler.memory.sources(Cells.root(domain.dim))
+            if not len(visible.cell):
+                sampler.root()  # which says so
+
+            def stored(source: Int[np.ndarray, "leaves"]) -> StoredCones:
+                return cones_in_order(source, visible.sources, domain)
+
+            def size_with_room(levels: list[BoxLevel], leaves: Leaves) -> int:
+                tree = tree_of_leaves(levels, leaves)
+                return num_bytes_of(tree.cells, stored(tree.source), domain, limits) * (_ROOM + 1) // _ROOM
+
+            root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
+            levels, leaves = best_partition(root, limits, size_with_room, num_sources)
+            tree = tree_of_leaves(levels, leaves)
+
+            def fits(source: Int[np.ndarray, "leaves"]) -> bool:
+                return num_bytes_of(tree.cells, stored(source), domain, limits) <= limits.max_bytes
+
+            options = options_of_trees(levels, [tree], sampler.pattern)
+            return tree.cells, stored(sources_in_sight(tree, options, fits))
         return grow_from_samples(sampler, rules, limits)
 
     def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:
@@ -195,28 +215,3 @@ def _require_euclidean(domain: Box) -> None:
             f"Leaves of kind 'cone' hold Euclidean distances, which no periodic axis has, got {domain}. Use "
             "continuous ones or planes instead."
         )
-
-
-def _best_partition(sampler: Sampler, memory: CellMemory, limits: Limits) -> tuple[Cells, StoredCones]:
-    """The best partition of all, its leaves left for sources in sight where that costs little."""
-    domain = sampler.domain
-    visible = memory.sources(Cells.root(domain.dim))
-    if not len(visible.cell):
-        sampler.root()  # which says so
-
-    def stored(source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        return cones_in_order(source, visible.sources, domain)
-
-    def size_with_room(levels: list[BoxLevel], leaves: Leaves) -> int:
-        tree = tree_of_leaves(levels, leaves)
-        return num_bytes_of(tree.cells, stored(tree.source), domain, limits) * (_ROOM + 1) // _ROOM
-
-    root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
-    levels, leaves = best_partition(root, limits, size_with_room, num_sources)
-    tree = tree_of_leaves(levels, leaves)
-
-    def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-        return num_bytes_of(tree.cells, stored(source), domain, limits) <= limits.max_bytes
-
-    options = options_of_trees(levels, [tree], sampler.pattern)
-    return tree.cells, stored(sources_in_sight(tree, options, fits))

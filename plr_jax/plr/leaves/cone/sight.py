@@ -103,7 +103,14 @@ def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: P
     some, place = boxes[doubted], np.searchsorted(doubted, box)
     x = some.cells.points(pattern.u, boxes.domain)
     distance = distances_in_cells(some.visible, x)
-    error, hidden = _errors_and_shares_hidden(some, pattern, x, distance, place, source)
+    # Mean error of each source in its box, and the share of it from where a wall is in the way.
+    sources, width = some.visible.sources, float(some.domain.width.max())
+    weight = pattern.weight * np.isfinite(distance)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
+    cone = sources.distances[source, None] + np.linalg.norm(x[place] - sources.points[source, None], axis=2)
+    above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
+    is_hidden = above > _LEAST_SHORTFALL * width
+    error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
     largest, integral = errors_of_options(some.visible, place, source)
     area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
     view, is_own = views_of(boxes.visible, source), source == boxes.source[box]
@@ -165,21 +172,3 @@ def _pairs_of_boxes(boxes: ConeBoxes) -> Pairs:
     key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
     box, source = np.divmod(key, count)
     return box, source, np.bincount(index, visible.by_all, len(key)) == np.diff(visible.first_piece)[box]
-
-
-def _errors_and_shares_hidden(
-    boxes: ConeBoxes,
-    pattern: Pattern,
-    x: Float[np.ndarray, "boxes k 2"],
-    distance: Float[np.ndarray, "boxes k"],
-    box: Int[np.ndarray, "options"],
-    source: Int[np.ndarray, "options"],
-) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Mean error of each source in its box, and the share of it from where a wall is in the way."""
-    sources, width = boxes.visible.sources, float(boxes.domain.width.max())
-    weight = pattern.weight * np.isfinite(distance)
-    weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
-    cone = sources.distances[source, None] + np.linalg.norm(x[box] - sources.points[source, None], axis=2)
-    above = np.where(np.isfinite(distance), distance, 0.0)[box] - cone
-    is_hidden = above > _LEAST_SHORTFALL * width
-    return np.sum(weight[box] * np.abs(above), axis=1), np.sum(weight[box] * is_hidden, axis=1)

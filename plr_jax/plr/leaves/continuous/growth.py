@@ -115,19 +115,15 @@ class _Rounds:
         unreachable = ~np.any(fit.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
-        weight = _volume_weights(fit)
+        # Samples as the fit weighs them: cells by the root of their volume, a compromise of errors.
+        of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
+        weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
         stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
         body = BitWriter()
         write_values(body, stored)
         num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
-
-
-def _volume_weights(fit: CellFit) -> Float[np.ndarray, "leaves k"]:
-    """Samples as the fit weighs them: cells by the root of their volume, a compromise of errors."""
-    of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
-    return weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
 
 
 def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[np.ndarray, "leaves k"]) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt64
+from jaxtyping import Float, Int
 
 from plr_jax._types import FamilyCellSources, FamilyFn, Sources
 from plr_jax.geometry.box import Box
@@ -71,41 +71,6 @@ class Family:
 
     members: list[Member]
     levels: list[BoxLevel]
-
-
-def grow_family(
-    found: FamilyCellSources,
-    key: UInt64[np.ndarray, "distinct"],
-    node_of: Int[np.ndarray, "goals lowest"],
-    sources: Sequence[Sources],
-    start: Start,
-    domain: Box,
-    limits: Limits,
-    negligible: float,
-) -> Family:
-    """The best trees within the limits of all goals.
-
-    Args:
-        found: The sources of the distinct boxes of the start.
-        key: A key of each of these.
-        node_of: Which of them each box of the start is for each goal, -1 where nothing reaches the goal.
-        sources: The goal and the corners, with their distances, for each goal.
-        start: The boxes that the family starts at.
-        domain: What is covered.
-        limits: What the file of each member is to keep within.
-        negligible: An error that is as good as none.
-    """
-    box_of = np.zeros(found.num_cells, np.int64)
-    box_of[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
-    is_shallow = start.splits == 0 or limits.max_depth < start.splits + _LEAST_BELOW
-    first = fitted_boxes if is_shallow else _exact_boxes
-    boxes = first(domain, negligible, start.lowest[box_of], found)
-    num_leaves = expected_leaves(limits)
-    members = [Member(i, each, num_leaves) for i, each in enumerate(sources)]
-    least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
-    family = Family(members, [BoxLevel.of(boxes, key)])
-    _Growth(family, node_of, start, domain, limits, least / num_leaves).run()
-    return family
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +190,8 @@ class _Growth:
 
     def _judge(self, member: Member, tree: MemberTree, is_last: bool, which: tuple[int, int]) -> None:
         """Keep a tree if it fits, and aim at a larger or a smaller one unless it is about full."""
-        num_leaves, most = len(tree.cells), self._most_bytes()
+        # What files may take before sources are changed.
+        num_leaves, most = len(tree.cells), (self.limits.max_bytes * _ROOM / (_ROOM + 1))
         num_bytes = self._num_bytes(tree, member.sources) if np.isfinite(most) else 0.0
         fullness = max(num_leaves / self.limits.max_leaves, num_bytes / most)
         fits = fullness <= 1
@@ -246,10 +212,6 @@ class _Growth:
             aim = num_leaves * (most - fixed) / max(num_bytes - fixed, 1.0) if num_bytes else np.inf
             shrink = 0.998 ** max(member.attempts - 1, 0) if fits else 0.995**member.attempts
             member.target = max(min(aim, float(self.limits.max_leaves)) * shrink, 1.0)
-
-    def _most_bytes(self) -> float:
-        """What files may take before sources are changed."""
-        return self.limits.max_bytes * _ROOM / (_ROOM + 1)
 
     def _num_bytes(self, tree: MemberTree, sources: Sources) -> int:
         """Size of the file of a tree."""
@@ -309,7 +271,19 @@ class FamilyTask:
             raise ValueError(f"Nothing was found from where the goal of oracle {lost[0]} can be reached.")
         negligible = max(self.limits.tolerance, _RESOLVED * float(self.domain.width.max()))
         sources = [oracle.sources for oracle in oracles]
-        family = grow_family(found, key, node_of, sources, self.start, self.domain, self.limits, negligible)
+        # The best trees within the limits of all goals.
+        start = self.start
+        limits = self.limits
+        box_of = np.zeros(found.num_cells, np.int64)
+        box_of[node_of[node_of >= 0]] = np.nonzero(node_of >= 0)[1]
+        is_shallow = start.splits == 0 or limits.max_depth < start.splits + _LEAST_BELOW
+        first = fitted_boxes if is_shallow else _exact_boxes
+        boxes = first(self.domain, negligible, start.lowest[box_of], found)
+        num_leaves = expected_leaves(limits)
+        members = [Member(i, each, num_leaves) for i, each in enumerate(sources)]
+        least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
+        family = Family(members, [BoxLevel.of(boxes, key)])
+        _Growth(family, node_of, start, self.domain, limits, least / num_leaves).run()
         trees = [member.tree for member in family.members if member.tree is not None]
         options = options_of_trees(family.levels, trees, self.pattern)
         return [self._leaves(member, options) for member in family.members]

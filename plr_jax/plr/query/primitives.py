@@ -1,13 +1,16 @@
-"""Arrays of many PLRs one behind the other, of which every point reads those of its own."""
+"""What queries compute with: reads of tables, also of many PLRs one behind the other; shifts; products that stay."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer, UInt32
+
+from plr_jax.plr.query.grid import WORD_BITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,3 +63,19 @@ def gather(table: Integer[Array, "n"] | Float[Array, "n"] | Picked, index: UInt3
     if isinstance(table, Picked):
         return table.read(index)
     return table.at[index].get(mode="promise_in_bounds")
+
+
+def shift_right(x: UInt32[Array, "*batch"], by: UInt32[Array, "*#batch"]) -> UInt32[Array, "*batch"]:
+    """Shift by less than 32 bits, which the mask tells the compiler: it then need not provide for more."""
+    return x >> (by & np.uint32(WORD_BITS - 1))
+
+
+@jax.custom_jvp
+def rounded(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """A product or sum that no compiler combines with what follows: none knows that the condition changes nothing."""
+    return jnp.where(value == value, value, jnp.nan)
+
+
+@rounded.defjvp
+def _rounded_with_tangent(primals, tangents):
+    return rounded(primals[0]), tangents[0]

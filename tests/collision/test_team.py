@@ -1,0 +1,236 @@
+from itertools import combinations, combinations_with_replacement
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, pebble, random_motions, sampled_distance
+
+from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
+from plr_jax.collision.team import JointMotionTest, Traffic, circles, circles_along, motions_apart, within_reach
+from plr_jax.collision.walls import MotionTest
+
+TOLERANCE = 1e-9
+CORNER = BAR.circumscribed_radius
+PAIRS = list(combinations_with_replacement(ROBOTS, 2))
+UP = np.pi / 2
+
+
+def apart(robot_a, a0, a1, robot_b, b0, b1):
+    q = (np.array([x], dtype=float) for x in (a0, a1, b0, b1))
+    a0, a1, b0, b1 = q
+    return bool(motions_apart(robot_a, a0, a1, robot_b, b0, b1, TOLERANCE)[0])
+
+
+# BAR is 0.9 x 0.3, DISC has radius 0.3. In each case the two touch; moved up, the second one is clear.
+STILL, GO = (0.0, 0.0, 0.0), (2.0, 0.0, 0.0)
+CASES = {
+    "discs pass head-on, side by side": (DISC, STILL, GO, DISC, (2.0, 0.6, 0), (0.0, 0.6, 0)),
+    "one disc overtakes a disc at rest": (DISC, STILL, GO, DISC, (1.0, 0.6, 0), (1.0, 0.6, 0)),
+    "a disc ends at a disc": (DISC, (0, -2, 0), STILL, DISC, (0, 0.6, 0), (0, 0.6, 0)),
+    "discs follow one another": (DISC, STILL, (0, 9, 0), DISC, (0, 0.6, 0), (0, 9.6, 0)),
+    "a point passes a disc": (POINT, STILL, GO, DISC, (1.0, 0.3, 0), (1.0, 0.3, 0)),
+    "a point slides along a bar": (POINT, STILL, GO, BAR, (1.0, 0.15, 0), (1.0, 0.15, 0)),
+    "a point passes the end of an upright bar": (POINT, STILL, GO, BAR, (1.0, 0.45, UP), (1.0, 0.45, UP)),
+    "a disc slides along a bar": (DISC, STILL, GO, BAR, (1.0, 0.45, 0), (1.0, 0.45, 0)),
+    "a disc passes a bar's corner": (
+        DISC, (-1, 1, 0), (1, -1, 0), BAR, (0.45 + 0.3 / 2**0.5, 0.15 + 0.3 / 2**0.5, 0), None),
+    "bars slide along one another": (BAR, STILL, GO, BAR, (2.0, 0.3, 0), (0.0, 0.3, 0)),
+    "bars in line stay in line": (BAR, STILL, (0, 5, 0), BAR, (0, 0.3, 0), (0, 5.3, 0)),
+    "a bar's side passes an upright bar's end": (BAR, STILL, GO, BAR, (1.0, 0.6, UP), (1.0, 0.6, UP)),
+    "a bar passes a bar on its corner": (
+        BAR, STILL, GO, RectangleRobot(1, 1), (1.0, 0.15 + 0.5**0.5, np.pi / 4), (1.0, 0.15 + 0.5**0.5, np.pi / 4)),
+    "a wing's corner slides along a bar": (WING, STILL, GO, BAR, (1.0, 0.55, 0), (1.0, 0.55, 0)),
+    "a wing's side slides along a bar's corner": (
+        WING, (0, 0, 0), (0.5, -0.4, 0), BAR, (0.25 + 0.45, 0.2 + 0.15, 0), None),
+    "a pebble slides along a bar": (PEBBLE, STILL, GO, BAR, (1.0, 0.21 + 0.12 + 0.15, 0), (1.0, 0.48, 0)),
+    "a pebble passes a bar's corner": (
+        PEBBLE, (-1, 1, 0), (1, -1, 0), BAR, (0.36 + 0.12 / 2**0.5 + 0.45, 0.12 / 2**0.5 + 0.15, 0), None),
+    "a bar turns upright below a bar": (BAR, STILL, (0, 0, UP), BAR, (0, CORNER + 0.15, 0), None),
+    "a bar turns upright below a disc": (BAR, STILL, (0, 0, UP), DISC, (0, CORNER + 0.3, 0), None),
+    "a bar turns upright below a point": (BAR, STILL, (0, 0, UP), POINT, (0, CORNER, 0), None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_touching_is_free_and_any_less_is_not(case):
+    robot_a, a0, a1, robot_b, b0, b1 = case
+    b1 = b0 if b1 is None else b1
+    turning = a0[2] != a1[2]
+    for lift, expected in ((1e-6, True), (0.0, True), (-1e-6, False), (-0.1, False)):
+        if turning and lift == 0.0:
+            continue  # allowed to err on the side of caution
+        (xb0, yb0, tb0), (xb1, yb1, tb1) = b0, b1
+        up0, up1 = (xb0, yb0 + lift, tb0), (xb1, yb1 + lift, tb1)
+        assert apart(robot_a, a0, a1, robot_b, up0, up1) == expected
+        assert apart(robot_b, up0, up1, robot_a, a0, a1) == expected
+        assert apart(robot_a, a1, a0, robot_b, up1, up0) == expected  # backwards in time
+
+
+def test_headings_are_periodic_and_turns_take_the_shorter_way():
+    post = (0.0, 0.4, 0.0)
+    assert apart(BAR, (0, 0, -0.2), (0, 0, 2 * np.pi + 0.2), POINT, post, post)
+    assert not apart(BAR, (0, 0, 0.2), (0, 0, np.pi - 0.2), POINT, post, post)
+    # From just above to just below the negative x axis: past it, not around.
+    assert apart(BAR, (0, 0, np.pi - 0.2), (0, 0, 0.2 - np.pi), POINT, post, post)
+    assert not apart(BAR, (0, 0, 0), (0, 0, np.pi), POINT, post, post)
+
+
+@pytest.mark.parametrize(("robot_a", "robot_b"), PAIRS)
+def test_against_dense_samples(robot_a, robot_b):
+    rng = np.random.default_rng(3)
+    n, num_samples = 200, 101
+    a0, a1 = random_motions(rng, n, 1.5, 0.4, 1.5)
+    b0, b1 = random_motions(rng, n, 1.5, 0.4, 1.5)
+    a1[: n // 4, 2], b1[: n // 4, 2] = a0[: n // 4, 2], b0[: n // 4, 2]  # some do not turn
+    answer = motions_apart(robot_a, a0, a1, robot_b, b0, b1, TOLERANCE)
+    distance = sampled_distance(robot_a, a0, a1, robot_b, b0, b1, num_samples)
+    assert not answer[distance < -1e-8].any()
+    # Between samples the distance falls by at most as much as the bodies move in half a step.
+    speed = np.linalg.norm((a1 - a0 - b1 + b0)[:, :2], axis=1)
+    speed += robot_a.circumscribed_radius * np.abs(a1 - a0)[:, 2]
+    speed += robot_b.circumscribed_radius * np.abs(b1 - b0)[:, 2]
+    assert answer[distance > speed / (num_samples - 1) / 2 + 1e-6].all()
+    if not robot_a == robot_b == POINT:
+        assert 0.05 < answer.mean() < 0.95
+
+
+pose = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-4, 4))
+robot = st.one_of(
+    st.just(POINT),
+    st.builds(DiscRobot, st.floats(0.05, 0.6)),
+    st.builds(RectangleRobot, st.floats(0.05, 1), st.floats(0.05, 1)),
+    st.just(WING),
+    st.builds(pebble, st.floats(0.05, 0.6)),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(robot, pose, pose, robot, pose, pose, st.floats(-3, 3))
+def test_the_order_of_the_robots_and_the_frame_do_not_matter_and_samples_refute_nothing(
+    robot_a, a0, a1, robot_b, b0, b1, angle
+):
+    """But within rounding of contact."""
+    c, s = np.cos(angle), np.sin(angle)
+    turned = [(5 + c * x - s * y, -2 + s * x + c * y, t + angle) for x, y, t in (a0, a1, b0, b1)]
+    answer = apart(robot_a, a0, a1, robot_b, b0, b1)
+    others = apart(robot_b, b0, b1, robot_a, a0, a1), apart(robot_a, *turned[:2], robot_b, *turned[2:])
+    a0, a1, b0, b1 = (np.array([x]) for x in (a0, a1, b0, b1))
+    if answer:
+        assert sampled_distance(robot_a, a0, a1, robot_b, b0, b1, 65)[0] > -1e-5
+    if others != (answer, answer):
+        assert abs(sampled_distance(robot_a, a0, a1, robot_b, b0, b1, 4001)[0]) < 2e-3
+
+
+# Teams
+
+WORKSPACE = Workspace(((0, 0), (6, 6)), [shapely.box(2.5, 2.5, 3.5, 3.5)])
+MOVERS = [DiscRobot(0.4), RectangleRobot(1.2, 0.4), PointRobot()]
+TEST = JointMotionTest(WORKSPACE, MOVERS)
+
+
+def motions(n, seed=0):
+    rng = np.random.default_rng(seed)
+    pairs = [random_motions(rng, n, 6.0, 0.8, 0.5) for _ in MOVERS]
+    return tuple(np.stack([pair[end] for pair in pairs], axis=1) for end in (0, 1))
+
+
+def movers_apart(i, a0, a1, j, b0, b1):
+    return motions_apart(MOVERS[i], a0, a1, MOVERS[j], b0, b1, WORKSPACE.tolerance)
+
+
+def test_a_joint_motion_is_free_if_each_robot_and_each_two_are():
+    q0, q1 = motions(2_000)
+    expected = np.ones(len(q0), dtype=bool)
+    for i, robot in enumerate(MOVERS):
+        expected &= MotionTest(WORKSPACE, robot)(q0[:, i], q1[:, i])
+    alone = expected.copy()
+    for i, j in combinations(range(len(MOVERS)), 2):
+        expected &= movers_apart(i, q0[:, i], q1[:, i], j, q0[:, j], q1[:, j])
+    np.testing.assert_array_equal(TEST(q0, q1), expected)
+    assert 20 < expected.sum() < alone.sum() - 20
+
+
+CROWD = [POINT, DISC, BAR, WING, PEBBLE, DiscRobot(0.1), DISC, POINT, RectangleRobot(0.9, 0.3), WING]
+CROWD_TEST = JointMotionTest(WORKSPACE, CROWD)
+
+
+def random_path(rng, steps, side):
+    """Short motions of the team in a square, some at rest, most of them turning."""
+    q = np.cumsum(rng.normal(0, [0.3, 0.3, 0.4], (steps, len(CROWD), 3)), axis=0)
+    q[:, ::3] = q[:1, ::3]
+    return q + np.pad(rng.uniform(0, side, (len(CROWD), 2)), ((0, 0), (0, 1)))
+
+
+def test_motions_meet_others_as_they_are_not_apart_from_them():
+    rng, collisions = np.random.default_rng(0), 0
+    for i in range(len(CROWD)):
+        path, motion = random_path(rng, 9, 3.0), rng.integers(0, 8, 300)
+        begin, end = (path[motion + ahead, i] + rng.normal(0, 0.3, (300, 3)) for ahead in (0, 1))
+        other = rng.choice(sorted(set(range(len(CROWD))) - {i}), 300)
+        found = CROWD_TEST.meet(i, begin, end, Traffic(CROWD, path), motion, other)
+        for k, j in enumerate(other.tolist()):
+            theirs = (path[[motion[k] + ahead], j] for ahead in (0, 1))
+            assert found[k] == ~CROWD_TEST.apart(i, begin[[k]], end[[k]], j, *theirs)[0]
+        collisions += found.sum()
+    assert 100 < collisions < 150 * len(CROWD)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), k=st.integers(1, 4), share=st.floats(0, 1))
+def test_a_circle_holds_every_position_on_the_way(seed, k, share):
+    rng = np.random.default_rng(seed)
+    begin, end = rng.normal(0, 2, (5, k, 3)), rng.normal(0, 2, (5, k + 1, 3))
+    x, y, radius = circles(begin, end)
+    at = (1 - share) * begin[:, :, None, :2] + share * end[:, None, :, :2]
+    distance = np.hypot(at[..., 0] - x[:, None, None], at[..., 1] - y[:, None, None])
+    assert (distance <= radius[:, None, None] + 1e-12).all()
+
+
+def test_a_circle_around_one_motion_is_tight_and_those_along_a_path_are_of_each_motion():
+    x, y, radius = circles(np.array([[(1.0, 2.0)]]), np.array([[(4.0, 6.0)]]))
+    np.testing.assert_allclose((x[0], y[0], radius[0]), (2.5, 4.0, 2.5))
+    for k in (1, 4):
+        q = np.random.default_rng(k).normal(0, 2, (6, k, 3))
+        np.testing.assert_array_equal(circles_along(q), circles(q[:-1], q[1:]))
+
+
+def test_nobody_far_away_is_near():
+    q = np.array([[(0.0, 0.0), (1.0, 0.0), (0.0, 9.0)]] * 2)
+    traffic = Traffic([DISC] * 3, q)
+    around, motion = circles(q[:1, :1], q[1:, :1]), np.array([0])
+    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[], []]  # two radii are 0.6
+    traffic.move(1, np.array([(0.5, 0.0)] * 2))
+    assert [x.tolist() for x in traffic.near(0, around, motion)] == [[0], [1]]
+    assert [x.tolist() for x in traffic.near(0, around, motion, (1,))] == [[], []]
+    np.testing.assert_array_equal(q[:, 1], [(1.0, 0.0)] * 2, err_msg="the path given is left alone")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_motions_changed_in_some_rows_are_as_if_the_path_had_been_made_so(seed):
+    rng = np.random.default_rng(seed)
+    path = random_path(rng, 12, 4.0)
+    traffic, changed = Traffic(CROWD, path), path.copy()
+    for i, rows in ((1, slice(0, 12)), (3, slice(4, 9)), (3, slice(7, 12))):
+        changed[rows, i][1:-1] += rng.normal(0, 1, (rows.stop - rows.start - 2, 3))
+        traffic.move(i, changed[rows, i], rows)
+    made = Traffic(CROWD, changed)
+    np.testing.assert_array_equal(traffic.path, changed)
+    around, motion = circles(*rng.uniform(0, 4, (2, 40, 2, 3))), rng.integers(0, 11, 40)
+    for a, b in zip(traffic.near(2, around, motion), made.near(2, around, motion), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("i, j", [(1, 6), (2, 3), (0, 4), (2, 2)])
+def test_what_is_not_within_reach_is_apart(i, j):
+    rng = np.random.default_rng(7)
+    one, other = CROWD[i], CROWD[j]
+    a0, b0 = rng.uniform(0, 4, (2, 200, 2, 3))
+    a1, b1 = (q[:, :1] + rng.normal(0, 0.4, (200, 3, 3)) for q in (a0, b0))
+    apart = motions_apart(
+        one, a0[:, :, None, None, None], a1[:, None, :, None, None], other, b0[:, None, None, :, None],
+        b1[:, None, None, None], 1e-9)  # fmt: skip
+    meet = np.flatnonzero(~apart.all(axis=(1, 2, 3, 4)))
+    near = within_reach(one, circles(a0, a1), other, circles(b0, b1))
+    assert np.isin(meet, near).all() and 0 < len(meet) <= len(near) < 200

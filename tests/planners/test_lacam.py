@@ -1,0 +1,178 @@
+"""Lazy search: every path by the independent check, an empty stack against all states that can be reached."""
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from planner_helpers import FOUR_NEIGHBORS, TRANSLATIONS, hallway, reachable, search_budget
+from team_helpers import TEAMS, search_of, team_of
+
+from plr_jax import DiscRobot, Problem, Workspace, scenes
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners import Status
+from plr_jax.planners.lacam import PIBT, Moves
+from plr_jax.planners.lattice.build import PRIMITIVES
+
+
+@pytest.mark.parametrize(
+    ("problem", "step", "primitives"),
+    [(hallway(3), 1.0, PRIMITIVES), (hallway(5), 1.0, PRIMITIVES), (scenes.tangle(), 0.9, TRANSLATIONS)],
+    ids=["3 cells", "5 cells", "robots that cannot turn"],
+)
+def test_an_empty_stack_means_that_all_reachable_states_are_nodes(problem, step, primitives):
+    search = search_of(problem, step, primitives)
+    assert search.run(10**6) is Status.EXHAUSTED and search.found is None
+    assert set(map(tuple, search.state.tolist())) == reachable(search.joint)
+
+
+def test_a_paused_search_goes_on_where_it_was():
+    whole, paused = search_of(scenes.door(20), 0.4), search_of(scenes.door(20), 0.4)
+    assert whole.run(10_000) is Status.SOLVED
+    for patience in (2, 3, 5):
+        assert paused.run(patience) is None and paused.num_idle == patience
+    assert paused.run(10_000) is Status.SOLVED
+    np.testing.assert_array_equal(whole.branch, paused.branch)
+
+
+@pytest.mark.parametrize(
+    ("limit", "status"),
+    [
+        ({"max_expansions": 7}, Status.EXPANSION_LIMIT),
+        ({"max_memory": 1e4}, Status.MEMORY_LIMIT),
+        ({"seconds": -1.0}, Status.TIME_LIMIT),
+        ({}, None),
+    ],
+)
+def test_limits(limit, status):
+    search = search_of(scenes.door(20), 0.4, FOUR_NEIGHBORS, budget=search_budget(**limit))
+    assert search.run(10) is status and search.budget.memory == search.held.num_bytes > 0
+
+
+def wandered(joint, seed, steps=4):
+    """A state that each robot reaches alone, from its start."""
+    rng, state = np.random.default_rng(seed), []
+    for lattice in joint.lattices:
+        node = lattice.start
+        for _ in range(steps):
+            node = int(rng.choice(lattice.child[node][np.isfinite(lattice.cost[node])]))
+        state.append(node)
+    return np.array(state)
+
+
+@pytest.mark.parametrize("name", TEAMS)
+@pytest.mark.parametrize("seed", range(2))
+def test_moves_are_those_of_each_robot_best_first(name, seed):
+    joint, moves_of = team_of(*TEAMS[name])
+    state = wandered(joint, seed)
+    moves = moves_of(state)
+    for kind, costs in zip(moves_of.kinds, moves_of.heuristic, strict=True):
+        for row, i in enumerate(kind.members.tolist()):
+            lattice = joint.lattices[i]
+            assert moves.child[i] == lattice.child[state[i]].tolist()
+            free = np.flatnonzero(np.isfinite(lattice.cost[state[i]]))
+            assert sorted(moves.ranked[i]) == free.tolist() and 0 in free
+            scores = costs[row, lattice.child[state[i]]][moves.ranked[i]]
+            assert (np.diff(scores) >= 0).all()
+
+
+@pytest.mark.parametrize("name", ["crowd", "mixed"])  # rooms keep robots apart
+def test_collisions_are_those_of_each_two_motions(name):
+    joint, moves_of = team_of(*TEAMS[name])
+    robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
+    num_colliding = 0
+    for seed in range(3):
+        state = wandered(joint, seed, 12)
+        moves = moves_of(state)
+        for i, j in combinations(range(len(robots)), 2):
+            a, b = joint.lattices[i], joint.lattices[j]
+            p, q = (index.ravel() for index in np.indices((a.num_primitives, b.num_primitives)))
+            apart = motions_apart(
+                robots[i], a.q[[state[i]] * p.size], a.q[a.child[state[i], p]],
+                robots[j], b.q[[state[j]] * q.size], b.q[b.child[state[j], q]], tolerance,
+            )  # fmt: skip
+            collide = ~apart.reshape(a.num_primitives, b.num_primitives)
+            for robot, other, expected in ((i, j, collide), (j, i, collide.T)):
+                (said,) = [bits for k, bits in moves.neighbors[robot] if k == other] or [[0] * len(expected)]
+                assert said == [sum(1 << k for k in np.flatnonzero(row).tolist()) for row in expected]
+            num_colliding += collide.sum()
+    assert num_colliding > 0
+
+
+def test_more_primitives_than_bits_in_a_word():
+    primitives = [offset for offset in product(range(-4, 5), range(-4, 5), (0,)) if offset != (0, 0, 0)]
+    problem = Problem(Workspace(((0, 0), (6, 6)), []), [DiscRobot(0.3)] * 2, [(1, 1), (2, 1)], [(5, 5), (1, 5)])
+    joint, moves_of = team_of(problem, 0.5, primitives)
+    moves = moves_of(np.array([lattice.start for lattice in joint.lattices]))
+    ((other, bits),) = moves.neighbors[0]
+    assert other == 1 and len(bits) == 81 and max(bits) >= 1 << 64
+    few, few_of = team_of(problem, 0.5, FOUR_NEIGHBORS)
+    few_bits = few_of(np.array([lattice.start for lattice in few.lattices])).neighbors[0][0][1]
+    at = [0] + [1 + primitives.index(p) for p in FOUR_NEIGHBORS]
+    for p, q in product(range(5), repeat=2):
+        assert few_bits[p] >> q & 1 == bits[at[p]] >> at[q] & 1
+
+
+def random_moves(rng, num_robots=4, num_primitives=4):
+    """Collisions by chance, but for staying beside one another."""
+    collide = {}
+    for i in range(num_robots):
+        for j in range(i):
+            table = rng.random((num_primitives, num_primitives)) < 0.45
+            table[0, 0] = False
+            collide[i, j], collide[j, i] = table, table.T
+    neighbors = [
+        [
+            (j, [sum(1 << q for q in np.flatnonzero(row).tolist()) for row in collide[i, j]])
+            for j in range(num_robots)
+            if j != i
+        ]
+        for i in range(num_robots)
+    ]
+    ranked = [rng.permutation(num_primitives).tolist() for _ in range(num_robots)]
+    return Moves([list(range(num_primitives))] * num_robots, ranked, neighbors), collide
+
+
+def collides(collide, step):
+    return any(table[step[i], step[j]] for (i, j), table in collide.items())
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_without_constraints_there_is_a_step_that_collides_with_nothing(seed):
+    rng = np.random.default_rng(seed)
+    moves, collide = random_moves(rng)
+    order = rng.permutation(4).tolist()
+    step = PIBT(moves).find(order, ())
+    assert step is not None and not collides(collide, step)
+    # The first in order has its best primitive for which the others could make way at all.
+    best = next(
+        p
+        for p in moves.ranked[order[0]]
+        if any(rest[order[0]] == p and not collides(collide, rest) for rest in product(range(4), repeat=4))
+    )
+    assert step[order[0]] == best
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_constraints_are_kept(seed):
+    rng = np.random.default_rng(100 + seed)
+    moves, collide = random_moves(rng)
+    order = rng.permutation(4).tolist()
+    constraints = [(robot, int(rng.integers(4))) for robot in order[: 1 + seed % 4]]
+    step = PIBT(moves).find(order, constraints)
+    if step is not None:
+        assert all(step[robot] == primitive for robot, primitive in constraints)
+        assert not collides(collide, step)
+    if len(constraints) == 4:
+        whole = [dict(constraints)[i] for i in range(4)]
+        assert (step is not None) == (not collides(collide, whole))
+
+
+def test_a_step_is_found_however_many_choices_it_would_take():
+    # A clique in which every motion of one robot asks all others to make way, which none of them can.
+    num = 30
+    bits = [0] + [0b1] * 8
+    back = [0b111111110] + [0] * 8
+    neighbors = [[(j, bits if i < j else back) for j in range(num) if j != i] for i in range(num)]
+    moves = Moves([list(range(9))] * num, [[*range(1, 9), 0]] * num, neighbors)
+    step = PIBT(moves)
+    assert step.find(range(num), ()) is not None and step.num_left > -100 * num

@@ -1,0 +1,143 @@
+"""Robots planned anew among others: against NetworkX over time, and by the independent check."""
+
+import time
+
+import networkx as nx
+import numpy as np
+import pytest
+from planner_helpers import search_budget
+from team_helpers import TEAMS, search_of, team_of
+
+from plr_jax import validate
+from plr_jax.collision.team import motions_apart
+from plr_jax.planners import Status
+from plr_jax.planners._budget import HeldMemory
+from plr_jax.planners.replanning import (
+    Conflicts,
+    ReservationTable,
+    num_bytes_of_table,
+    replan_each,
+    replan_neighborhoods,
+    replan_together,
+)
+
+
+def table_of(name, waiting=6, seconds=60.0):
+    problem, step = TEAMS[name]
+    search = search_of(problem, step)
+    assert search.run(10_000) is Status.SOLVED
+    state = np.concatenate([search.branch, np.repeat(search.branch[-1:], waiting, axis=0)])
+    kinds, costs_to_go, tolerance = search.moves.kinds, search.moves.heuristic, problem.workspace.tolerance
+    return search.joint, ReservationTable(kinds, costs_to_go, state, tolerance, search_budget(seconds=seconds))
+
+
+def assert_blocked_as_from_scratch(table):
+    budget = search_budget()
+    fresh = ReservationTable(table.kinds, table.costs_to_go, table.state, table.conflicts.tolerance, budget)
+    for blocked, expected in zip(table.blocked, fresh.blocked, strict=True):
+        np.testing.assert_array_equal(blocked, expected)
+
+
+def cheapest_by_networkx(joint, table, i):
+    """The cost of robot ``i``'s cheapest path through time, each motion tested against the others' one by one."""
+    lattice, state = joint.lattices[i], table.state
+    others = [j for j in range(len(joint.lattices)) if j != i]
+    graph = nx.DiGraph()
+    reached = {lattice.start}
+    for step in range(len(state) - 1):
+        begin = np.repeat(sorted(reached), lattice.num_primitives)
+        primitive = np.tile(np.arange(lattice.num_primitives), len(reached))
+        free = np.isfinite(lattice.cost[begin, primitive])
+        begin, primitive = begin[free], primitive[free]
+        end = lattice.child[begin, primitive]
+        clear = np.ones(len(begin), dtype=bool)
+        robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
+        for j in others:
+            q = joint.lattices[j].q[state[step : step + 2, j]]
+            a0, a1 = lattice.q[begin], lattice.q[end]
+            clear &= motions_apart(robots[i], a0, a1, robots[j], q[[0] * len(begin)], q[[1] * len(begin)], tolerance)
+        cost = lattice.cost[begin, primitive]
+        for b, e, c in zip(begin[clear].tolist(), end[clear].tolist(), cost[clear].tolist(), strict=True):
+            known = graph.get_edge_data((step, b), (step + 1, e), {"cost": np.inf})["cost"]
+            graph.add_edge((step, b), (step + 1, e), cost=min(c, known))
+        reached = set(end[clear].tolist())
+    return nx.dijkstra_path_length(graph, (0, lattice.start), (len(state) - 1, lattice.goal), "cost")
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_a_robot_gets_the_cheapest_path_among_the_others(name):
+    joint, table = table_of(name)
+    for i in range(min(4, len(table.cost))):
+        expected = cheapest_by_networkx(joint, table, i)
+        before = table.cost[i]
+        table.release(i)
+        assert table.replan(i, before) and table.cost[i] == pytest.approx(expected, rel=1e-12)
+        table.reserve(i)
+        assert table.cost[i] <= before * (1 + 1e-12)
+
+
+def test_a_table_that_is_late_is_not_drawn_up():
+    with pytest.raises(TimeoutError, match="before all collisions were found"):
+        table_of("crowd", seconds=-1.0)
+
+
+def test_memory_counts_what_the_table_and_its_conflicts_take():
+    _, table = table_of("crowd")
+    said = num_bytes_of_table(table.kinds, len(table.state))
+    taken = sum(blocked.nbytes for blocked in table.blocked)
+    assert taken / 2 <= said <= 4 * taken
+    known = [edges for of_pair in table.conflicts._known.values() for edges in of_pair.values()]
+    assert table.budget.memory == table.held.num_bytes >= said + sum(edges.nbytes for edges in known)
+    assert all(edges.base is None for edges in known)
+    table.held.release()
+    assert table.budget.memory == 0
+
+
+def test_after_the_deadline_paths_stay_as_they_are():
+    _, table = table_of("crowd")
+    state = table.state.copy()
+    table.budget.deadline = time.perf_counter() - 1
+    replan_each(table)
+    replan_neighborhoods(table, 5, np.random.default_rng(0))
+    assert not replan_together(table, [0, 1, 2])
+    np.testing.assert_array_equal(table.state, state)
+    assert_blocked_as_from_scratch(table)
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_conflicts_are_those_of_each_two_motions(name):
+    problem, step = TEAMS[name]
+    _, moves = team_of(problem, step)
+    held, rng = HeldMemory(search_budget()), np.random.default_rng(0)
+    conflicts = Conflicts(moves.kinds, problem.workspace.tolerance, held)
+    for a, ours in enumerate(moves.kinds):
+        for b, others in enumerate(moves.kinds):
+            edges = rng.integers(ours.edges.num_edges, size=5)
+            every = np.arange(others.edges.num_edges)
+            for edge, found in zip(edges.tolist(), conflicts.of(a, edges, b), strict=True):
+                q0, q1 = (ours.table.q[[node[edge]] * len(every)] for node in (ours.edges.begin, ours.edges.end))
+                p0, p1 = (others.table.q[node[every]] for node in (others.edges.begin, others.edges.end))
+                free = motions_apart(ours.robot, q0, q1, others.robot, p0, p1, problem.workspace.tolerance)
+                assert sorted(found.tolist()) == np.flatnonzero(~free).tolist()
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
+    joint, table = table_of(name)
+    rng, costs = np.random.default_rng(0), [table.cost.sum()]
+
+    def together(table):
+        before = table.cost.sum()
+        gained = replan_together(table, rng.permutation(min(table.num_robots, 4)).tolist())
+        assert gained == (table.cost.sum() < before * (1 - 1e-9))
+
+    for change in (replan_each, *[together] * 6, lambda table: replan_neighborhoods(table, 8, rng)):
+        change(table)
+        costs.append(table.cost.sum())
+        report = validate(joint.problem, joint.configurations(table.state))
+        assert report.valid and report.cost == pytest.approx(costs[-1])
+        q = joint.configurations(table.state)
+        assert joint.test(q[:-1], q[1:]).all()
+        assert (table.cost >= table.least * (1 - 1e-9)).all()
+        assert_blocked_as_from_scratch(table)
+    assert costs[0] > costs[1] and (np.diff(costs) <= 1e-9 * costs[0]).all()

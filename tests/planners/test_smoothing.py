@@ -1,0 +1,246 @@
+"""Paths made shorter: over straight shortcuts, and as the cheapest motions within corridors."""
+
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_of, search_budget
+
+from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from plr_jax._problem import motion_costs
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.planners.bl.search import BestFirstSearch
+from plr_jax.planners.smoothing import _cheapest, _groups, halved, shorten, shorten_in_corridors
+
+ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])
+POINT = Problem(ROOM, [PointRobot()], [(1, 5)], [(9, 5)])
+BAR = Problem(ROOM, [RectangleRobot(1.2, 0.4)], [(1, 1, 3.0)], [(9, 5, -3.0)])
+
+
+def checked(problem, path, shorten, *options, deadline=np.inf):
+    """What becomes of a path, which is left alone: as many rows, a valid path of the same ends, never costlier."""
+    before = np.array(path, dtype=float)
+    path = before.copy()
+    short = shorten(problem, path, JointMotionTest(problem.workspace, problem.robots, deadline), *options)
+    np.testing.assert_array_equal(path, before)
+    report = validate(problem, short)
+    assert report.valid, report.message
+    assert short.shape == path.shape and report.cost <= path_cost(problem, path) * (1 + 1e-12)
+    np.testing.assert_array_equal(short[[0, -1]], path[[0, -1]])
+    return short
+
+
+def over_shortcuts(problem, path, **options):
+    return checked(problem, path, shorten, **options)
+
+
+def in_corridors(problem, path, width=0.2, **options):
+    return checked(problem, path, shorten_in_corridors, width, **options)
+
+
+def straight(problem, steps):
+    turn = np.zeros_like(problem.goals)
+    turn[:, :2] = problem.goals[:, :2] - problem.starts[:, :2]
+    turn[:, 2:] = np.angle(np.exp(1j * (problem.goals - problem.starts)[:, 2:]))
+    path = problem.starts + np.linspace(0, 1, steps)[:, None, None] * turn
+    path[[0, -1]] = problem.starts, problem.goals
+    return path
+
+
+def zigzag(problem, steps, width):
+    """The straight way, every other row moved aside."""
+    path = straight(problem, steps)
+    path[1:-1:2, :, 1] += width
+    return path
+
+
+def straight_cost(problem):
+    return pytest.approx(motion_costs(problem, problem.starts, problem.goals).sum())
+
+
+# Both
+
+
+@pytest.mark.parametrize(
+    ("problem", "step"),
+    [(scenes.four_rooms(3), 0.5), (scenes.cross(2), 0.4), (scenes.tangle(), 0.4), (MIXED, 0.8)],
+    ids=["rooms", "cross", "tangle", "mixed"],
+)
+def test_paths_of_the_search_become_cheaper_and_stay_valid(problem, step):
+    joint = joint_lattice_of(problem, step)
+    search = BestFirstSearch(joint, heuristic_table(joint, exact(problem), 2.0), BLOptions(), search_budget())
+    while search.run(100_000) is None:
+        pass
+    path = joint.configurations(search.branch)
+    for shortened in (over_shortcuts, in_corridors):
+        assert path_cost(problem, shortened(problem, path)) < path_cost(problem, path)
+
+
+@pytest.mark.parametrize("shortened", [over_shortcuts, in_corridors])
+def test_past_the_deadline_and_of_one_or_two_rows_a_path_stays(shortened):
+    path = zigzag(ALONE, 9, 0.5)
+    np.testing.assert_array_equal(shortened(ALONE, path, deadline=-1.0), path)
+    assert (shortened(ALONE, path, deadline=1e12) != path).any()
+    still = Problem(ROOM, ALONE.robots, ALONE.starts, ALONE.starts)
+    for problem, steps in ((still, 1), (ALONE, 2)):
+        path = np.stack([problem.starts, problem.goals])[:steps]
+        np.testing.assert_array_equal(shortened(problem, path), path)
+
+
+# Shortcuts
+
+
+@pytest.mark.parametrize("problem", [ALONE, BAR, MIXED], ids=["disc", "bar", "mixed"])
+@pytest.mark.parametrize("steps", [3, 10, 25])
+def test_a_zigzag_in_an_empty_room_becomes_straight(problem, steps):
+    path = zigzag(problem, steps, 0.7)
+    short = over_shortcuts(problem, path)
+    assert path_cost(problem, short) == straight_cost(problem)
+    assert path_cost(problem, path) > 1.1 * path_cost(problem, short) or steps == 3
+    # The point's way lies along the zigzag, so its rows need not be evenly spaced.
+    np.testing.assert_allclose(np.diff(short[:, :2, :2], 2, axis=0), 0, atol=1e-12, err_msg="constant speed")
+
+
+def test_turns_to_and_fro_are_left_out():
+    path = straight(BAR, 9)
+    path[1:-1:2, 0, 2] += 0.6
+    short = over_shortcuts(BAR, path)
+    assert path_cost(BAR, short) == straight_cost(BAR) and path_cost(BAR, short) < path_cost(BAR, path)
+
+
+def test_a_long_zigzag_is_shortened_piece_by_piece():
+    path = zigzag(ALONE, 101, 0.3)
+    assert path_cost(ALONE, over_shortcuts(ALONE, path)) < 1.02 * np.hypot(8, 4) < path_cost(ALONE, path) / 1.5
+
+
+def test_a_wall_is_gone_around_tightly():
+    workspace = Workspace(((0, 0), (10, 10)), [shapely.box(4.5, 0, 5.5, 6)])
+    problem = Problem(workspace, [DiscRobot(0.5)], [(1, 1)], [(9, 1)])
+    corners = np.array([(1, 1), (1, 9), (9, 9), (9, 1)], dtype=float)
+    path = np.concatenate([np.linspace(a, b, 9) for a, b in pairwise(corners)])[:, None]
+    shortest = 2 * np.hypot(3.5, 5.5) + 1 - 1.0  # a bound: two legs to the corners and the wall's top, less rounding
+    assert shortest < path_cost(problem, over_shortcuts(problem, path)) < 0.8 * path_cost(problem, path)
+
+
+def test_timing_matters_and_is_kept():
+    # Two discs cross one after the other; each alone could go straight at once.
+    problem = Problem(ROOM, [DiscRobot(0.5), DiscRobot(0.5)], [(1, 5), (5, 1)], [(9, 5), (5, 9)])
+    path = np.repeat(problem.starts[None], 17, axis=0)
+    path[:9, 0, 0], path[9:, 0, 0] = np.linspace(1, 9, 9), 9
+    path[8:, 1, 1] = np.linspace(1, 9, 9)
+    assert not validate(problem, straight(problem, 17)).valid and validate(problem, path).valid
+    assert path_cost(problem, over_shortcuts(problem, path)) == pytest.approx(16)
+
+
+def test_one_robot_is_shortened_and_the_others_keep_their_motions():
+    path = straight(MIXED, 13)
+    path[1:-1:2, 0, 1] += 0.8  # the disc alone goes to and fro
+    short = over_shortcuts(MIXED, path)
+    np.testing.assert_allclose(short[:, 1:], path[:, 1:], atol=1e-12)
+    assert np.ptp(short[:, 0, 1]) < 1e-12
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10_000), steps=st.integers(3, 14))
+def test_random_valid_walks_stay_valid_and_never_cost_more(seed, steps):
+    rng = np.random.default_rng(seed)
+    workspace = Workspace(((0, 0), (6, 6)), [shapely.box(2.5, 2.5, 3.5, 3.5)])
+    robots = [DiscRobot(0.3), RectangleRobot(0.9, 0.3)]
+    path = np.array([[(1.0, 1.0, 0.0), (5.0, 5.0, 0.5)]])
+    for _ in range(steps - 1):
+        row = path[-1:] + rng.normal(0, [0.9, 0.9, 0.8], (1, 2, 3)) * [[[1, 1, 0], [1, 1, 1]]]
+        longer = np.concatenate([path, row])
+        try:
+            problem = Problem(workspace, robots, longer[0], longer[-1])
+        except ValueError:
+            continue
+        if validate(problem, longer).valid:
+            path = longer
+    if len(path) == 1:
+        return
+    problem = Problem(workspace, robots, path[0], path[-1])
+    for before in (path, halved(path)):
+        assert validate(problem, before).valid
+        over_shortcuts(problem, before)
+
+
+# Corridors
+
+
+def test_a_zigzag_of_one_robot_becomes_straight():
+    np.testing.assert_allclose(path_cost(POINT, in_corridors(POINT, zigzag(POINT, 17, 0.4))), 8, rtol=2e-3)
+
+
+def test_two_robots_that_touch_share_the_way_around_one_another():
+    """One goes straight and the other around it: neither gains by moving alone, both together do."""
+    problem = Problem(ROOM, [DiscRobot(0.5)] * 2, [(1, 5), (9, 5)], [(9, 5), (1, 5)])
+    x, steps = np.linspace(1, 9, 21), 21
+    around = 5 + 1.02 * np.clip(2 - np.abs(x - 5) / 1.5, 0, 1)
+    path = np.stack([np.stack([x, np.full(steps, 5.0)], 1), np.stack([x[::-1], around[::-1]], 1)], axis=1)
+    assert validate(problem, path).valid
+    result = in_corridors(problem, path)
+    middle = result[9:12, :, 1] - 5
+    assert middle[:, 0].min() < -0.2 and middle[:, 1].max() < 0.8
+    # The least there is: each passes the other's side by a radius, along tangents.
+    least = 4 * np.hypot(4, 0.5)
+    assert path_cost(problem, result) < path_cost(problem, path) - 0.3
+    assert least - 1e-9 <= path_cost(problem, result) <= 1.005 * least
+
+
+def test_a_rectangle_turns_back_a_turn_that_leads_nowhere():
+    problem = Problem(ROOM, [RectangleRobot(1, 0.5)], [(2, 5, 0)], [(8, 5, 0)])
+    path = straight(problem, 13)
+    path[1:-1, 0, 2] = 0.3
+    assert path_cost(problem, path) > 6.3
+    np.testing.assert_allclose(path_cost(problem, in_corridors(problem, path, width=0.1)), 6, rtol=2e-2)
+
+
+def test_pairs_are_shortened_where_they_touch():
+    problem = Problem(ROOM, [DiscRobot(0.5)] * 3, [(1, 1), (1, 9), (9, 5)], [(9, 1), (9, 9), (1, 5)])
+    path = straight(problem, 17)
+    assert [robots for robots, _ in _groups(problem, path, 0.2)] == [(0,), (1,), (2,)]
+    path[8, 2] = (5, 2.1)
+    groups = dict(_groups(problem, path, 0.2))
+    assert set(groups) == {(0,), (1,), (2,), (2, 0)}
+    assert (groups[2, 0].start, groups[2, 0].stop) == (8 - 3, 8 + 4)
+
+
+def test_the_cheapest_sequence_is_that_of_a_brute_force():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        cost = rng.uniform(size=(4, 3, 3))
+        cost[rng.uniform(size=cost.shape) < 0.3] = np.inf
+        cost[:, 0, 0] = 2.0
+        places = _cheapest(cost)
+        assert places[0] == places[-1] == 0
+        every = [(0, *inner, 0) for inner in product(range(3), repeat=3)]
+        costs = [sum(cost[t, s[t], s[t + 1]] for t in range(4)) for s in every]
+        found = sum(cost[t, places[t], places[t + 1]] for t in range(4))
+        assert found == min(costs)
+
+
+# Subdivision
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), steps=st.integers(2, 6))
+def test_subdivision_keeps_the_cost_and_the_rows(seed, steps):
+    rng = np.random.default_rng(seed)
+    path = np.concatenate([rng.uniform(0, 9, (steps, 3, 2)), rng.uniform(-9, 9, (steps, 3, 1))], axis=2)
+    finer = halved(path)
+    assert finer.shape == (2 * steps - 1, 3, 3)
+    np.testing.assert_array_equal(finer[::2], path)
+    problem = Problem(ROOM, [RectangleRobot(1.2, 0.4)] * 3, *2 * [[(2, 2, 0), (5, 5, 0), (8, 8, 0)]])
+    costs, halves = motion_costs(problem, path[:-1], path[1:]), motion_costs(problem, finer[:-1], finer[1:])
+    np.testing.assert_allclose(halves[::2], costs / 2, rtol=1e-9)
+    np.testing.assert_allclose(halves[1::2], costs / 2, rtol=1e-9)
+
+
+def test_the_middle_of_a_turn_across_the_half_turn():
+    path = np.array([[(0.0, 0.0, 3.0)], [(1.0, 2.0, -3.0)]])
+    middle = halved(path)[1, 0]
+    np.testing.assert_allclose(middle[:2], (0.5, 1.0))
+    assert np.cos(middle[2]) == pytest.approx(-1)
