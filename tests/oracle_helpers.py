@@ -1,48 +1,33 @@
-"""What the tests of oracles share: obstacles that are boxes, roadmaps among them, and lengths of paths."""
+"""What tests of oracles share: obstacles that are boxes, roadmaps among them, workspaces, and lengths of paths."""
 
 import numpy as np
-import shapely
+from piece_helpers import TEN, box
 
-from plr_jax.geometry.box import Box
-from plr_jax.oracles import Roadmap
+from plr_jax import Box, Roadmap, Workspace
 
 UNIT = Box((0, 0), (1, 1))
-TEN = ((0, 0), (10, 10))
+WALL = Workspace(TEN, [box(4, 0, 6, 8)])
+MIDDLE = Workspace(TEN, [box(4, 2, 6, 8)])
 
 
 class Boxes:
     """Axis-aligned obstacles in any dimension, open, so that their boundary is free."""
 
     def __init__(self, *boxes):
-        dim = len(boxes[0]) // 2 if boxes else 0
-        self.lo, self.hi = np.array([b[:dim] for b in boxes]), np.array([b[dim:] for b in boxes])
+        self.lo, self.hi = np.reshape(boxes, (len(boxes), 2, -1)).swapaxes(0, 1) if boxes else np.zeros((2, 0, 1))
 
     def is_free(self, x):
-        return np.array([not any(np.all((lo < p) & (p < hi)) for lo, hi in self.each()) for p in x], dtype=bool)
+        return ~((self.lo[:, None] < x) & (x < self.hi[:, None])).all(axis=2).any(axis=0)
 
     def is_visible(self, a, b):
-        return np.array(
-            [not any(crosses(p, q, *box) for box in self.each()) for p, q in zip(a, b, strict=True)], bool
-        )
-
-    def each(self):
-        return zip(self.lo, self.hi, strict=True)
-
-    def union(self):
-        return shapely.union_all([shapely.box(*lo, *hi) for lo, hi in self.each()])
-
-
-def crosses(a, b, lo, hi):
-    """Whether the open box meets the segment: slab by slab."""
-    enter, leave = 0.0, 1.0
-    for start, end, low, high in zip(a, b, lo, hi, strict=True):
-        if start == end:
-            if not low < start < high:
-                return False
-            continue
-        t = sorted([(low - start) / (end - start), (high - start) / (end - start)])
-        enter, leave = max(enter, t[0]), min(leave, t[1])
-    return enter < leave
+        """Whether no open box meets the segment: slab by slab."""
+        lo, hi = self.lo[:, None], self.hi[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            enter, leave = np.sort([(lo - a) / (b - a), (hi - a) / (b - a)], axis=0)
+        inside = (lo < a) & (a < hi)
+        enter, leave = np.where(a == b, np.where(inside, 0, 2), enter), np.where(a == b, 1, leave)
+        meets = np.maximum(enter.max(axis=2, initial=0), 0) < np.minimum(leave.min(axis=2, initial=1), 1)
+        return ~meets.any(axis=0)
 
 
 NOTHING = Boxes()
@@ -60,11 +45,6 @@ def roadmap(obstacles, goal=(0.1, 0.1), num_samples=300, domain=UNIT, **options)
 def free_points(obstacles, n, seed=9):
     x = np.random.default_rng(seed).random((n, 2))
     return x[obstacles.is_free(x)]
-
-
-def box(x0, y0, x1, y1):
-    """Corners of a box, counterclockwise."""
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
 
 
 def length(path):

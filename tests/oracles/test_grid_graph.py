@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from grid_helpers import all_pairs, dijkstra, drawn
@@ -7,34 +5,24 @@ from grid_helpers import all_pairs, dijkstra, drawn
 from plr_jax import GridGraph, scenes
 from plr_jax._types import CellGraph, DimensionedFn
 
-ROOT = 2**0.5
-DOOR = drawn(
-    "..#..",
-    ".....",
-    "..#..",
-)
+DOOR = drawn("..#..", ".....", "..#..")
 
 
 def at(oracle, *points):
     return oracle(np.array(points, float)).tolist()
 
 
-def test_steps_to_four_neighbors():
-    graph = GridGraph(DOOR, (0, 0))
+def test_steps_to_four_neighbors_of_a_cell_all_of_whose_points_have_its_distance():
+    graph = GridGraph(DOOR, (0.7, 0.2))
     assert at(graph, (0, 0), (1, 0), (4, 0), (4, 2), (0, 2)) == [0, 1, 6, 6, 2]
+    assert at(graph, (0, 1), (0.999, 1.999), (4.5, 0.5)) == [1, 1, 6]
     assert graph.dim == 2 and isinstance(graph, DimensionedFn) and isinstance(graph, CellGraph)
 
 
 def test_diagonal_steps_cut_no_corner():
     graph = GridGraph(DOOR, (1, 0), connectivity=8)
-    assert at(graph, (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(ROOT)]
-    blocked = GridGraph(drawn(".#", "#."), (0, 0), connectivity=8)
-    assert at(blocked, (1, 1)) == [np.inf]
-
-
-def test_all_points_of_a_cell_have_its_distance():
-    graph = GridGraph(DOOR, (0.7, 0.2))
-    assert at(graph, (0, 1), (0.999, 1.999), (4.5, 0.5)) == [1, 1, 6]
+    assert at(graph, (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
+    assert at(GridGraph(drawn(".#", "#."), (0, 0), connectivity=8), (1, 1)) == [np.inf]
 
 
 def test_no_path_no_cell_no_distance():
@@ -76,9 +64,8 @@ def test_published_lengths(data_dir, name):
 
 
 def test_cells_of_a_file_are_in_its_order(tmp_path):
-    path = Path(tmp_path, "a.map")
-    path.write_text("type octile\nheight 2\nwidth 3\nmap\n.@G\nST.\n")
-    np.testing.assert_array_equal(scenes.read_cells(path), drawn(".#.", ".#."))
+    (tmp_path / "a.map").write_text("type octile\nheight 2\nwidth 3\nmap\n.@G\nST.\n")
+    np.testing.assert_array_equal(scenes.read_cells(tmp_path / "a.map"), drawn(".#.", ".#."))
 
 
 def test_a_grid_is_kept_as_it_was():

@@ -1,70 +1,137 @@
-"""Distances and paths over roadmaps: near the exact ones and never below, equal to those of twins by brute force."""
+"""Roadmaps, also on tori and with weights: equal to twins by brute force; and the parts of PRM*."""
 
 import csv
 import itertools
+import pickle
 
 import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, roadmap
+from jaxtyping import TypeCheckError
+from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, length, roadmap
 
-from plr_jax import scenes
-from plr_jax.geometry.box import Box
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import Roadmap
+from plr_jax import Box, Roadmap, Workspace, construct, scenes
+from plr_jax.oracles._roadmap import prm_star_radius
 
-
-def test_empty_box_is_near_euclidean_and_never_below():
-    x = free_points(NOTHING, 500)
-    oracle = roadmap(NOTHING, num_samples=2000)
-    euclidean = np.linalg.norm(x - oracle.goal, axis=1)
-    excess = oracle(x) - euclidean
-    assert excess.min() >= -1e-12
-    assert excess.max() < 0.05
-    near = euclidean <= oracle.radius
-    assert near.any()
-    np.testing.assert_allclose(oracle(x[near]), euclidean[near], rtol=0, atol=1e-15)
+PI = np.pi
+TORUS, CYLINDER = (Box((-PI, 0), (PI, 1), periodic=(True, periodic)) for periodic in (True, False))
+LINE = Box([0.0], [10.0])
+# One wall across the seam, one inside; motions may leave the domain, so every wall has its images.
+WALLS = [(PI - 0.3, 0.2, PI + 0.2, 0.6), (-1.0, 0.3, -0.8, 0.9)]
+WEIGHTS = (0.3, 2.0)
 
 
-@pytest.mark.parametrize(("dim", "excess"), [(3, 0.06), (4, 0.10)])
-def test_empty_box_in_higher_dimensions(dim, excess):
-    goal = np.full(dim, 0.2)
-    oracle = roadmap(NOTHING, goal, 1500, Box(np.zeros(dim), np.ones(dim)))
-    x = np.random.default_rng(3).random((200, dim))
-    difference = oracle(x) - np.linalg.norm(x - goal, axis=1)
-    assert difference.min() >= -1e-12
-    assert difference.mean() < excess
-    path = oracle.shortest_path(x[0])
-    assert path.shape[1] == dim
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(oracle(x[:1])[0])
+def images(domain, x):
+    """All points a period or two away, the point itself among them."""
+    turns = itertools.product(*[range(-2, 3) if periodic else (0,) for periodic in domain.periodic])
+    return [x + np.array(turn) * domain.width for turn in turns]
 
 
-def test_wall_with_a_gap():
-    oracle = roadmap(GAP, num_samples=1500)
-    # Exact: over the two corners of the gap's lower edge.
-    corner_left, corner_right = np.array([0.45, 0.8]), np.array([0.55, 0.8])
-    start = np.array([0.9, 0.1])
-    exact = np.linalg.norm(start - corner_right) + 0.1 + np.linalg.norm(corner_left - oracle.goal)
-    assert exact * (1 - 1e-12) <= oracle(start[None])[0] < 1.06 * exact
+def walls_of(domain):
+    return Boxes(*(tuple(i.ravel()) for wall in WALLS for i in images(domain, np.reshape(wall, (2, 2)))))
 
 
-def test_a_wall_in_three_dimensions_is_rounded():
-    wall = Boxes((0.45, -1.0, -1.0, 0.55, 2.0, 0.7))
-    oracle = roadmap(wall, (0.2, 0.5, 0.2), 1500, Box((0, 0, 0), (1, 1, 1)))
-    start = np.array([[0.8, 0.5, 0.2]])
-    exact = 0.1 + 2 * np.hypot(0.25, 0.5)
-    assert exact * (1 - 1e-12) <= oracle(start)[0] < 1.15 * exact
-    blind = roadmap(wall, (0.2, 0.5, 0.2), 1500, Box((0, 0, 0), (1, 1, 1)), is_visible=None, resolution=0.02)
-    assert 0.98 * exact <= blind(start)[0] < 1.15 * exact
+def apart(domain, weights, a, b):
+    """Weighted distance to the nearest image, and that image."""
+    return min(
+        ((np.linalg.norm(weights * (a - image)), image) for image in images(domain, b)), key=lambda pair: pair[0]
+    )
 
 
-def test_the_other_side_of_a_closed_wall_is_unreachable():
-    oracle = roadmap(CUT)
-    x = np.array([[0.2, 0.9], [0.8, 0.9], [0.8, 0.1], [0.5, 0.5], [0.45, 0.3], [0.55, 0.3]])
-    np.testing.assert_array_equal(np.isfinite(oracle(x)), [True, False, False, False, True, False])
-    assert oracle.shortest_path(x[1]).shape == (0, 2)
-    assert oracle.shortest_path(x[3]).shape == (0, 2)
+def edges_of(graph):
+    return {frozenset(edge) for edge in np.asarray(graph.edges).tolist()}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        (UNIT, (1, 1), GAP, (0.1, 0.1), 120),
+        (UNIT, (1, 1), CUT, (0.1, 0.1), 60),
+        (TORUS, (1, 1), walls_of(TORUS), (3.0, 0.9), 60),
+        (TORUS, WEIGHTS, walls_of(TORUS), (3.0, 0.9), 60),
+        (CYLINDER, WEIGHTS, walls_of(CYLINDER), (3.0, 0.9), 60),
+    ],
+)
+def case(request):
+    domain, weights, walls, goal, num_samples = request.param
+    return domain, np.array(weights), walls, roadmap(walls, goal, num_samples, domain, seed=4, weights=weights)
+
+
+def test_brute_force_twin(case):
+    domain, weights, walls, oracle = case
+    vertices, graph = oracle.graph.vertices, nx.Graph()
+    graph.add_nodes_from(range(len(vertices)))
+    for i, j in itertools.combinations(range(len(vertices)), 2):
+        way, image = apart(domain, weights, vertices[i], vertices[j])
+        if way <= oracle.radius and walls.is_visible(vertices[i][None], image[None])[0]:
+            graph.add_edge(i, j, weight=way)
+    assert edges_of(oracle.graph) == edges_of(graph)
+    for each in (graph, oracle.to_networkx()):
+        distances = nx.single_source_dijkstra_path_length(each, 0)
+        np.testing.assert_allclose(oracle.distances, [distances.get(v, np.inf) for v in range(len(vertices))])
+    around = np.abs(vertices[oracle.graph.edges[:, 0]] - vertices[oracle.graph.edges[:, 1]]) > domain.width / 2
+    assert not domain.is_periodic or (around.sum(axis=0) > 0).tolist() == list(domain.periodic)  # across the seams
+    np.testing.assert_allclose(oracle(vertices), oracle.distances, rtol=0, atol=1e-9)
+    assert oracle(oracle.goal[None])[0] == 0.0 and oracle.shortest_path(oracle.goal).tolist() == [
+        oracle.goal.tolist()
+    ]
+
+
+def test_queries_are_those_by_brute_force_and_paths_as_long_and_free(case):
+    domain, weights, walls, oracle = case
+    x = np.random.default_rng(1).uniform(domain.lo, domain.hi, (80, 2))
+    x[:5, 0] = domain.hi[0]
+    found = oracle(x)
+    np.testing.assert_array_equal(found, [oracle(point[None])[0] for point in x])
+    for turns in (1, -2):  # whole periods away is the same place
+        np.testing.assert_allclose(oracle(x + turns * domain.width * domain.periodic), found, atol=1e-9)
+    for point, distance in zip(x, found, strict=True):
+        path = oracle.shortest_path(point + 3 * domain.width * domain.periodic)
+        if not walls.is_free(point[None])[0]:
+            assert distance == np.inf and path.shape == (0, 2)
+            continue
+        reach = [apart(domain, weights, point, vertex) for vertex in oracle.graph.vertices]
+        seen = np.array([walls.is_visible(point[None], image[None])[0] for _, image in reach])
+        way, radius = np.array([way for way, _ in reach]), oracle.radius
+        while not np.any(seen & (way <= radius)):
+            radius *= 2
+        assert distance == pytest.approx((way + oracle.distances)[seen & (way <= radius)].min(), abs=1e-9)
+        assert (len(path) == 0) == np.isinf(distance) and domain.contains(path).all()
+        steps = [apart(domain, weights, a, b) for a, b in itertools.pairwise(path)]
+        assert np.isinf(distance) or sum(way for way, _ in steps) == pytest.approx(distance, abs=1e-9)
+        assert all(walls.is_visible(a[None], b[None])[0] for a, (_, b) in zip(path, steps, strict=False))
+
+
+def test_another_goal_keeps_samples_and_edges(case):
+    domain, weights, walls, oracle = case
+    asked, goal = [], domain.lo + domain.width * [0.01, 0.05]
+
+    def is_visible(a, b):
+        asked.append(len(a))
+        return walls.is_visible(a, b)
+
+    expected, x = roadmap(walls, goal, len(oracle.distances) - 1, domain, seed=4, weights=weights), domain.grid(9)
+    moved = roadmap(
+        walls, oracle.goal, len(oracle.distances) - 1, domain, seed=4, weights=weights, is_visible=is_visible
+    )
+    asked.clear()
+    other = moved.with_goal(goal + domain.width * domain.periodic)
+    assert len(asked) == 1 and asked[0] < 100  # the goal's own edges
+    np.testing.assert_allclose(other.goal, goal, atol=1e-12)
+    np.testing.assert_array_equal(other.graph.vertices[1:], expected.graph.vertices[1:])
+    assert edges_of(other.graph) == edges_of(expected.graph) and other.num_bytes == expected.num_bytes
+    np.testing.assert_allclose(other(x.reshape(-1, 2)), expected(x.reshape(-1, 2)), atol=1e-9)
+    with pytest.raises(ValueError, match="not free"):
+        other.with_goal(walls.lo[0] + 0.02 if domain.is_periodic else (0.5, 0.5))
+
+
+def test_on_an_empty_torus_distances_are_near_those_around():
+    goal, domain = np.array([0.05, 0.95, 0.1]), Box((0, 0, 0), (1, 1, 1), periodic=(True, True, True))
+    oracle, x = roadmap(NOTHING, goal, 1500, domain), np.random.default_rng(3).random((200, 3))
+    difference = np.abs(x - goal)
+    excess = oracle(x) - np.linalg.norm(np.minimum(difference, 1 - difference), axis=1)
+    assert excess.min() >= -1e-12 and excess.mean() < 0.06
 
 
 def test_no_answer_outside_the_domain_or_for_nan():
@@ -72,168 +139,51 @@ def test_no_answer_outside_the_domain_or_for_nan():
     x = np.array([[1.1, 0.5], [0.5, -1e-9], [np.nan, 0.5], [0.5, np.inf], [1.0, 1.0]])
     np.testing.assert_array_equal(np.isfinite(oracle(x)), [False, False, False, False, True])
     assert oracle.shortest_path(x[2]).shape == (0, 2)
+    assert oracle(np.empty((0, 2))).shape == (0,) and oracle(x.tolist()).dtype == np.float64
 
 
-def test_the_goal_and_the_vertices_are_answered_exactly():
-    oracle = roadmap(GAP)
-    assert oracle(oracle.goal[None])[0] == 0.0
-    np.testing.assert_array_equal(oracle.shortest_path(oracle.goal), oracle.goal[None])
-    np.testing.assert_allclose(oracle(oracle.graph.vertices), oracle.distances, rtol=0, atol=1e-12)
-
-
-def brute_force_graph(oracle, obstacles):
-    """Every pair within the radius, tested by Shapely one at a time."""
-    vertices, union = oracle.graph.vertices, obstacles.union()
-    graph = nx.Graph()
-    graph.add_nodes_from(range(len(vertices)))
-    for i, j in itertools.combinations(range(len(vertices)), 2):
-        segment = shapely.LineString(vertices[[i, j]])
-        if segment.length <= oracle.radius and not segment.relate_pattern(union, "T********"):
-            graph.add_edge(i, j, weight=segment.length)
-    return graph
-
-
-def brute_force_query(oracle, obstacles, distances, x):
-    """Every vertex tested, by Shapely; the radius doubles until one is seen."""
-    vertices, union = oracle.graph.vertices, obstacles.union()
-    seen = [not shapely.LineString([x, v]).relate_pattern(union, "T********") for v in vertices]
-    length = np.linalg.norm(vertices - x, axis=1)
-    radius = oracle.radius
-    while not np.any(seen & (length <= radius)):
-        if radius > 4:
-            return np.inf
-        radius *= 2
-    return min(length[v] + distances.get(v, np.inf) for v in np.flatnonzero(seen & (length <= radius)))
-
-
-@pytest.mark.parametrize(("obstacles", "num_samples"), [(GAP, 25), (GAP, 120), (CUT, 60)])
-def test_brute_force_twin(obstacles, num_samples):
-    oracle = roadmap(obstacles, num_samples=num_samples, seed=4)
-    expected = brute_force_graph(oracle, obstacles)
-    assert {frozenset(e) for e in oracle.graph.edges.tolist()} == {frozenset(e) for e in expected.edges}
-    distances = nx.single_source_dijkstra_path_length(expected, 0)
-    np.testing.assert_allclose(oracle.distances, [distances.get(v, np.inf) for v in range(num_samples + 1)])
-    x = free_points(obstacles, 120)
-    np.testing.assert_allclose(oracle(x), [brute_force_query(oracle, obstacles, distances, p) for p in x])
-
-
-def test_a_point_that_sees_no_vertex_nearby_looks_farther():
-    # A closet in the corner, open to the right, too small to be hit by a sample.
-    closet = Boxes((0.0, 0.979, 0.1, 0.98), (0.0, 0.90, 0.02, 0.979))
-    oracle = roadmap(closet, (0.9, 0.99), 60, seed=0)
-    x = np.array([[0.001, 0.981]])
-    length = np.linalg.norm(oracle.graph.vertices - x, axis=1)
-    seen = oracle.is_visible(np.repeat(x, len(length), 0), oracle.graph.vertices)
-    assert not np.any(seen & (length <= oracle.radius))
-    assert seen.any()
-    assert np.linalg.norm(x[0] - oracle.goal) <= oracle(x)[0] < 1.0
-    path = oracle.shortest_path(x[0])
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(oracle(x)[0])
-
-
-def test_a_point_that_sees_nothing_at_all_is_unconnected():
-    # A sealed chamber too small to be hit by a sample.
-    sealed = Boxes(
+def test_a_point_that_sees_no_vertex_nearby_looks_farther_and_one_that_sees_none_is_unconnected():
+    """In a closet in the corner, open to the right, and in a sealed chamber: too small to be hit by a sample."""
+    closet = [(0.0, 0.979, 0.1, 0.98), (0.0, 0.90, 0.02, 0.979)]
+    chamber = [
         (0.5, 0.5, 0.52, 0.5001),
         (0.5, 0.5, 0.5001, 0.52),
         (0.5, 0.5199, 0.52, 0.52),
         (0.5199, 0.5, 0.52, 0.52),
-    )
-    oracle = roadmap(sealed, num_samples=60)
-    assert not oracle.is_visible(np.full((61, 2), 0.51), oracle.graph.vertices).any()
-    assert oracle(np.array([[0.51, 0.51]]))[0] == np.inf
-    assert oracle.shortest_path([0.51, 0.51]).shape == (0, 2)
-
-
-def test_networkx_agrees():
-    oracle = roadmap(GAP)
-    exported = oracle.to_networkx()
-    distances = nx.single_source_dijkstra_path_length(exported, 0)
-    np.testing.assert_allclose([distances[v] for v in range(oracle.graph.num_vertices)], oracle.distances)
-    assert exported.nodes[0]["pos"] == (0.1, 0.1)
-
-
-def test_the_path_is_as_long_as_the_query_says_and_free():
-    oracle = roadmap(GAP)
-    x = free_points(GAP, 40)
-    for start, distance in zip(x, oracle(x), strict=True):
-        path = oracle.shortest_path(start)
-        np.testing.assert_array_equal(path[[0, -1]], [start, oracle.goal])
-        assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(distance, abs=1e-12)
-        assert GAP.is_visible(path[:-1], path[1:]).all()
-
-
-def test_a_batch_is_its_points_one_by_one():
-    oracle = roadmap(GAP)
-    x = np.random.default_rng(2).random((60, 2))
-    np.testing.assert_array_equal(oracle(x), [oracle(p[None])[0] for p in x])
-    assert oracle(np.empty((0, 2))).shape == (0,)
-    assert oracle(x.tolist()).dtype == np.float64
-
-
-def test_batches_larger_than_memory_allows_are_cut(monkeypatch):
-    x = free_points(GAP, 200)
-    expected, sampled = roadmap(GAP)(x), roadmap(GAP, is_visible=None, resolution=0.01)(x)
-    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
-    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
-    np.testing.assert_array_equal(roadmap(GAP)(x), expected)
-    np.testing.assert_array_equal(roadmap(GAP, is_visible=None, resolution=0.01)(x), sampled)
-
-
-def test_seeds():
-    x = free_points(GAP, 50)
-    first, again, other = (roadmap(GAP, seed=seed)(x) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
-    fewer, more = roadmap(GAP, num_samples=50), roadmap(GAP, num_samples=2500)
-    np.testing.assert_array_equal(more.graph.vertices[:51], fewer.graph.vertices)
-
-
-def test_more_samples_converge():
-    x = free_points(NOTHING, 200)
-    excess = [
-        np.mean(oracle(x) - np.linalg.norm(x - oracle.goal, axis=1))
-        for oracle in (roadmap(NOTHING, num_samples=n) for n in (100, 1000, 10_000))
     ]
-    assert 0 < excess[2] < excess[1] < excess[0]
+    oracle = roadmap(Boxes(*closet, *chamber), (0.9, 0.99), 60, seed=0)
+    x = np.array([[0.001, 0.981], [0.51, 0.51]])
+    way = np.linalg.norm(oracle.graph.vertices - x[0], axis=1)
+    seen, seen_from_chamber = (oracle.is_visible(np.repeat(p[None], 61, 0), oracle.graph.vertices) for p in x)
+    assert not np.any(seen & (way <= oracle.radius)) and seen.any() and not seen_from_chamber.any()
+    found, path = oracle(x), oracle.shortest_path(x[0])
+    assert np.linalg.norm(x[0] - oracle.goal) <= found[0] < 1.0 and np.isinf(found[1])
+    assert length(path) == pytest.approx(found[0]) and oracle.shortest_path(x[1]).shape == (0, 2)
 
 
-def test_counts_and_bytes():
-    oracle = roadmap(GAP, num_samples=100)
-    assert oracle.graph.num_vertices == 101
-    assert oracle.num_bytes == 101 * 2 * 8 + oracle.graph.num_edges * (2 * 4 + 8)
-    assert oracle.domain == UNIT
+@pytest.mark.parametrize("options", [{}, {"is_visible": None, "resolution": 0.01}])
+def test_batches_larger_than_memory_allows_are_cut(monkeypatch, options):
+    x = free_points(GAP, 200)
+    expected = roadmap(GAP, **options)(x)
+    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
+    np.testing.assert_array_equal(roadmap(GAP, **options)(x), expected)
+
+
+def test_seeds_and_bytes():
+    first, again, other, more = (
+        roadmap(GAP, num_samples=n, seed=s) for n, s in ((50, 1), (50, 1), (50, 2), (2500, 1))
+    )
+    np.testing.assert_array_equal(first.graph.vertices, again.graph.vertices)
+    assert not np.array_equal(first.graph.vertices, other.graph.vertices)
+    np.testing.assert_array_equal(more.graph.vertices[:51], first.graph.vertices)
+    assert first.num_bytes == 51 * 2 * 8 + first.graph.num_edges * (2 * 4 + 8)
 
 
 def test_a_workspace_gives_the_roadmap_of_its_parts():
     workspace = Workspace(((0, 0), (1, 1)), [shapely.box(0.45, 0.0, 0.55, 0.8), shapely.box(0.45, 0.9, 0.55, 1.0)])
-    short = Roadmap.from_workspace(workspace, (0.1, 0.1), 300, seed=2)
-    assert short.domain == UNIT
-    x = free_points(GAP, 200)
+    short, x = Roadmap.from_workspace(workspace, (0.1, 0.1), 300, seed=2), free_points(GAP, 200)
     np.testing.assert_allclose(short(x), roadmap(GAP, seed=2)(x), rtol=1e-12)
-    with pytest.raises(ValueError, match="not free"):
-        Roadmap.from_workspace(workspace, (0.5, 0.5), 300)
-
-
-def test_another_goal_keeps_samples_and_edges():
-    first = roadmap(GAP, goal=(0.9, 0.2), seed=5)
-    asked = []
-
-    def is_visible(a, b):
-        asked.append(len(a))
-        return GAP.is_visible(a, b)
-
-    moved = roadmap(GAP, goal=(0.2, 0.7), seed=5, is_visible=is_visible)
-    asked.clear()
-    moved = moved.with_goal((0.9, 0.2))
-    assert len(asked) == 1 and asked[0] < 100  # the goal's own edges
-    np.testing.assert_array_equal(moved.graph.vertices, first.graph.vertices)
-    assert {frozenset(e) for e in moved.graph.edges.tolist()} == {frozenset(e) for e in first.graph.edges.tolist()}
-    x = np.random.default_rng(0).random((100, 2))
-    np.testing.assert_allclose(moved(x), first(x), rtol=1e-14)
-    assert moved.num_bytes == first.num_bytes
-    with pytest.raises(ValueError, match="not free"):
-        moved.with_goal((0.5, 0.5))
+    assert short.domain == UNIT
 
 
 def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena(data_dir):
@@ -248,21 +198,144 @@ def test_paths_are_no_shorter_than_the_published_lengths_of_the_arena(data_dir):
 
 
 def test_sources_are_vertices_and_answers_go_by_way_of_one():
-    def is_free(x):
-        return np.linalg.norm(x - 0.5, axis=1) > 0.3
-
-    oracle = Roadmap(Box(np.zeros(3), np.ones(3)), is_free, np.full(3, 0.05), 60, resolution=0.02)
+    oracle, x = roadmap(GAP, num_samples=60), free_points(GAP, 200)
     sources = oracle.sources
-    assert np.array_equal(sources.points, oracle.graph.vertices) and np.array_equal(
-        sources.distances, oracle.distances
-    )
-    assert sources.parents[0] == 0
+    np.testing.assert_array_equal(sources.points, oracle.graph.vertices)
+    np.testing.assert_array_equal(sources.distances, oracle.distances)
     reached = np.isfinite(sources.distances)
-    way = np.linalg.norm(sources.points - sources.points[sources.parents], axis=1)
-    onward = sources.distances[sources.parents] + way
-    assert np.allclose(onward[reached], sources.distances[reached])
-    assert np.array_equal(sources.parents[~reached], np.flatnonzero(~reached))
-    x = np.random.default_rng(0).random((200, 3))
-    x = x[is_free(x)]
+    onward = sources.distances[sources.parents] + np.linalg.norm(
+        sources.points - sources.points[sources.parents], axis=1
+    )
+    np.testing.assert_allclose(onward[reached], sources.distances[reached])
+    assert sources.parents[0] == 0 and (sources.parents[~reached] == np.flatnonzero(~reached)).all()
     through = sources.distances + np.linalg.norm(x[:, None] - sources.points, axis=2)
     assert np.abs(through - oracle(x)[:, None]).min(axis=1).max() < 1e-12
+
+
+def test_no_cones_of_lengths_that_are_not_euclidean():
+    weighted = roadmap(NOTHING, num_samples=5, weights=(1, 2))
+    for oracle in (weighted, roadmap(NOTHING, (3.0, 0.9), 50, CYLINDER)):
+        with pytest.raises(ValueError, match="Distances to sources are Euclidean"):
+            _ = oracle.sources
+    with pytest.raises(ValueError, match="use continuous leaves or planes"):
+        construct(weighted, UNIT, leaf="cone", max_leaves=5)
+
+
+def motion_tests(resolution, is_free=lambda x: np.ones(len(x), bool), domain=LINE, **options):
+    """The sampled test of motions of a roadmap, and the list of all configurations that it tests."""
+    tested = []
+
+    def recorded(x):
+        assert domain.contains(x).all()  # nothing is free outside, where the test is not asked
+        tested.append(x)
+        return is_free(x)
+
+    oracle = Roadmap(domain, recorded, [2.0], 1, resolution=resolution, **options)
+    tested.clear()
+    return oracle, tested
+
+
+@pytest.mark.parametrize(("length", "num_inner"), [(0.0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (2.0, 3), (2.1, 4)])
+def test_a_motion_is_tested_evenly_at_steps_of_at_most_the_resolution(length, num_inner):
+    oracle, tested = motion_tests(0.5)
+    assert oracle.is_visible(np.array([[3.0]]), np.array([[3.0 + length]]))[0]
+    inner = np.concatenate([np.empty((0, 1)), *tested])[:, 0]
+    np.testing.assert_allclose(inner, np.linspace(3.0, 3.0 + length, num_inner + 2)[1:-1])
+
+
+def test_a_motion_is_tested_the_short_way_around_at_weighted_steps():
+    oracle, tested = motion_tests(0.5, domain=Box([0.0], [10.0], [True]), weights=[0.5])
+    assert oracle.is_visible(np.array([[9.0], [1.5]]), np.array([[2.0], [19.5]])).all()
+    inner = np.concatenate(tested)[:, 0]
+    np.testing.assert_allclose(np.sort(inner), [0, 0.5, 1])  # at 10 and 11; at 0.5 on the way down to -0.5
+
+
+def test_each_motion_is_judged_by_its_own_configurations():
+    oracle, _ = motion_tests(0.1, lambda x: (x[:, 0] <= 4.0) | (x[:, 0] >= 5.0))
+    a, b = np.array([[1.0], [1], [7], [4], [6], [3]]), np.array([[3.0], [6], [2], [4], [9], [3.05]])
+    np.testing.assert_array_equal(oracle.is_visible(a, b), [True, False, False, True, True, True])
+    assert oracle.is_visible(a[:0], b[:0]).shape == (0,)
+    np.testing.assert_array_equal(oracle.is_free(np.array([[4.5], [2], [-1], [11], [np.nan]])), [0, 1, 0, 0, 0])
+
+
+def test_sampled_motions_on_a_torus_are_about_the_exact_ones():
+    walls, x = walls_of(TORUS), np.random.default_rng(6).uniform(TORUS.lo, TORUS.hi, (50, 2))
+    exact, sampled = (
+        roadmap(walls, (3.0, 0.9), 60, TORUS, **options)
+        for options in ({}, {"is_visible": None, "resolution": 0.005})
+    )
+    assert edges_of(exact.graph) <= edges_of(sampled.graph)  # a free motion is never refused
+    assert len(sampled.graph.edges) <= 1.05 * len(exact.graph.edges)
+    found, expected = sampled(x), exact(x)
+    np.testing.assert_array_equal(np.isinf(found), np.isinf(expected))
+    free = np.isfinite(expected)
+    assert np.abs(found[free] - expected[free]).mean() < 0.02
+
+
+def test_radius_is_that_of_prm_star():
+    assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
+    expected = 2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
+    assert prm_star_radius(500, 3, 2.0) == pytest.approx(expected)
+    assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
+    assert roadmap(CUT, num_samples=1999).radius == pytest.approx(prm_star_radius(2000, 2, 0.9), rel=0.02)
+
+
+@pytest.mark.parametrize("tests", [{"is_visible": NOTHING.is_visible}, {"resolution": 0.1}])
+def test_a_roadmap_can_be_pickled_if_its_tests_can(tests):
+    oracle, x = Roadmap(UNIT, NOTHING.is_free, (0.1, 0.1), 50, **tests), free_points(NOTHING, 40)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(oracle))(x), oracle(x))
+
+
+SAMPLED = {"is_visible": None, "resolution": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"goal": (0.5, 0.5)}, "not free; move it"),
+        ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
+        ({"goal": (np.nan, 0.5)}, "finite coordinates"),
+        ({"goal": ("a", 0)}, "The goal must be numbers"),
+        ({"goal": (0.1, 0.1, 0.1)}, r"shape \(2,\)"),
+        ({"domain": (0, 1)}, "Box lo must be one point"),
+        ({"domain": 3.0}, "The domain must be a Box"),
+        ({"num_samples": 0}, "num_samples"),
+        ({"num_samples": 1e3}, "num_samples"),
+        ({"is_visible": None}, "Give either is_visible"),
+        ({"resolution": 0.1}, "Give either is_visible"),
+        ({"is_visible": None, "resolution": 0.0}, "resolution must be a positive finite number"),
+        ({"is_visible": None, "resolution": np.nan}, "resolution must be a positive finite number"),
+        ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must return one boolean"),
+        ({"is_visible": lambda a, b: True}, "is_visible must return one boolean"),
+        ({"is_visible": lambda a, b: np.ma.masked_equal(a[:, 0] < 2, True)}, "is_visible .* some masked"),
+        ({"is_free": lambda x: np.all(x < 1e-3, axis=1), "goal": (0, 0), **SAMPLED}, "tighten the domain"),
+        ({"is_free": lambda x: np.ones(len(x)), **SAMPLED}, "is_free must return one boolean"),
+        ({"is_free": lambda x: x > 0, **SAMPLED}, "is_free must return one boolean"),
+        ({"is_free": lambda x: np.True_, **SAMPLED}, "is_free must return one boolean"),
+        ({"is_free": lambda x: None, **SAMPLED}, "is_free must return one boolean"),
+        ({"weights": (1.0, 0.0)}, r"weights must be positive, one an axis, got \[1.0, 0.0\]"),
+        ({"weights": (1.0, -2.0)}, "weights must be positive"),
+        ({"weights": (1.0, np.inf)}, "weights must have finite coordinates"),
+        ({"weights": (1.0,)}, r"weights must be one point of shape \(2,\)"),
+        ({"weights": 2.0}, "weights must be one point"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    good = {
+        "domain": UNIT,
+        "is_free": CUT.is_free,
+        "goal": (0.1, 0.1),
+        "num_samples": 10,
+        "is_visible": CUT.is_visible,
+    }
+    with pytest.raises((ValueError, TypeCheckError), match=message):
+        Roadmap(**good | change)
+
+
+@pytest.mark.parametrize("x", [[0.1, 0.2], [[0.1, 0.2, 0.3]], 0.5, [[[0.1, 0.2]]]])
+def test_points_of_the_wrong_shape_are_refused(x):
+    oracle = roadmap(NOTHING, num_samples=10)
+    with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
+        oracle(x)
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+        oracle.shortest_path([x])

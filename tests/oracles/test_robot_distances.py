@@ -1,20 +1,12 @@
 import numpy as np
 import pytest
 
-from plr_jax import (
-    DiscRobot,
-    PointRobot,
-    Problem,
-    RectangleRobot,
-    VisibilityGraph,
-    Workspace,
-    robot_distance_fns,
-    scenes,
-)
+import plr_jax
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, VisibilityGraph, Workspace, robot_distance_fns
 
 
 def test_each_robot_has_its_own_goal_and_size():
-    problem = scenes.four_rooms(4)
+    problem = plr_jax.scenes.four_rooms(4)
     inflated, points = robot_distance_fns(problem), robot_distance_fns(problem, inflated=False)
     assert len(inflated) == len(points) == 4
     for robot, (fat, thin) in enumerate(zip(inflated, points, strict=True)):
@@ -24,9 +16,11 @@ def test_each_robot_has_its_own_goal_and_size():
         assert straight - 1e-9 <= thin(start)[0] <= fat(start)[0] + 1e-9 < 1.5 * straight
 
 
+CORNER = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
+
+
 def test_a_disc_goes_around_a_corner_at_its_radius():
-    workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
-    problem = Problem(workspace, [DiscRobot(1.0)], [(1.0, 1.0)], [(9.0, 1.0)])
+    problem = Problem(CORNER, [DiscRobot(1.0)], [(1.0, 1.0)], [(9.0, 1.0)])
     (distance,) = robot_distance_fns(problem)
     # A tangent to each rounded corner, an arc from its direction to the horizontal, and the flat between them.
     tangent = np.sqrt(3**2 + 4**2 - 1)
@@ -37,8 +31,7 @@ def test_a_disc_goes_around_a_corner_at_its_radius():
 
 
 def test_a_goal_that_touches_a_wall_is_kept():
-    workspace = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
-    problem = Problem(workspace, [DiscRobot(0.3)], [(1.0, 1.0)], [(3.7, 2.0)])
+    problem = Problem(CORNER, [DiscRobot(0.3)], [(1.0, 1.0)], [(3.7, 2.0)])
     (distance,) = robot_distance_fns(problem)
     np.testing.assert_allclose(distance(np.array([[1.0, 1.0]])), np.hypot(2.7, 1), atol=1e-6)
 
@@ -57,7 +50,7 @@ def distances_to_a_point(problem, **limit):
 
 @pytest.mark.parametrize("build", [robot_distance_fns, distances_to_a_point])
 def test_construction_ends_at_its_time_limit(build):
-    problem = scenes.four_rooms(3)
+    problem = plr_jax.scenes.four_rooms(3)
     with pytest.raises(TimeoutError, match=r"0 of [\d,]+ had|0 of 3 robots"):
         build(problem, time_limit=1e-9)
     for wrong in (0, -1.0, float("nan")):

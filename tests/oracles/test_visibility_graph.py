@@ -1,54 +1,57 @@
-"""Shortest distances and paths in workspaces drawn by hand, the graph that gives them, and what it refuses."""
+"""Shortest distances, paths and directions: by hand, by a plain visibility graph, and of others; files of oracles."""
 
+import csv
+import io
+import json
 import math
 import pickle
+import warnings
+import zipfile
 
 import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from oracle_helpers import TEN, box, length
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from oracle_helpers import WALL, length
+from piece_helpers import TEN, box, general_workspace
 
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
+from plr_jax import VisibilityGraph, Workspace, scenes
 
-WALL = Workspace(TEN, [box(4, 0, 6, 8)])
-
-
-def test_straight_around_and_along():
-    oracle = VisibilityGraph(WALL, (8, 4))
-    x = np.array([[9.0, 1.0], [2, 4], [6, 4], [4, 4], [4, 8], [5, 8], [6, 8], [8, 4], [5, 4], [-1, 4], [5, 9]])
-    over = 2 + math.hypot(2, 4)
-    expected = [
-        math.hypot(1, 3),
-        over + math.hypot(2, 4),
-        2,
-        over + 4,
-        over,
-        over - 1,
-        over - 2,
-        0,
-        math.inf,
-        math.inf,
-        math.hypot(1, 1) + math.hypot(2, 4),
-    ]
-    np.testing.assert_allclose(oracle(x), expected, atol=1e-12)
-    assert oracle(x).dtype == np.float64
-    np.testing.assert_array_equal(oracle(np.array([[np.nan, 1], [np.inf, 1]])), [np.inf, np.inf])
-    assert oracle(np.empty((0, 2))).shape == (0,)
+UP, AROUND = math.hypot(2, 4), 2 + 2 * math.hypot(2, 4)  # from (2, 4) to the corner (4, 8) of the wall, and to (8, 4)
+DIAGONAL = math.sqrt(0.5)
 
 
-def test_the_path_turns_at_the_corners():
-    oracle = VisibilityGraph(WALL, (8, 4))
-    np.testing.assert_array_equal(oracle.shortest_path(np.array([2, 4])), [[2, 4], [4, 8], [6, 8], [8, 4]])
-    np.testing.assert_array_equal(oracle.shortest_path((9, 1)), [[9, 1], [8, 4]])
-    np.testing.assert_array_equal(oracle.shortest_path((8, 4)), [[8, 4]])
-    np.testing.assert_array_equal(VisibilityGraph(WALL, (4, 8)).shortest_path((4, 8)), [[4, 8]])
-    np.testing.assert_array_equal(oracle.shortest_path((4, 8)), [[4, 8], [6, 8], [8, 4]])
-    assert oracle.shortest_path((5, 4)).shape == (0, 2)
+@pytest.fixture(scope="module")
+def wall():
+    return VisibilityGraph(WALL, (8, 4))
 
 
-UP = math.hypot(2, 4)  # from (2, 4) to the wall's corner (4, 8)
+@pytest.mark.parametrize(
+    ("x", "distance", "path", "direction"),
+    [
+        ((9.0, 1.0), math.hypot(1, 3), [(9, 1), (8, 4)], (-1 / math.hypot(1, 3), 3 / math.hypot(1, 3))),
+        ((2, 4), AROUND, [(2, 4), (4, 8), (6, 8), (8, 4)], (2 / UP, 4 / UP)),
+        ((6, 4), 2, [(6, 4), (8, 4)], (1, 0)),
+        ((4, 4), AROUND - UP + 4, [(4, 4), (4, 8), (6, 8), (8, 4)], (0, 1)),
+        ((4, 8), AROUND - UP, [(4, 8), (6, 8), (8, 4)], (1, 0)),
+        ((5, 8), AROUND - UP - 1, [(5, 8), (6, 8), (8, 4)], (1, 0)),
+        ((6, 8), UP, [(6, 8), (8, 4)], (2 / UP, -4 / UP)),
+        ((8, 4), 0, [(8, 4)], (0, 0)),
+        ((5, 9), math.hypot(1, 1) + UP, [(5, 9), (6, 8), (8, 4)], (DIAGONAL, -DIAGONAL)),
+        *(
+            (x, math.inf, np.empty((0, 2)), (np.nan, np.nan))
+            for x in ((5, 4), (-1, 4), (np.nan, 1), (np.inf, 1), (1e308, 1))
+        ),
+    ],
+)
+def test_straight_around_and_along(wall, x, distance, path, direction):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_allclose(wall(np.array([x])), [distance], atol=1e-12)
+        np.testing.assert_array_equal(wall.shortest_path(x), path)
+        np.testing.assert_allclose(wall.directions([x]), [direction], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -66,21 +69,17 @@ UP = math.hypot(2, 4)  # from (2, 4) to the wall's corner (4, 8)
         ((4, 0), math.hypot(2, 4), math.hypot(3, 6) + 2 + 8),
     ],
 )
-def test_goals_on_walls_and_corners(goal, from_left, from_right):
+def test_goals_on_walls_and_corners(wall, goal, from_left, from_right):
     x = np.array([[2.0, 4.0], [9.0, 2.0]])
-    np.testing.assert_allclose(VisibilityGraph(WALL, goal)(x), [from_left, from_right], atol=1e-8)
-    # Distance is symmetric, so the same holds of queries on walls and corners.
-    np.testing.assert_allclose(VisibilityGraph(WALL, x[0])(np.array([goal])), [from_left], atol=1e-8)
-    np.testing.assert_allclose(VisibilityGraph(WALL, x[1])(np.array([goal])), [from_right], atol=1e-8)
+    np.testing.assert_allclose(wall.with_goal(goal)(x), [from_left, from_right], atol=1e-8)
+    for start, distance in zip(x, (from_left, from_right), strict=True):
+        np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
 
 
-def test_an_enclosed_region_is_unreachable():
-    ring = shapely.Polygon(box(2, 2, 8, 8), [box(4, 4, 6, 6)])
-    workspace = Workspace(TEN, [ring])
-    x = np.array([[5.0, 5.0], [1, 1], [4, 4]])
-    np.testing.assert_array_equal(np.isfinite(VisibilityGraph(workspace, (1, 9))(x)), [False, True, False])
-    np.testing.assert_array_equal(np.isfinite(VisibilityGraph(workspace, (5, 5))(x)), [True, False, True])
-    assert VisibilityGraph(workspace, (1, 9)).shortest_path((5, 5)).shape == (0, 2)
+@pytest.mark.parametrize("goal", [(4, 8), (6, 8)])
+def test_directions_to_goals_on_corners(wall, goal):
+    directions = wall.with_goal(goal).directions(np.array([[4.0, 8.0], [6, 8]]))
+    np.testing.assert_array_equal(directions, [(0, 0), (-1, 0)] if goal == (4, 8) else [(1, 0), (0, 0)])
 
 
 def test_without_obstacles_the_distance_is_straight():
@@ -92,63 +91,39 @@ def test_without_obstacles_the_distance_is_straight():
 
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
-    workspace = Workspace(TEN, [box(3, 3, 5, 5), box(5, 5, 7, 7)], squeeze=squeeze)
+    oracle = VisibilityGraph(Workspace(TEN, [box(3, 3, 5, 5), box(5, 5, 7, 7)], squeeze=squeeze), (1, 1))
     root2, root5 = math.sqrt(2), math.sqrt(5)
-    cases = [
+    for start, goal, expected in [
         ((4, 6), (5, 5), root2),
         ((6, 4), (5, 5), root2),
         ((4, 6), (6, 4), 2 * root2 if squeeze else 4 + 2 * root2),
         ((5, 6), (5, 4), 2 if squeeze else 5 + root5),
         ((4, 5), (6, 5), 2 if squeeze else 5 + root5),
-    ]
-    for start, goal, expected in cases:
+    ]:
         for a, b in ((start, goal), (goal, start)):
-            oracle = VisibilityGraph(workspace, b)
-            assert oracle(np.array([a]))[0] == pytest.approx(expected, abs=1e-12)
-            assert length(oracle.shortest_path(a)) == pytest.approx(expected, abs=1e-12)
+            assert oracle.with_goal(b)(np.array([a]))[0] == pytest.approx(expected, abs=1e-12)
+            assert length(oracle.with_goal(b).shortest_path(a)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_an_obstacle_that_touches_the_bounds_in_a_point_blocks_unless_squeezed():
-    tip = np.array([[5.0, 0], [3, 10], [7, 10]])
-    start = np.array([[1.0, 0.0]])
+    tip, start = np.array([[5.0, 0], [3, 10], [7, 10]]), np.array([[1.0, 0.0]])
     assert np.isinf(VisibilityGraph(Workspace(TEN, [tip]), (9, 0))(start)[0])
     assert VisibilityGraph(Workspace(TEN, [tip], squeeze=True), (9, 0))(start)[0] == pytest.approx(8)
 
 
-def test_obstacles_that_share_a_wall_leave_no_slit():
-    workspace = Workspace(TEN, [box(3, 2, 5, 10), box(5, 2, 7, 10)])
-    oracle = VisibilityGraph(workspace, (5, 1))
-    distances = oracle(np.array([[5.0, 5.0], [5, 2], [3, 10]]))
-    np.testing.assert_allclose(distances, [np.inf, 1, 8 + math.sqrt(5)], rtol=1e-12)
-
-
-def test_the_graph_joins_what_sees_one_another():
-    oracle = VisibilityGraph(WALL, (8, 4))
-    corners = {tuple(p): i for i, p in enumerate(oracle.graph.vertices.tolist())}
-    assert set(corners) == {(8, 4), (4, 8), (6, 8)}
-    assert corners[8, 4] == 0
-    assert {frozenset(e) for e in oracle.graph.edges.tolist()} == {
-        frozenset({0, corners[6, 8]}),
-        frozenset({corners[4, 8], corners[6, 8]}),
-    }
-    np.testing.assert_allclose(oracle.distances[[0, corners[6, 8], corners[4, 8]]], [0, UP, UP + 2])
-    exported = oracle.to_networkx()
-    assert nx.dijkstra_path_length(exported, corners[4, 8], 0) == pytest.approx(UP + 2)
+def test_the_graph_joins_what_sees_one_another(wall):
+    assert wall.graph.vertices[0].tolist() == [8, 4]
+    left, right = (wall.graph.vertices.tolist().index(corner) for corner in ([4, 8], [6, 8]))
+    assert {frozenset(e) for e in wall.graph.edges.tolist()} == {frozenset({0, right}), frozenset({left, right})}
+    np.testing.assert_allclose(wall.distances[[0, right, left]], [0, UP, UP + 2])
+    exported = wall.to_networkx()
+    assert nx.dijkstra_path_length(exported, left, 0) == pytest.approx(UP + 2)
     assert exported.nodes[0]["pos"] == (8.0, 4.0)
-
-
-def test_another_goal_shares_the_corners():
-    oracle = VisibilityGraph(WALL, (8, 4))
-    other = oracle.with_goal((2, 4))
-    x = WALL.sample_free(200, 0)
-    np.testing.assert_array_equal(other(x), VisibilityGraph(WALL, (2, 4))(x))
-    assert other._corners is oracle._corners
-    assert 0 < other.num_bytes < 10_000
+    assert repr(wall) == "VisibilityGraph(goal=[8.0, 4.0], 2 corners, 2 edges)" and 0 < wall.num_bytes < 10_000
 
 
 def test_what_follows_from_the_rest_is_not_pickled():
-    oracle = VisibilityGraph(WALL, (8, 4))
-    x = WALL.sample_free(50, 0)
+    oracle, x = VisibilityGraph(WALL, (8, 4)), WALL.sample_free(50, 0)
     expected = oracle(x), oracle.directions(x), oracle.sources.points
     again = pickle.loads(pickle.dumps(oracle))
     assert vars(again).keys() < vars(oracle).keys()
@@ -158,26 +133,336 @@ def test_what_follows_from_the_rest_is_not_pickled():
     np.testing.assert_array_equal(again.graph.vertices, oracle.graph.vertices)
 
 
-def test_repr_is_one_line_without_arrays():
-    assert repr(VisibilityGraph(WALL, (1, 1))) == "VisibilityGraph(goal=[1.0, 1.0], 2 corners, 2 edges)"
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: VisibilityGraph(WALL, (5, 4)), r"goal \[5.0, 4.0\] lies in an obstacle \(clearance -1\)"),
-        (lambda: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
-        (lambda: VisibilityGraph(WALL, (1, np.nan)), "finite"),
-        (lambda: VisibilityGraph(WALL, (1, 2, 3)), r"The goal must be one point of shape \(2,\), got shape \(3,\)"),
-        (lambda: VisibilityGraph(WALL, (1, 1)).with_goal((5, 5)), "in an obstacle"),
-        (lambda: VisibilityGraph(WALL, (1, 1))(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
-        (lambda: VisibilityGraph(WALL, (1, 1))(np.zeros((5, 3))), r"\(n, 2\), got \(5, 3\)"),
-        (
-            lambda: VisibilityGraph(WALL, (1, 1)).shortest_path(np.zeros((1, 2))),
-            r"The start must be one point of shape \(2,\)",
-        ),
+        (lambda wall: wall.with_goal((5, 4)), r"goal \[5.0, 4.0\] lies in an obstacle \(clearance -1\)"),
+        (lambda wall: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
+        (lambda wall: VisibilityGraph(WALL, (1, np.nan)), "finite"),
+        (lambda wall: VisibilityGraph(WALL, (1, 2, 3)), r"goal must be one point of shape \(2,\), got shape \(3,\)"),
+        (lambda wall: wall(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
+        (lambda wall: wall(np.zeros((5, 3))), r"\(n, 2\), got \(5, 3\)"),
+        (lambda wall: wall.directions(np.zeros(2)), r"x must have shape \(n, 2\)"),
+        (lambda wall: wall.shortest_path(np.zeros((1, 2))), r"The start must be one point of shape \(2,\)"),
     ],
 )
-def test_bad_input_is_refused(call, message):
+def test_bad_input_is_refused(wall, call, message):
     with pytest.raises(ValueError, match=message):
-        call()
+        call(wall)
+
+
+def ring_vertices(free):
+    rings = shapely.get_rings(shapely.get_parts(free))
+    return np.vstack([shapely.get_coordinates(ring)[:-1] for ring in rings])
+
+
+def brute_force(workspace, x, goal):
+    """Distances by a plain visibility graph: every vertex of free space, every pair tested with Shapely.
+
+    Free space is shrunk by a hair around point contacts unless squeezing is allowed.
+    """
+    free, hair = shapely.box(0, 0, 10, 10) - shapely.union_all(workspace.obstacles), 1e-7
+    if not workspace.squeeze:
+        points, count = np.unique(ring_vertices(free), axis=0, return_counts=True)
+        free = free - shapely.union_all([shapely.box(*(p - hair), *(p + hair)) for p in points[count > 1]])
+    nodes = np.vstack([x, [goal], np.unique(ring_vertices(free), axis=0)])
+    i, j = np.triu_indices(len(nodes), 1)
+    grown = free.buffer(hair / 10, join_style="mitre")
+    shapely.prepare(grown)
+    seen = shapely.covers(grown, shapely.linestrings(np.stack([nodes[i], nodes[j]], axis=1)))
+    weight = np.linalg.norm(nodes[i] - nodes[j], axis=1)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(nodes)))
+    graph.add_weighted_edges_from(zip(i[seen].tolist(), j[seen].tolist(), weight[seen].tolist(), strict=True))
+    distance = nx.single_source_dijkstra_path_length(graph, len(x))
+    return np.array([distance.get(k, np.inf) for k in range(len(x))])
+
+
+def lattice_workspace(rng, squeeze=False):
+    """Unit cells blocked at random: collinear corners and point contacts everywhere."""
+    blocked = np.argwhere(rng.random((10, 10)) < 0.3)
+    return Workspace(TEN, [box(x, y, x + 1, y + 1) for x, y in blocked], squeeze=squeeze)
+
+
+SEEDS, LATTICE = st.integers(0, 100_000), np.argwhere(np.ones((11, 11))).astype(float)
+
+
+@pytest.mark.parametrize("kind", [general_workspace, lattice_workspace])
+@given(SEEDS, st.booleans(), st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_distances_equal_those_of_a_plain_visibility_graph_and_paths_are_as_long_and_free(kind, seed, squeeze, last):
+    """Edges that no shortest path can use are left out of the graph, and only those."""
+    rng = np.random.default_rng(seed)
+    workspace = kind(rng, squeeze)
+    x = rng.permutation(np.vstack([LATTICE[workspace.is_free(LATTICE)], workspace.boundary.vertices]))
+    if not squeeze:  # the twin plugs the contacts, so it cannot answer there
+        contacts = workspace.boundary.vertices[workspace.boundary.contacts]
+        x = x[~(x[:, None] == contacts).all(axis=2).any(axis=1)]
+    goal, *x = np.vstack([x[:10], workspace.sample_free(6, seed)])[:: -1 if last else 1]
+    oracle, x = VisibilityGraph(workspace, goal), np.array(x)
+    found = oracle(x)
+    np.testing.assert_allclose(found, brute_force(workspace, x, goal), atol=1e-5)
+    np.testing.assert_allclose(oracle(oracle.graph.vertices), oracle.distances, atol=1e-9)
+    for start, distance in zip(x, found, strict=True):
+        path = oracle.shortest_path(start)
+        assert (len(path) == 0) == np.isinf(distance)
+        if len(path):
+            np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+            assert length(path) == pytest.approx(distance, abs=1e-9)
+            assert workspace.is_visible(path[:-1], path[1:]).all()
+
+
+@given(SEEDS, st.booleans(), st.floats(0, 6.28), st.floats(-3, 3), st.floats(-100, 100))
+@example(977, True, 1.0, 0.0, 50.0)
+@example(2286, False, 0.3, -1.5, -70.0)
+@example(3223, True, 2.0, -0.5, 30.0)
+@settings(max_examples=20, deadline=None)
+def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, log_scale, shift):
+    """Off the axes what was collinear, or touched, is so up to rounding only."""
+    workspace, scale = lattice_workspace(np.random.default_rng(seed), squeeze), 10**log_scale
+    rotation = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def moved(points):
+        return np.asarray(points, dtype=float) @ rotation.T + scale * shift
+
+    holes = [moved(shapely.get_coordinates(o)[:-1]) for o in workspace.obstacles]
+    other = Workspace.from_polygons([{"outer": moved(box(0, 0, 10, 10)), "holes": holes}], squeeze=squeeze)
+    free = workspace.sample_free(10, seed)
+    x = np.vstack([LATTICE[workspace.is_free(LATTICE)][seed % 7 :: 7], free])
+    goal = x[seed % len(x)]
+    expected = VisibilityGraph(workspace, goal)(x)
+    np.testing.assert_allclose(VisibilityGraph(other, moved(goal))(moved(x)) / scale, expected, atol=1e-6)
+    found = VisibilityGraph(other, moved(free[0]))(moved(free[1:])) / scale
+    np.testing.assert_allclose(found, brute_force(workspace, free[1:], free[0]), atol=1e-5)
+
+
+@given(SEEDS, st.booleans())
+@example(30254, False)  # a free space at which GEOS fails to find triangles to draw points from
+@settings(max_examples=25, deadline=None)
+def test_contacts_are_reached_from_the_nearest_side(seed, squeeze):
+    workspace = lattice_workspace(np.random.default_rng(seed), squeeze)
+    contacts = workspace.boundary.vertices[workspace.boundary.contacts]
+    goal = workspace.sample_free(1, seed)[0]
+    oracle = VisibilityGraph(workspace, goal)
+    beside = contacts[:, None] + 1e-4 * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    around = oracle(beside.reshape(-1, 2)).reshape(-1, 4).min(axis=1)
+    np.testing.assert_allclose(oracle(contacts), around, atol=2e-4)
+    few = beside[:2].reshape(-1, 2)
+    few = few[workspace.is_free(few)]
+    np.testing.assert_allclose(oracle(few), brute_force(workspace, few, goal), atol=1e-5)
+    for contact, distance in zip(contacts, oracle(contacts), strict=True):
+        assert oracle.with_goal(contact)(goal[None])[0] == pytest.approx(distance)
+
+
+def test_batches_of_any_size_give_the_same_answers():
+    workspace = general_workspace(np.random.default_rng(7))
+    oracle, x = (
+        VisibilityGraph(workspace, workspace.sample_free(1, 0)[0]),
+        np.random.default_rng(0).uniform(-1, 11, (5000, 2)),
+    )
+    whole = oracle(x)
+    np.testing.assert_array_equal(whole, np.concatenate([oracle(part) for part in np.array_split(x, 97)]))
+    assert not np.isfinite(whole[~workspace.is_free(x)]).any() and oracle(np.empty((0, 2))).shape == (0,)
+
+
+def test_directions_are_those_of_the_shortest_path_and_of_the_gradient():
+    problem = scenes.thin_maze()
+    oracle, x = VisibilityGraph(problem.workspace, problem.goals[0]), problem.workspace.sample_free(200, 0)
+    directions, step = oracle.directions(x), 1e-6
+    for point, direction in zip(x, directions, strict=True):
+        path = oracle.shortest_path(point)
+        np.testing.assert_allclose(direction, (path[1] - point) / np.linalg.norm(path[1] - point), atol=1e-9)
+    inner = problem.workspace.is_visible(x, x + step * directions)
+    np.testing.assert_allclose((oracle(x) - oracle(x + step * directions))[inner] / step, 1, atol=1e-6)
+    assert inner.mean() > 0.9
+
+
+@pytest.mark.parametrize("thickness", [0.001, 0.04])
+@pytest.mark.parametrize("height", [1e-7, 5e-9, 1e-4])
+def test_no_wall_is_seen_through_along_the_wall_it_stands_on(thickness, height):
+    """A viewpoint barely above the floor must not see the floor beyond a wall that stands on it."""
+    far = 0.5 + thickness
+    oracle = VisibilityGraph(Workspace(((0, 0), (1, 1)), [box(0.5, 0, far, 1)]), (0.1, height))
+    assert np.isinf(oracle(np.array([[far, 0.0], [far + 1e-4, 0.0], [0.9, 0.5], [1.0, 0.0]]))).all()
+    assert np.isfinite(oracle(np.array([[0.5, 0.0], [0.3, 0.0], [0.5, 1.0], [0.0, 0.0]]))).all()
+    low = VisibilityGraph(Workspace(((0, 0), (1, 1)), [box(0.5, 0, far, 0.2)]), (0.1, height))
+    np.testing.assert_allclose(low(np.array([[far, 0.0]])), np.hypot(0.4, 0.2 - height) + thickness + 0.2, atol=1e-9)
+
+
+def test_polyanya_arena_lengths(data_dir):
+    folder = data_dir / "polyanya_arena"
+    with open(folder / "arena_euclid.csv") as file:
+        columns = ("start_x", "start_y", "goal_x", "goal_y", "euclid_length")
+        rows = np.array([[float(row[c]) for c in columns] for row in csv.DictReader(file)])
+    assert len(rows) == 160
+    oracle = VisibilityGraph(scenes.read_polygons(folder / "arena_polygons.json"), rows[0, 2:4])
+    found = [oracle.with_goal(row[2:4])(row[None, :2])[0] for row in rows]
+    np.testing.assert_allclose(found, rows[:, 4], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["dao/den009d", "dao/den101d", "dao/den312d", "da2/ht_store"])
+def test_movingai_lengths_lie_between_straight_and_octile(data_dir, name):
+    scenario = scenes.read_scen(data_dir / "movingai" / f"{name}.map.scen")
+    workspace = scenes.read_polygons(data_dir / "movingai" / f"{name}_polygons.json")
+    distance = VisibilityGraph(workspace, scenario.goals[0]).between(scenario.starts, scenario.goals)
+    assert (distance >= np.linalg.norm(scenario.starts - scenario.goals, axis=1) - 1e-9).all() and len(distance) >= 70
+    assert (distance <= scenario.octile_lengths + 2e-3).all()
+    # Steps in eight directions are 8.3 % longer at most, but at corners.
+    assert distance.sum() > 0.92 * scenario.octile_lengths.sum()
+
+
+def environment(data, name):
+    if name == "grid_env":
+        cells = [box(x, y, x + 1, y + 1) for x, y in data["blocked_cells"]]
+        return Workspace(((0, 0), (data["size_x"], data["size_y"])), cells, squeeze=True)
+    return Workspace.from_polygons([{"outer": data["boundary"], "holes": data["holes"]}], squeeze=True)
+
+
+@pytest.mark.parametrize("file", ["cases_2.7.2.json", "cases_2021.json"])
+@pytest.mark.parametrize("name", ["grid_env", "poly_env", "overlap_poly_env", "separated_env"])
+def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
+    data = json.loads((data_dir / "extremitypathfinder" / file).read_text())[name]
+    workspace = environment(data, name)
+    assert data["cases"]
+    for case in data["cases"]:
+        oracle = VisibilityGraph(workspace, case["goal"])
+        distance, path = oracle(np.array([case["start"]]))[0], oracle.shortest_path(case["start"])
+        if case["length"] is None:
+            assert np.isinf(distance) and len(path) == 0
+            continue
+        assert distance == pytest.approx(case["length"], abs=1e-6)
+        lines = (shapely.LineString([*each, each[-1]]) for each in (path.tolist(), case["path"]))
+        assert shapely.hausdorff_distance(*lines) < 1e-9
+    for start, goal in data.get("invalid_queries", []):
+        if workspace.is_free(np.array([goal]))[0]:
+            assert np.isinf(VisibilityGraph(workspace, goal)(np.array([start]))[0])
+        else:
+            with pytest.raises(ValueError, match="goal"):
+                VisibilityGraph(workspace, goal)
+
+
+BLOCKS = [shapely.box(2, 2, 4, 4), shapely.box(4, 4, 6, 6), shapely.Polygon([(6, 1), (9, 2), (7, 3)])]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A file of the oracle to (1, 1) among the blocks."""
+    VisibilityGraph(Workspace(TEN, BLOCKS), (1, 1)).save(tmp_path / "oracle.npz")
+    return tmp_path / "oracle.npz"
+
+
+@pytest.mark.parametrize(("blocks", "squeeze"), [(BLOCKS, False), (BLOCKS, True), ([], False)])
+def test_what_is_loaded_answers_alike_and_nothing_is_prepared_again(path, blocks, squeeze, monkeypatch):
+    workspace = Workspace(TEN, blocks, squeeze=squeeze)
+    oracle, x = VisibilityGraph(workspace, (1, 1)), workspace.sample_free(300, 0)
+    expected = oracle.with_goal((9, 9))(x)
+    oracle.save(path)
+    monkeypatch.setattr("plr_jax.oracles._visibility_graph.corner_visibility", None)
+    loaded = VisibilityGraph.load(path)
+    np.testing.assert_array_equal(loaded(x), oracle(x))
+    np.testing.assert_array_equal(loaded.with_goal((9, 9))(x), expected)
+    np.testing.assert_array_equal(loaded.graph.edges, oracle.graph.edges)
+    assert loaded.workspace.bounds == workspace.bounds and loaded.workspace.squeeze == squeeze
+    assert loaded.workspace.free_space.equals_exact(workspace.free_space)
+    assert all(a.equals_exact(b) for a, b in zip(loaded.workspace.obstacles, blocks, strict=True))
+
+
+def check_refused(path, message=None):
+    with pytest.raises(ValueError, match=message) as error:
+        VisibilityGraph.load(path)
+    assert str(error.value).startswith(f"{path} cannot be read as a visibility graph: ")
+
+
+def rewritten(path, **changes):
+    """Replace some arrays of a file, or leave them out where None is given."""
+    arrays = {**np.load(path), **changes}
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+def wkb(geometry):
+    return np.frombuffer(shapely.to_wkb(geometry), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 2}, "version 2, this release reads version 1"),
+        ({"key": None}, "has no key.npy"),
+        ({"goal": np.array([1, 2])}, "goal has numbers of kind i"),
+        ({"goal": np.ones(3)}, r"shape \(3,\)"),
+        ({"goal": np.array([np.nan, 1])}, "not finite"),
+        ({"goal": np.array([3.0, 3.0])}, "lies in an obstacle"),
+        ({"bounds": np.array([[1.0, 1], [0, 0]])}, "lo"),
+        ({"free_space": np.zeros(9, np.uint8)}, "cannot be read"),
+        ({"free_space": wkb(shapely.Point(1, 1))}, "free space is no valid polygon"),
+        ({"free_space": wkb(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]))}, "free space is no valid polygon"),
+        ({"free_space": wkb(shapely.box(0, 0, 10, 10))}, "one visibility polygon for each of 0 corners"),
+        ({"obstacles": wkb(shapely.Point(1, 1))}, "must be a polygon"),
+        ({"edges": np.array([[0, 99]])}, "names corners or walls"),
+        ({"edges": np.array([[0, 0]])}, "two different vertices"),
+        ({"key": np.array([object()])}, "kind O"),
+    ],
+)
+def test_nonsense_is_refused_by_name(path, changes, message):
+    rewritten(path, **changes)
+    check_refused(path, message)
+
+
+@pytest.mark.parametrize("name", ["first", "key", "edge", "cut"])
+def test_polygons_that_are_cut_short_or_out_of_order_are_refused(path, name):
+    array = np.load(path)[name]
+    for other in (array[:-1], array[:0], array + 99, array - 99):
+        rewritten(path, **{name: other})
+        check_refused(path)
+
+
+def members_of(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def write_members(path, members, method=zipfile.ZIP_STORED):
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+def test_damaged_files_are_read_or_refused_by_name(path):
+    """Cut off, with some bits changed, and with any byte of the directory changed."""
+    data, rng = path.read_bytes(), np.random.default_rng(0)
+    with pytest.raises(OSError, match="none"):
+        VisibilityGraph.load(path.with_name("none.npz"))
+    for size in rng.integers(len(data), size=100):
+        path.write_bytes(data[:size])
+        check_refused(path)
+    directory = range(data.rindex(b"PK\5\6") - 70, len(data))
+    changes = [[(place, byte)] for place in directory for byte in (1, 0x80, 0xFF)]
+    changes += [[(place, 1 << rng.integers(8)) for place in rng.integers(len(data), size=3)] for _ in range(100)]
+    for change in changes:
+        damaged = bytearray(data)
+        for place, byte in change:
+            damaged[place] ^= int(byte)
+        path.write_bytes(damaged)
+        try:
+            VisibilityGraph.load(path)
+        except ValueError as error:
+            assert str(path) in str(error)
+
+
+@pytest.mark.parametrize(("place", "byte"), [(60, 0x35), (10, 0x03), (50, 0x40), (8, 0x46)])
+def test_headers_that_are_no_python_are_refused(path, place, byte):
+    members = members_of(path)
+    version = bytearray(members["version.npy"])
+    version[place] ^= byte
+    write_members(path, {**members, "version.npy": bytes(version)})
+    check_refused(path)
+
+
+def test_a_file_cannot_ask_for_more_than_it_holds(path):
+    """Neither by a shape that it does not fill nor by compression."""
+    members, header = members_of(path), io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
+    write_members(path, {**members, "key.npy": header.getvalue()})
+    check_refused(path, "key is incomplete")
+    write_members(path, members, zipfile.ZIP_DEFLATED)
+    check_refused(path, "compressed")

@@ -5,11 +5,10 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
-from plr_jax.geometry.box import Box
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
+from plr_jax import Box, VisibilityGraph, Workspace
 
 SEEDS = st.integers(0, 100_000)
 # The workspaces go from 0 to 10 along both axes.
@@ -26,20 +25,17 @@ def random_oracle(kind, seed, squeeze=False, on_corner=False):
     return VisibilityGraph(workspace, goal), rng
 
 
-def halved(cells, lo, hi, rng, share=0.8):
+def halved(cells, domain, rng, share=0.8):
     """Cells, and their boxes, after a random share of them was halved, a few times; the order is random too."""
+    lo, hi = domain.lo[None], domain.hi[None]
     for _ in range(int(rng.integers(1, 7))):
-        kept = rng.permutation(len(lo))
-        split, alone = np.split(kept, [int(np.ceil(share * len(kept)))])
-        axis = rng.integers(2, size=len(split))
-        middle = (lo + hi)[split, axis] / 2
-        lower_hi, upper_lo = hi[split].copy(), lo[split].copy()
-        each = np.arange(len(split))
-        lower_hi[each, axis] = upper_lo[each, axis] = middle
-        parent, upper = np.concatenate([split, split]), np.repeat([False, True], len(split))
-        some = rng.permutation(len(parent))
-        new_lo, new_hi = np.concatenate([lo[split], upper_lo])[some], np.concatenate([lower_hi, hi[split]])[some]
-        parts = cells.parts(parent[some], np.concatenate([axis, axis])[some], upper[some], new_lo, new_hi)
+        split, alone = np.split(rng.permutation(len(lo)), [int(np.ceil(share * len(lo)))])
+        parent, upper = rng.permutation([(each, side) for each in split for side in (0, 1)]).T
+        axis, row = rng.integers(2, size=len(lo))[parent], np.arange(len(parent))
+        new_lo, new_hi, middle = lo[parent], hi[parent], ((lo + hi) / 2)[parent, axis]
+        new_lo[row, axis] = np.where(upper, middle, new_lo[row, axis])
+        new_hi[row, axis] = np.where(upper, new_hi[row, axis], middle)
+        parts = cells.parts(parent, axis, upper.astype(bool), new_lo, new_hi)
         cells = cells.of_cells(alone).append(parts)
         lo, hi = np.concatenate([lo[alone], new_lo]), np.concatenate([hi[alone], new_hi])
     return cells, lo, hi
@@ -96,20 +92,13 @@ def check_area(oracle, cells, lo, hi):
     """The pieces of each cell are all of it from which the goal can be reached, and do not overlap."""
     exact = shapely.area(shapely.intersection(reached_region(oracle), shapely.box(*lo.T, *hi.T)))
     shapes = np.array(polygons(cells.pieces))
-    total = np.bincount(cells.cell, shapely.area(shapes), cells.num_cells)
-    np.testing.assert_allclose(total, exact, atol=1e-8)
-    one, other = (
-        np.array([(i, j) for i in range(len(shapes)) for j in range(*_later_pieces(cells, i))], int).reshape(-1, 2).T
-    )
+    np.testing.assert_allclose(np.bincount(cells.cell, shapely.area(shapes), cells.num_cells), exact, atol=1e-8)
+    one, other = np.triu_indices(len(shapes), 1)
+    one, other = (each[cells.cell[one] == cells.cell[other]] for each in (one, other))
     overlap = shapely.intersection(shapes[one], shapes[other], grid_size=1e-9)  # without it GEOS errs at times
     assert shapely.area(overlap).sum() <= 1e-6
-    inside = np.stack([lo[cells.cell] - 1e-9, hi[cells.cell] + 1e-9])
-    assert ((inside[0].T[:, :, None] <= cells.pieces) & (cells.pieces <= inside[1].T[:, :, None])).all()
-
-
-def _later_pieces(cells, piece):
-    """First and last of the pieces of a piece's cell that come after it."""
-    return piece + 1, int(np.searchsorted(cells.cell, cells.cell[piece], side="right"))
+    assert (lo[cells.cell].T[:, :, None] - 1e-9 <= cells.pieces).all()
+    assert (cells.pieces <= hi[cells.cell].T[:, :, None] + 1e-9).all()
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -118,61 +107,46 @@ def _later_pieces(cells, piece):
 def test_sources_of_pieces_bound_the_distance(kind, seed, squeeze, on_corner, domain):
     oracle, rng = random_oracle(kind, seed, squeeze, on_corner)
     root = oracle.cell_sources(domain)
-    assert root.num_cells == 1
-    check_in_order(root)
-    check_area(oracle, root, domain.lo[None], domain.hi[None])
-    check_bounds(oracle, root, rng)
-    cells, lo, hi = halved(root, domain.lo[None], domain.hi[None], rng)
-    assert cells.num_cells == len(lo)
-    check_in_order(cells)
-    check_area(oracle, cells, lo, hi)
-    check_bounds(oracle, cells, rng)
+    for cells, lo, hi in ((root, domain.lo[None], domain.hi[None]), halved(root, domain, rng)):
+        assert cells.num_cells == len(lo)
+        check_in_order(cells)
+        check_area(oracle, cells, lo, hi)
+        check_bounds(oracle, cells, rng)
 
 
 def test_a_wall_and_four_quarters_by_hand():
     """Goal (1, 5) before a wall; (4, 2) and (4, 8) are the turns behind which one goes on at (6, 2) and (6, 8)."""
-    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
-    cells = oracle.cell_sources(Box((0, 0), (4, 10)))
-    zero = np.zeros(2, int)
+    oracle = VisibilityGraph(MIDDLE, (1, 5))
+
+    def named(cells):
+        return np.unique(cells.sources.points[cells.source], axis=0).tolist()
+
     lo, hi = np.array([[0.0, 0], [2, 0]]), np.array([[2.0, 10], [4, 10]])
-    halves = cells.parts(zero, zero, np.array([False, True]), lo, hi)
-    named = halves.sources.points[halves.source]
-    np.testing.assert_array_equal(named, [[1, 5]] * len(named))  # all of both see the goal
-    assert halves.by_all.all()
+    halves = oracle.cell_sources(Box((0, 0), (4, 10))).parts(
+        np.zeros(2, int), np.zeros(2, int), np.array([False, True]), lo, hi
+    )
+    assert named(halves) == [[1, 5]] and halves.by_all.all()  # all of both see the goal
     behind = oracle.cell_sources(Box((8, 4.5), (9, 4.75)))
-    assert np.unique(behind.sources.points[behind.source], axis=0).tolist() == [[6.0, 2]]
-    assert behind.by_all.all()
-    between = oracle.cell_sources(Box((8, 4.5), (9, 5.5)))
-    assert np.unique(between.sources.points[between.source], axis=0).tolist() == [[6.0, 2], [6, 8]]
+    assert named(behind) == [[6, 2]] and behind.by_all.all()
+    assert named(oracle.cell_sources(Box((8, 4.5), (9, 5.5)))) == [[6, 2], [6, 8]]
 
 
 def test_cells_that_are_free_altogether_are_one_piece():
-    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
-    cells, lo, hi = halved(oracle.cell_sources(DOMAINS[0]), *(x[None] for x in TEN_BOX), np.random.default_rng(4), 1)
-    blocked = shapely.area(shapely.intersection(shapely.box(4, 2, 6, 8), shapely.box(*lo.T, *hi.T)))
-    free = np.flatnonzero(blocked == 0)
-    assert len(free) > 4
-    np.testing.assert_array_equal(np.bincount(cells.cell, minlength=len(lo))[free], 1)
-
-
-TEN_BOX = np.array(TEN, float)
+    root = VisibilityGraph(MIDDLE, (1, 5)).cell_sources(DOMAINS[0])
+    cells, lo, hi = halved(root, DOMAINS[0], np.random.default_rng(4), 1)
+    free = shapely.area(shapely.intersection(MIDDLE.obstacles[0], shapely.box(*lo.T, *hi.T))) == 0
+    assert free.sum() > 4 and (np.bincount(cells.cell, minlength=len(lo))[free] == 1).all()
 
 
 def test_nothing_is_said_of_what_does_not_reach_the_goal():
     oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
-    beyond = oracle.cell_sources(Box((7, 1), (9, 9)))
-    assert (beyond.num_cells, len(beyond.cell), len(beyond.source)) == (1, 0, 0)
-    inside = oracle.cell_sources(Box((4.5, 1), (5.5, 9)))
-    assert len(inside.cell) == 0
-    outside = oracle.cell_sources(Box((20, 20), (30, 30)))
-    assert len(outside.cell) == 0
-    parts = beyond.parts(
-        np.zeros(2, int),
-        np.zeros(2, int),
-        np.array([False, True]),
-        np.array([[7.0, 1], [8, 1]]),
-        np.array([[8.0, 9], [9, 9]]),
+    beyond, inside, outside = (
+        oracle.cell_sources(Box(*box)) for box in (((7, 1), (9, 9)), ((4.5, 1), (5.5, 9)), ((20, 20), (30, 30)))
     )
+    for cells in (beyond, inside, outside):
+        assert (cells.num_cells, len(cells.cell), len(cells.source)) == (1, 0, 0)
+    lo, hi = np.array([[7.0, 1], [8, 1]]), np.array([[8.0, 9], [9, 9]])
+    parts = beyond.parts(np.zeros(2, int), np.zeros(2, int), np.array([False, True]), lo, hi)
     assert (parts.num_cells, len(parts.cell)) == (2, 0)
     both = beyond.append(oracle.cell_sources(DOMAINS[0]), parts)
     assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
@@ -180,14 +154,16 @@ def test_nothing_is_said_of_what_does_not_reach_the_goal():
 
 def same(a, b, cells_of_a, cells_of_b):
     """Whether some cells of one are, piece by piece, some cells of another."""
-    for i, j in zip(cells_of_a, cells_of_b, strict=True):
-        p, q = np.flatnonzero(a.cell == i), np.flatnonzero(b.cell == j)
-        np.testing.assert_array_equal(a.pieces[:, p], b.pieces[:, q])
-        for name in ("center", "distance", "best"):
-            np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
-        for k, m in zip(p, q, strict=True):
-            for name in ("source", "by_all"):
-                np.testing.assert_array_equal(getattr(a, name)[a.piece == k], getattr(b, name)[b.piece == m])
+    p, q = (
+        np.concatenate([np.flatnonzero(x.cell == i) for i in cells])
+        for x, cells in ((a, cells_of_a), (b, cells_of_b))
+    )
+    np.testing.assert_array_equal(a.pieces[:, p], b.pieces[:, q])
+    for name in ("center", "distance", "best"):
+        np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
+    p, q = (np.concatenate([np.flatnonzero(x.piece == k) for k in pieces]) for x, pieces in ((a, p), (b, q)))
+    for name in ("source", "by_all"):
+        np.testing.assert_array_equal(getattr(a, name)[p], getattr(b, name)[q])
 
 
 @given(SEEDS)
@@ -195,7 +171,7 @@ def same(a, b, cells_of_a, cells_of_b):
 def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
     oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
     root = oracle.cell_sources(DOMAINS[0])
-    cells, lo, _ = halved(root, *(x[None] for x in TEN_BOX), rng)
+    cells, lo, _ = halved(root, DOMAINS[0], rng)
     some = rng.integers(len(lo), size=9)
     chosen = cells.of_cells(some)
     assert chosen.num_cells == 9
@@ -208,9 +184,8 @@ def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
     same(both, root, [9 + len(lo)], [0])
     rows = rng.integers(len(cells.cell), size=7)
     alone = cells.pieces_as_cells(rows)
-    assert alone.num_cells == 7
     check_in_order(alone)
-    np.testing.assert_array_equal(alone.cell, np.arange(7))
+    assert alone.num_cells == 7 and alone.cell.tolist() == list(range(7))
     np.testing.assert_array_equal(alone.pieces, cells.pieces[:, rows])
     for i, row in enumerate(rows):
         np.testing.assert_array_equal(alone.source[alone.piece == i], cells.source[cells.piece == row])
@@ -220,16 +195,12 @@ def test_cells_are_chosen_put_together_and_taken_apart_in_order(seed):
 @settings(max_examples=8, deadline=None)
 def test_pieces_hold_points_and_sources_see_them(seed):
     oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
-    cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), *(x[None] for x in TEN_BOX), rng)
+    cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), DOMAINS[0], rng)
     piece = rng.integers(len(cells.cell), size=20)
     x = np.concatenate([points_of(rng, cells.pieces[:, piece], 5), rng.uniform(0, 10, (20, 5, 2))], axis=1)
     shapes = np.array(polygons(cells.pieces))[piece]
-    depth = np.array(
-        [
-            [s.exterior.distance(q) * (1 if s.covers(q) else -1) for q in shapely.points(p)]
-            for s, p in zip(shapes, x, strict=True)
-        ]
-    )
+    q, shapes = shapely.points(x), shapes[:, None]
+    depth = shapely.distance(shapely.boundary(shapes), q) * np.where(shapely.covers(shapes, q), 1, -1)
     held, clear = cells.hold(piece, x), np.abs(depth) > 4 * oracle.workspace.tolerance
     np.testing.assert_array_equal(held[clear], depth[clear] > 0)
     assert held[:, :5].all()

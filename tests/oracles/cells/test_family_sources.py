@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of
 
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
+from plr_jax import VisibilityGraph, Workspace
+from plr_jax.oracles.cells.family_sources import SharedCones
 from plr_jax.plr.partition.cells import Cells
 
 GRID = Cells(np.full((16, 2), 2), np.stack(np.divmod(np.arange(16), 4), axis=1))
@@ -75,25 +76,21 @@ def test_cells_behind_a_corner_are_one_for_all_goals_that_are_reached_by_it():
     assert behind.sum() == 3
     assert (node_of[:, behind] == node_of[0, behind]).all()
     assert len(np.unique(node_of[:, ~behind])) > 3 * 4
-    least = [found.sources.distances[found.source[found.piece == p]].min() for p in range(len(found.cell))]
-    of_cells = np.full(found.num_cells, np.inf)
-    np.minimum.at(of_cells, found.cell, least)
-    np.testing.assert_array_equal(of_cells, 0)
+    least = np.full(found.num_cells, np.inf)
+    np.minimum.at(least, found.cell[found.piece], found.sources.distances[found.source])
+    np.testing.assert_array_equal(least, 0)
 
 
 def test_parts_that_are_alike_are_settled_once():
-    workspace = Workspace(TEN, [box(4, 2, 6, 8)])
-    _, (found, _, _), _, _ = family_of(workspace, [(1.0, 5), (2, 4.5)])
+    _, (found, _, _), _, _ = family_of(MIDDLE, [(1.0, 5), (2, 4.5)])
     node, hash_of_box = np.array([0, 0, 1]), np.array([3, 3, 5], np.uint64)  # the first twice
     lo, hi = (
-        np.stack([end(found.pieces[:, found.cell == each], axis=(1, 2)) for each in node]) for end in (np.min, np.max)
+        np.stack([end(found.pieces[:, found.cell == i], axis=(1, 2)) for i in node]) for end in (np.min, np.max)
     )
     hi[:, 0] = (lo[:, 0] + hi[:, 0]) / 2
     axis, is_upper = np.zeros(3, int), np.zeros(3, bool)
-    parts, key, a_part, which = found.distinct_parts(node, axis, is_upper, lo, hi, hash_of_box)
-    assert parts.num_cells == len(key) == len(a_part) == 2
-    assert which.tolist() == [0, 0, 1] and a_part.tolist() == [0, 2]
-    once = a_part
+    parts, key, once, which = found.distinct_parts(node, axis, is_upper, lo, hi, hash_of_box)
+    assert parts.num_cells == len(key) and which.tolist() == [0, 0, 1] and once.tolist() == [0, 2]
     alone = found.parts(node[once], axis[once], is_upper[once], lo[once], hi[once])
     np.testing.assert_array_equal(parts.pieces, alone.pieces)
     np.testing.assert_array_equal(parts.by_all, alone.by_all)
@@ -101,8 +98,25 @@ def test_parts_that_are_alike_are_settled_once():
 
 
 def test_views_are_corners_in_their_order_and_then_goals():
-    workspace = Workspace(TEN, [box(4, 2, 6, 8)])
     goals = [(1.0, 5), (9, 5)]
-    oracles, (found, _, _), _, _ = family_of(workspace, goals)
+    oracles, (found, _, _), _, _ = family_of(MIDDLE, goals)
     points = np.concatenate([oracles[0].sources.points[1:], goals])
     np.testing.assert_array_equal(found.sources.points, points[found.views(np.arange(len(found.sources.points)))])
+
+
+def test_cones_have_the_numbers_that_a_dictionary_would_give_them():
+    """Those that are alike have one number, for ever."""
+    points = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.25]])  # two corners, then two goals
+    rng, cones, known = np.random.default_rng(0), SharedCones(points, num_turns=4, step=0.125), {}
+    assert len(cones.sources.points) == len(cones.numbers(np.zeros(0, np.int64), np.zeros(0))) == 0
+    for _ in range(5):
+        kind, steps = rng.integers(0, 8, 40), rng.integers(0, 4, 40)
+        found = cones.numbers(kind, 0.125 * (steps + rng.uniform(-0.4, 0.4, 40)))  # nearer than half a step is alike
+        expected = [known.setdefault(each, len(known)) for each in zip(kind.tolist(), steps.tolist(), strict=True)]
+        np.testing.assert_array_equal(found, expected)
+        kinds, steps = np.array(list(known)).T
+        np.testing.assert_array_equal(cones.kind, kinds)
+        np.testing.assert_array_equal(cones.sources.points, points[kinds // 2])
+        np.testing.assert_array_equal(cones.sources.distances, 0.125 * steps)
+        np.testing.assert_array_equal(cones.view, kinds // 2)
+        np.testing.assert_array_equal(cones.turn, [kind if kind < 4 else -1 for kind in kinds])

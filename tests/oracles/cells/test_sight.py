@@ -4,10 +4,10 @@ import numpy as np
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, as_pieces, box
 
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
+from plr_jax import VisibilityGraph, Workspace
 from plr_jax.oracles.cells.sight import GoalCones, meet_walls
 
 
@@ -26,16 +26,14 @@ def test_walls_meet_the_boxes_whose_inside_they_reach(seed):
 
 def test_a_wall_along_the_side_of_a_box_is_not_in_it():
     walls = Workspace(TEN, [box(4, 4, 6, 6)]).edge_tree
-    lo, hi = (
-        np.array([[2.0, 4], [6, 6], [3, 3], [4.5, 4.5], [0, 0]]),
-        np.array([[4.0, 6], [7, 7], [5, 5], [5, 5], [10, 10]]),
-    )
+    lo = np.array([[2.0, 4], [6, 6], [3, 3], [4.5, 4.5], [0, 0]])
+    hi = np.array([[4.0, 6], [7, 7], [5, 5], [5, 5], [10, 10]])
     np.testing.assert_array_equal(meet_walls(walls, lo, hi), [False, False, True, False, True])
 
 
 def test_the_goal_is_never_asked_and_corners_where_paths_wrap_around_them():
     """From behind a wall paths to (1, 5) turn at its upper corners, from in front of it at none."""
-    oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
+    oracle = VisibilityGraph(MIDDLE, (1, 5))
     sight = oracle.cell_sources(oracle.workspace.bounds).sight
     cones = GoalCones.of(oracle.sources, sight.turns)
     assert cones.turn[0] == -1 and (cones.turn[1:] >= 0).all()

@@ -1,38 +1,94 @@
+"""Leaf models: their names and codes, and what holds of the numbers of every model with free parameters."""
+
+from dataclasses import replace
+
+import numpy as np
 import pytest
+from plr_helpers import random_contents
 
 from plr_jax.plr import Continuous, Plane
+from plr_jax.plr._assembly import plr_of_leaves
+from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_of_code
+from plr_jax.plr.leaves.base import linear_mean_planes, rounded_down
 from plr_jax.plr.leaves.cone.model import Cone
 
-MODELS = [
-    ("plane", 0, Plane()),
-    ("continuous", 1, Continuous(order=0)),
-    ("smooth", 2, Continuous(order=1)),
-    ("cone", 3, Cone()),
-]
+MODELS = {"plane": Plane(), "continuous": Continuous(order=0), "smooth": Continuous(order=1), "cone": Cone()}
 
 
-@pytest.mark.parametrize(("name", "code", "model"), MODELS)
-def test_every_model_has_a_name_and_a_code_that_stay(name, code, model):
+@pytest.mark.parametrize(("code", "name"), list(enumerate(MODELS)))
+def test_every_model_has_a_name_and_a_code_that_stay(code, name):
+    model = MODELS[name]
     assert leaf_model(name) == leaf_of_code(code) == leaf_model(model) == model
     assert code_of_leaf(model) == code and model.name == name
 
 
-def test_options_of_a_model_do_not_change_its_code():
+def test_options_of_a_model_do_not_change_its_code_but_compiled_queries_are_told_apart_by_them():
     assert code_of_leaf(Plane(coefficient_bits=16)) == 0
     assert leaf_model(Plane(coefficient_bits=16)).coefficient_bits == 16
-
-
-def test_what_is_no_model_is_refused():
-    unchecked = getattr(leaf_model, "__wrapped__", leaf_model)
-    with pytest.raises(ValueError, match="one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"):
-        leaf_model("cubic")
-    with pytest.raises(ValueError, match=r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"):
-        unchecked(7)
-    with pytest.raises(ValueError, match="it has leaves of kind 4, this release knows kinds 0 to 3"):
-        leaf_of_code(4)
-
-
-def test_models_are_hashable_and_equal_where_their_options_are():
-    """Compiled queries are told apart by them."""
     assert len({Plane(), Plane(), Plane(coefficient_bits=8), Continuous(), Continuous(order=0)}) == 3
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("make", "wrong", "message"),
+    [
+        (leaf_model, "cubic", "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
+        (leaf_model, 7, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
+        (leaf_of_code, 4, "it has leaves of kind 4, this release knows kinds 0 to 3"),
+        (lambda order: Continuous(order=order), 2, "order must be 0 or 1, got 2"),
+        *(
+            (lambda bits: Plane(coefficient_bits=bits), bits, f"bits must be 32 .floats. or 4 to 20, got {bits}")
+            for bits in (3, 21, 31, 33, 0, -1)
+        ),
+        (lambda bits: Plane(coefficient_bits=bits), 8.5, "coefficient_bits"),
+    ],
+)
+def test_what_is_no_model_is_refused(make, wrong, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        make(wrong)
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_coefficients_of_planes_are_planes(leaf, dim):
+    model, rng = leaf_model(leaf), np.random.default_rng(0)
+    center, half, u = rng.normal(size=5), rng.normal(size=(5, dim)), rng.uniform(-1, 1, size=(30, dim))
+    coefficients = model.of_planes(center, half)
+    np.testing.assert_allclose(coefficients @ model.basis(u).T, center[:, None] + half @ u.T, atol=1e-12)
+    for found, expected in zip(linear_mean_planes(model, coefficients, dim), (center, half), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_coefficients_are_a_map_of_parameters_which_are_stored_with_fewer_and_fewer_bits(leaf):
+    contents = random_contents(3, 2, leaf)
+    model, coefficients = contents.leaf, contents.leaf.coefficients(contents.cells, contents.stored)
+    parameters, sizes = model.parameters(contents.cells, contents.stored), []
+    of_map = np.zeros(coefficients.size)
+    np.add.at(of_map, parameters.row, parameters.weight * parameters.values[parameters.column])
+    np.testing.assert_allclose(of_map.reshape(coefficients.shape), coefficients, atol=1e-12)
+    for stored in model.restored(contents.stored, parameters.values):
+        values = model.parameters(contents.cells, stored).values
+        assert np.abs(values - parameters.values).max() <= 0.51 * stored.step + 1e-6 * np.abs(parameters.values).max()
+        model.write(body := BitWriter(), contents.domain, contents.cells, stored)
+        sizes.append(body.num_bits)
+        if len(sizes) == 1:  # the same as before
+            np.testing.assert_allclose(stored.step, contents.stored.step, rtol=1e-5)
+    assert sizes[-1] < 0.7 * sizes[0] and (np.diff(sizes) <= 0).all()
+
+
+def test_raised_leaves_are_higher_by_the_shift_or_a_little_less(leaf):
+    contents = random_contents(4, 2, leaf)
+    x = contents.domain.lo + contents.domain.width * np.random.default_rng(0).random((200, 2))
+    raised = replace(contents, stored=contents.leaf.raised(contents.stored, 0.123456789))
+    change = np.asarray(plr_of_leaves(raised)(x), float) - np.asarray(plr_of_leaves(contents)(x), float)
+    finite = np.isfinite(change)
+    assert finite.sum() > 100
+    np.testing.assert_allclose(change[finite], 0.123456789, atol=1e-5)
+
+
+def test_rounding_down_to_32_bits():
+    values = np.array([0.1, -0.1, 1.0, 1 + 2.0**-40, -1 - 2.0**-40])
+    found = rounded_down(values)
+    np.testing.assert_array_equal(found, found.astype(np.float32))
+    assert (found <= values).all() and (values - found < 2e-7).all()
+    assert found[2] == 1.0 == found[3]

@@ -1,8 +1,108 @@
+"""Continuous leaves: no jumps where one may walk, exact for what they can hold, within limits, fitted densely."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from plr_helpers import UNIT, cone, walled
+from plr_helpers import UNIT, cone, leaf_by_search, points, random_partition, walled
 
-from plr_jax.plr import Continuous, construct
+from plr_jax import Box
+from plr_jax.plr import construct
+from plr_jax.plr.leaves.continuous.codec import numbers_of_polynomials
+from plr_jax.plr.leaves.continuous.growth import fit_values
+from plr_jax.plr.leaves.continuous.space import design, nodal_space, numbers_of_leaves
+from plr_jax.plr.partition.cells import Cells, tree_of
+from plr_jax.plr.partition.faces import face_points, shared_faces
+from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
+
+STEP = 2.0**-22  # moves a 32-bit point of the unit square off a face
+
+
+@pytest.fixture(scope="module", params=["continuous", "smooth"])
+def leaf(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def plr(leaf):
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100, num_samples=48)
+
+
+def both_sides_of_faces(plr, distance_fn):
+    """Random points on faces, moved a step to either side, where both sides can be reached."""
+    faces, w = shared_faces(tree_of(plr.cells)), np.random.default_rng(0).random((20, plr.dim))
+    on_face = plr.domain.lo + plr.domain.width * face_points(plr.cells, faces, w)
+    across = STEP * plr.domain.width * np.eye(plr.dim)[faces.axis][:, None]
+    below, above = ((on_face + sign * across).reshape(-1, plr.dim) for sign in (-1, 1))
+    free = np.isfinite(distance_fn(below)) & np.isfinite(distance_fn(above))
+    assert free.sum() > 500
+    return below[free].astype(np.float32), above[free].astype(np.float32)
+
+
+def jump(plr, distance_fn):
+    below, above = both_sides_of_faces(plr, distance_fn)
+    return np.abs(np.asarray(plr(below)) - np.asarray(plr(above))).max()
+
+
+def test_no_jump_across_free_faces_nor_of_gradients_of_order_one(plr, leaf):
+    assert jump(plr, walled) <= 1.4e-5
+    assert jump(construct(walled, UNIT, max_leaves=150), walled) > 1e-4  # points do tell leaves apart: planes jump
+    gradient = jax.vmap(jax.grad(plr))
+    below, above = (np.asarray(gradient(jnp.asarray(x))) for x in both_sides_of_faces(plr, walled))
+    largest = np.abs(below - above).max()
+    assert largest < 1e-3 if leaf == "smooth" else largest > 0.1
+
+
+@pytest.mark.parametrize("dim", [1, 3])
+def test_no_jump_in_other_dimensions(dim):
+    def walled_anywhere(x):
+        blocked = (np.abs(x[:, 0] - 0.45) < 0.05) & np.all(x[:, 1:] < 0.7, axis=1) if dim > 1 else False
+        return np.where(blocked, np.inf, cone(x) ** 2)  # on a line, the cone itself needs one leaf
+
+    plr = construct(walled_anywhere, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=80, num_samples=48)
+    assert jump(plr, walled_anywhere) <= 1e-5
+
+
+def test_nothing_blends_across_a_wall(plr):
+    y = np.linspace(0.05, 0.6, 50)
+    left, right = (np.stack([np.full(50, at), y], axis=1) for at in (0.4 - 1e-4, 0.5 + 1e-4))
+    assert (walled(right) - walled(left)).min() > 0.2
+    for side in (left, right):
+        np.testing.assert_allclose(plr(side), walled(side), atol=0.03)
+
+
+def test_points_within_rounding_of_a_border_are_answered_as_the_border_is(leaf):
+    """The lookup rounds a place to 23 bits: a point next to a border may be found in the leaf behind it."""
+    # Widths that are no powers of two, for which not even the lookup rounds the same way in all compiled code.
+    domain = Box([0.0, -1.0], [24.0, 14.0])
+    plr = construct(lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 7), domain, leaf=leaf, max_leaves=80, num_samples=32)
+    x = (domain.lo + domain.width * points(4000, 0)).astype(np.float32)
+    for axis, corners in enumerate(plr.leaf_boxes[0].T):
+        x[:, axis] = np.resize(np.unique(corners)[1:], 4000)
+        at_border = plr(x)
+        for _ in range(8):
+            x[:, axis] = np.nextafter(x[:, axis], np.float32(-2))
+            np.testing.assert_allclose(plr(x), at_border, atol=1e-4)
+
+
+def test_a_query_is_the_interpolation_of_nodal_values(x):
+    plr = construct(walled, UNIT, leaf="continuous", max_leaves=60)
+    stored, leaf = plr.stored, leaf_by_search(plr, x)
+    node = (numbers_of_leaves(0, stored.partition.space) @ stored.decode()).reshape(-1, 2, 2)[leaf]
+    lo, hi = (corner[leaf] for corner in plr.leaf_boxes)
+    s, t = ((x - lo) / (hi - lo)).T
+    low, high = (1 - t) * node[:, 0, 0] + t * node[:, 0, 1], (1 - t) * node[:, 1, 0] + t * node[:, 1, 1]
+    reachable = ~stored.partition.unreachable[leaf]
+    np.testing.assert_allclose(np.asarray(plr(x))[reachable], ((1 - s) * low + s * high)[reachable], atol=1e-5)
+
+
+def test_numbers_are_the_cell_and_powers_of_the_place_in_it():
+    """On the upper half along x, with 1, 2, 4, 8 at the corners (lower x first): 1 + t + 3 s + 3 s t."""
+    cells = Cells.root(2).split(np.array([0]))
+    found = numbers_of_polynomials(0, cells, np.array([[np.inf, 0, 0, 0], [1, 2, 4, 8]]))
+    np.testing.assert_array_equal(found, [[2, 1, np.inf, 0, 0, 0], [3, 1, 1, 1, 3, 3]])
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -10,31 +110,24 @@ def test_one_leaf_holds_a_multilinear_function(dim):
     def product(x):
         return 1 + np.prod(1 + x * np.arange(1, dim + 1), axis=1)
 
-    plr = construct(product, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=1)
-    x = np.random.default_rng(0).random((100, dim))
+    plr, x = construct(product, (np.zeros(dim), np.ones(dim)), leaf="continuous", max_leaves=1), points(100, 0, dim)
     np.testing.assert_allclose(plr(x), product(x), rtol=3e-6)
 
 
-@pytest.mark.parametrize("leaf", ["continuous", "smooth"])
-def test_linear_functions_are_held_across_leaves_and_walls(leaf):
+def test_linear_functions_are_held_across_leaves_and_walls(leaf, samples):
     def linear(x):
         return np.where(np.isfinite(walled(x)), 3 + x @ [2.0, -1.0], np.inf)
 
-    plr = construct(linear, UNIT, leaf=leaf, tolerance=0)
-    x = np.random.default_rng(5).random((500, 2))
-    x = x[np.isfinite(walled(x))]
+    plr, x = construct(linear, UNIT, leaf=leaf, tolerance=0), samples[0]
     assert plr.num_leaves < 200
     np.testing.assert_allclose(plr(x), linear(x), rtol=1e-5)
 
 
-@pytest.mark.parametrize("leaf", ["continuous", "smooth"])
-def test_at_equal_bytes_it_errs_less_than_planes(leaf):
-    x = np.random.default_rng(5).random((10_000, 2))
-    x = x[np.isfinite(walled(x))]
-    planes = construct(walled, UNIT, max_bytes=600)
-    tied = construct(walled, UNIT, max_bytes=600, leaf=leaf)
+def test_at_equal_bytes_it_errs_less_than_planes(leaf, samples):
+    tied, planes = (construct(walled, UNIT, max_bytes=600, leaf=each) for each in (leaf, "plane"))
     assert 570 <= tied.num_bytes <= 600
-    errors = [np.abs(np.asarray(plr(x)) - walled(x)).mean() for plr in (tied, planes)]
+    x, distance = samples
+    errors = [np.abs(np.asarray(plr(x)) - distance).mean() for plr in (tied, planes)]
     assert errors[0] < 0.8 * errors[1]
 
 
@@ -50,6 +143,56 @@ def test_too_many_dimensions_are_refused(leaf, dim, message):
         construct(cone, (np.zeros(dim), np.ones(dim)), leaf=leaf)
 
 
-def test_an_order_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="order must be 0 or 1, got 2"):
-        Continuous(order=2)
+def test_limits_and_weights_are_kept():
+    plr, x = construct(cone, UNIT, leaf="continuous", tolerance=0.01), points(5000, 0)
+    assert np.abs(np.asarray(plr(x)) - cone(x)).max() < 0.015 and plr.num_leaves < 60
+    weighted = construct(
+        cone, UNIT, leaf="continuous", max_leaves=64, weight_fn=lambda x: np.where(x[:, 0] > 0.5, 1.0, 0.001)
+    )
+    assert np.mean(weighted.leaf_boxes[0][:, 0] >= 0.5) > 0.8
+    deep = construct(
+        lambda x: 10.0 * (x[:, 0] > 1 / 3) + cone(x), UNIT, leaf="continuous", max_leaves=60, max_depth=7
+    )
+    assert deep.depth == 7 and deep.num_leaves == 60
+    for budget in (100, 300, 700):
+        assert 0.95 * budget < construct(cone, UNIT, leaf="continuous", max_bytes=budget).num_bytes <= budget
+
+
+@pytest.mark.parametrize("max_leaves", [100, 200, 400])
+def test_exhausted_leaves_take_no_part_of_what_was_asked_for(max_leaves):
+    """Leaves at a jump are halved until they may not be; once they were chosen, and 99, 193 and 380 leaves made."""
+
+    def bumps_and_a_jump(x):
+        return 2 + np.sin(40 * x[:, 0]) + 10 * (x[:, 0] > 1 / 3)
+
+    plr = construct(bumps_and_a_jump, ([0.0], [1.0]), leaf="continuous", max_leaves=max_leaves, num_samples=48)
+    assert plr.num_leaves == max_leaves
+
+
+def space_and_fit(value):
+    """A partition of 16 leaves, all tied, and samples of given values."""
+    tree = tree_of(random_partition(4, 2, 15))
+    fit = Sampler(lambda x: np.ones(len(x)), UNIT, None, *2 * [sample_pattern(2, 48, 0.0, 0)], 14)(tree.leaves)
+    return nodal_space(tree, shared_faces(tree), np.zeros(16, bool)), replace(fit, value=value)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_values_are_those_of_a_dense_least_squares_fit(order):
+    rng = np.random.default_rng(0)
+    space, fit = space_and_fit(rng.normal(size=(16, 48)))
+    weight = rng.random((16, 48))
+    values, residual = fit_values(order, space, fit, weight)
+    rows = np.kron(np.eye(16), design(order, (fit.pattern.u + 1) / 2)) @ numbers_of_leaves(order, space).toarray()
+    root = np.sqrt(weight).ravel()
+    expected, *_ = np.linalg.lstsq(rows * root[:, None], fit.value.ravel() * root, rcond=None)
+    np.testing.assert_allclose(values, expected, atol=1e-4)
+    np.testing.assert_allclose(residual.ravel(), fit.value.ravel() - rows @ values, atol=1e-9)
+    weight[2] = 0
+    _, residual = fit_values(order, space, fit, weight)
+    assert (residual[2] == 0).all() and (np.delete(residual, 2, axis=0) != 0).all()
+
+
+def test_values_that_no_sample_holds_are_harmless():
+    space, fit = space_and_fit(np.full((16, 48), 7.0))
+    values, _ = fit_values(0, space, fit, np.where(np.arange(16) == 3, 1.0, 0.0)[:, None] * np.ones(48))
+    np.testing.assert_allclose(values, 7.0, rtol=1e-6)

@@ -5,22 +5,21 @@ import pytest
 import shapely
 from piece_helpers import TEN, WORKSPACES, box
 
-from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.construct import lattice_step, outline_of
+from plr_jax import Workspace
+from plr_jax.pairs.construct import outline_of
 from plr_jax.pairs.outline import read_outline
 from plr_jax.plr.file.bits import BitReader, BitWriter
 
 
 def outline(workspace):
-    domain = workspace.bounds
-    width = float(domain.width.max())
-    return outline_of(workspace.boundary, domain.lo, width, workspace.tolerance, workspace.squeeze)
+    width = float(workspace.bounds.width.max())
+    return outline_of(workspace.boundary, workspace.bounds.lo, width, workspace.tolerance, workspace.squeeze)
 
 
 @pytest.mark.parametrize("squeeze", [False, True])
 @pytest.mark.parametrize("kind", WORKSPACES)
 @pytest.mark.parametrize("seed", range(3))
-def test_the_outline_is_the_boundary_of_free_space(kind, seed, squeeze):
+def test_the_outline_is_the_boundary_of_free_space_and_is_read_as_it_was_written(kind, seed, squeeze):
     workspace = kind(np.random.default_rng(seed), squeeze)
     found, vertex = outline(workspace)
     boundary, finest = workspace.boundary, 10 * 2.0**-24
@@ -30,11 +29,6 @@ def test_the_outline_is_the_boundary_of_free_space(kind, seed, squeeze):
     x = np.random.default_rng(seed).uniform(0, 10, (500, 2))
     clear = shapely.distance(shapely.boundary(workspace.free_space), shapely.points(x)) > 1e-4
     np.testing.assert_array_equal(found.contains(x)[clear], workspace.is_free(x)[clear])
-
-
-@pytest.mark.parametrize("kind", WORKSPACES)
-def test_an_outline_is_read_as_it_was_written(kind):
-    found, _ = outline(kind(np.random.default_rng(5)))
     body = BitWriter()
     found.write(body)
     again = read_outline(BitReader(body.to_bytes()), found.origin)
@@ -44,29 +38,16 @@ def test_an_outline_is_read_as_it_was_written(kind):
 
 def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
     found, _ = outline(Workspace(TEN, [box(4, 4, 6, 6)]))
-    hole = np.array([[4, 4], [6, 4], [6, 6], [4, 6]], float)
     for distance in (0.25, -0.5):
         moved = {tuple(point) for point in found.moved_points(distance).tolist()}
-        inner, outer = hole + distance * np.sign(5 - hole), box(-distance, -distance, 10 + distance, 10 + distance)
+        inner, outer = box(*[4 + distance] * 2, *[6 - distance] * 2), box(*[-distance] * 2, *[10 + distance] * 2)
         assert moved == {tuple(point) for point in [*inner.tolist(), *outer.tolist()]}
 
 
 @pytest.mark.parametrize("squeeze", [False, True])
 def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
-    workspace = Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze)
-    found, _ = outline(workspace)
+    found, _ = outline(Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze))
     assert found.may_squeeze == squeeze
     at_contact = (found.positions == 5).all(axis=1)
     moved = found.moved_points(0.1)[at_contact]
     assert at_contact.sum() == 2 and (np.ptp(moved, axis=0).max() > 0.1) == squeeze
-
-
-@pytest.mark.parametrize("step", [2.0, 0.25, 0.1, 0.001, 2.0**-12])
-def test_the_widest_lattice_that_holds_all_points(step):
-    points = step * np.random.default_rng(0).integers(-40, 40, (50, 2))
-    points[0] = step  # odd, so that no wider one holds it
-    assert lattice_step(points, 4096.0, 1e-9) == pytest.approx(step, rel=1e-12)
-
-
-def test_the_finest_lattice_if_none_holds_the_points():
-    assert lattice_step(np.array([[np.pi, 1.0]]), 8.0, 1e-12) == 8 * 2.0**-24

@@ -21,11 +21,7 @@ def random_case(seed, leaves, corners, walls):
 
 def hulls(boxes, leaf, corner):
     lo, hi = (each[leaf] for each in boxes)
-    x, y = (
-        np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1),
-        np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1),
-    )
-    ends = np.stack([np.column_stack([x, corner[:, 0]]), np.column_stack([y, corner[:, 1]])], axis=-1)
+    ends = np.stack([lo, np.column_stack([hi[:, 0], lo[:, 1]]), hi, np.column_stack([lo[:, 0], hi[:, 1]]), corner], 1)
     return shapely.convex_hull(shapely.multipoints(ends))
 
 
@@ -49,13 +45,9 @@ def test_corners_are_looked_at_in_blocks_of_any_size(monkeypatch, block):
     together = near_entries(*case, 1e-3, 60)
     monkeypatch.setattr(near_walls, "_BLOCK", block)
     np.testing.assert_array_equal(near_entries(*case, 1e-3, 60), together)
-
-
-def test_nothing_is_near_nothing():
-    boxes, leaf, corner, walls = random_case(0, 4, 3, 5)
-    for some, others in ((leaf[:0], walls), (leaf, walls[:0])):
-        entry, wall = near_entries(boxes, some, corner[: len(some)], others, 1e-3, 0)
-        assert len(entry) == len(wall) == 0
+    boxes, leaf, corner, walls = case
+    for none in ((boxes, leaf[:0], corner[:0], walls), (boxes, leaf, corner, walls[:0])):
+        assert all(len(each) == 0 for each in near_entries(*none, 1e-3, 0))
 
 
 def test_the_walls_of_an_entry_are_read_at_its_place():
@@ -63,17 +55,12 @@ def test_the_walls_of_an_entry_are_read_at_its_place():
     walls[:, 2:] = walls[:, :2] + 0.05 * (walls[:, 2:] - walls[:, :2])
     pairs = near_entries(boxes, leaf, corner, walls, 1e-6, 400)
     near = NearWalls.of(boxes, leaf, corner, walls, 1e-6, (9, 8))
-    assert near is not None
+    assert near is not None and NearWalls.of(boxes, leaf, corner, walls[:8], 1e-6, (9, 8)) is None  # most are near
     place = np.arange(len(leaf)) - np.searchsorted(leaf, leaf)
     ends = np.moveaxis(np.asarray(near(*(jnp.asarray(each.astype(np.uint32)) for each in (leaf, place)))), 0, 2)
     for entry, read in enumerate(ends):
         own = walls[pairs[1][pairs[0] == entry]].astype(np.float32)
         np.testing.assert_array_equal(read[: len(own)], own)
-
-
-def test_where_most_walls_are_near_all_are_tested():
-    boxes, leaf, corner, walls = random_case(2, 5, 4, 8)
-    assert NearWalls.of(boxes, leaf, corner, walls, 1e-6, (5, 8)) is None
 
 
 @pytest.mark.parametrize("limit", ["_MOST_TESTS", "_MOST_PAIRS"])

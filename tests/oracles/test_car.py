@@ -1,0 +1,238 @@
+"""Cars that only go forward, and such as reverse: lengths by hand and of OMPL, paths, symmetries."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from plr_jax import Dubins, Euclidean, ReedsShepp, Roadmap, Workspace
+from plr_jax._types import SymmetricFn, Symmetry
+
+PI, RADIUS = np.pi, 1.7
+GOAL = np.array([0.3, -0.8, 2.2])
+LATTICE = np.stack(np.meshgrid(*[np.linspace(-4, 4, 9)] * 2, PI / 4 * np.arange(-3, 5)), axis=-1).reshape(-1, 3)
+"""Poses at which many words begin, end or are equally long."""
+CARS = [Dubins, ReedsShepp]
+both = pytest.mark.parametrize("car", CARS)
+
+
+def random_poses(n, extent=8.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(-extent, extent, (n, 2)), rng.uniform(-PI, PI, n)])
+
+
+def driven(pose, segments):
+    """Where a car ends that drives segments of a letter and a signed length, each in closed form."""
+    x, y, heading = pose
+    for letter, length in segments:
+        if letter == "S":
+            x, y = x + length * np.cos(heading), y + length * np.sin(heading)
+            continue
+        side = {"L": RADIUS, "R": -RADIUS}[letter]
+        center = x - side * np.sin(heading), y + side * np.cos(heading)
+        heading += length / side
+        x, y = center[0] + side * np.sin(heading), center[1] - side * np.cos(heading)
+    return np.array([x, y, heading])
+
+
+def in_frame_of(goal, relative):
+    """Poses given relative to a goal."""
+    turn = np.exp(1j * goal[2]) * (relative[:, 0] + 1j * relative[:, 1])
+    return np.column_stack([goal[0] + turn.real, goal[1] + turn.imag, goal[2] + relative[:, 2]])
+
+
+def ompl_distances(car, radius, starts, goal):
+    """Lengths from starts to a goal in a state space of OMPL."""
+    space = getattr(pytest.importorskip("ompl.base"), f"{car.__name__}StateSpace")(radius)
+    first, last = space.allocState(), space.allocState()
+    lengths = []
+    for start in starts:
+        for state, (x, y, yaw) in ((first, start), (last, goal)):
+            state.setX(x)
+            state.setY(y)
+            state.setYaw(yaw)
+        lengths.append(space.distance(first, last))
+    return np.array(lengths)
+
+
+@pytest.mark.parametrize(
+    ("pose", "forward", "both_ways"),
+    [
+        ((0, 0, 0), 0, 0),
+        ((-5, 0, 0), 5, 5),
+        ((9, 0, 0), 9 + 4 * PI, 9),  # half a circle, back, half a circle; in reverse
+        ((0, 4, PI), 2 * PI, 2 * PI),  # half a circle to the left
+        ((-2, 2, -PI / 2), PI, PI),
+        ((-2, -2, PI / 2), PI, PI),
+        ((2, 2, PI / 2), 3 * PI, PI),  # three quarters to the left; one in reverse
+        ((-4, 4, 0), 2 * PI, 2 * PI),  # a quarter to the right, a quarter to the left
+        ((0, 0, PI), 2 * PI * 7 / 3, 2 * PI),  # 60 degrees aside, 300, 60 back; three of 60 with cusps between them
+        ((0, 1e-10, 0), None, 4e-5),  # four turns u, as R L forward and R L in reverse: 2 u**2 radii aside
+    ],
+)
+def test_lengths_drawn_by_hand(pose, forward, both_ways):
+    np.testing.assert_allclose(ReedsShepp((0, 0, 0), 2)([pose]), [both_ways], rtol=1e-9, atol=1e-12)
+    if forward is not None:
+        np.testing.assert_allclose(Dubins((0, 0, 0), 2)([pose]), [forward], rtol=1e-12, atol=1e-12)
+
+
+@both
+@pytest.mark.parametrize("extent", [1, 4, 40])
+def test_lengths_are_those_of_ompl(car, extent):
+    poses = random_poses(4000, extent)
+    expected = ompl_distances(car, RADIUS, poses, GOAL)
+    np.testing.assert_allclose(car(GOAL, RADIUS)(poses), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("car", "goal", "tolerance"),
+    [
+        *((Dubins, goal, 1e-11) for goal in ((0, 0, 0), GOAL, (100.1, -37.3, -1.1))),
+        (ReedsShepp, (0, 0, 0), 1e-12),
+        (ReedsShepp, GOAL, 1e-7),  # the rounding of poses shows: a path aside by as little as 1e-16 is 4e-8 long
+    ],
+)
+def test_lengths_are_those_of_ompl_where_they_jump_and_words_meet(car, goal, tolerance):
+    found, expected = car(goal, 1)(in_frame_of(goal, LATTICE)), ompl_distances(car, 1.0, LATTICE, np.zeros(3))
+    np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
+
+
+@both
+@pytest.mark.parametrize("extent", [0.01, 2, 8, 40])
+def test_paths_end_at_the_goal_and_are_as_long_as_is_said(car, extent):
+    oracle = car(GOAL, RADIUS)
+    for pose, length in zip(poses := random_poses(200, extent), oracle(poses), strict=True):
+        path = oracle.shortest_path(pose)
+        pieces = np.array([piece for _, piece in path])
+        assert len(path) <= 5 and (np.abs(pieces) > 0).all()
+        assert car is ReedsShepp or (len(path) <= 3 and (pieces > 0).all())
+        assert np.abs(pieces).sum() == pytest.approx(length, rel=1e-12)
+        error = driven(pose, path) - GOAL
+        assert np.abs([*error[:2], np.angle(np.exp(1j * error[2]))]).max() < 1e-12 * (1 + extent)
+
+
+WORDS = {"LSL", "LSR", "LRL", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR"}
+
+
+def test_all_words_are_used():
+    words = WORDS | {word.translate(str.maketrans("LR", "RL")) for word in WORDS}
+    for car in CARS:
+        used = {
+            "".join(letter for letter, _ in car(GOAL, RADIUS).shortest_path(pose)) for pose in random_poses(3000, 6)
+        }
+        assert words <= used if car is ReedsShepp else used == {word for word in words if len(word) == 3}
+
+
+POSE = st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-10, 10))
+TURN = st.floats(0, 6 * RADIUS)
+
+
+@both
+@given(POSE, st.sampled_from("LSR"), st.floats(-6 * RADIUS, 6 * RADIUS))
+def test_no_detour_is_shorter(car, pose, letter, length):
+    """The equation that a shortest path satisfies, and no other length above it does."""
+    length = length if car is ReedsShepp else abs(length)
+    direct, onward = car(GOAL, RADIUS)(np.array([pose, driven(pose, [(letter, length)])]))
+    assert direct <= abs(length) + onward + 1e-7
+
+
+@given(st.permutations("LSR"), st.tuples(TURN, TURN, TURN))
+def test_no_path_driven_is_shorter(letters, lengths):
+    """Among them single turns and those of both sides, where the distance jumps."""
+    goal = driven((0.0, 0.0, 0.0), list(zip(letters, lengths, strict=True)))
+    assert Dubins(goal, RADIUS)([(0, 0, 0)])[0] <= sum(lengths) + 1e-8
+
+
+@given(POSE)
+def test_gears_and_room_to_turn_save_length_and_with_gears_there_is_as_far_as_back(pose):
+    fns = Euclidean(GOAL[:2]), ReedsShepp(GOAL, RADIUS), Dubins(GOAL, RADIUS)
+    direct, both_ways, forward = (fn([pose[: fn.dim]])[0] for fn in fns)
+    assert direct <= both_ways + 1e-9 and both_ways <= forward + 1e-7
+    np.testing.assert_allclose(both_ways, ReedsShepp(pose, RADIUS)([GOAL])[0], atol=1e-7)
+
+
+def test_it_jumps_where_a_single_turn_leads_to_the_goal():
+    quarter = np.array([[-1.0, 1.0, -PI / 2]])
+    for offset, turns in ((0, 0.25), (1e-12, 0.25), (-1e-12, 0.25), (1e-6, 1.25), (-1e-6, 0.25)):
+        pose = in_frame_of(GOAL, quarter + np.array([offset, 0, 0]))
+        np.testing.assert_allclose(Dubins(GOAL, 1)(pose), [turns * 2 * PI], atol=1e-5)
+    turned, hardly = (Dubins(GOAL, 1)([GOAL + np.array([0, 0, angle])])[0] for angle in (1e-6, 1e-12))
+    assert turned > 6 and hardly < 1e-11
+
+
+@both
+def test_whole_turns_are_no_way_and_no_pose_is_out_of_reach(car):
+    oracle, poses = car(GOAL, RADIUS), random_poses(500)
+    for turns in (-1, 3):
+        np.testing.assert_allclose(oracle(poses + np.array([0, 0, 2 * PI * turns])), oracle(poses), atol=1e-7)
+    assert car((1, 2, 0.5), 3)([(1, 2, 0.5 + 2 * PI)]) < 1e-15 and 0 <= oracle([(0, 0, 1e300)])[0] < 30
+    for bad in (np.nan, np.inf, -np.inf):
+        np.testing.assert_array_equal(oracle(np.where(np.eye(3), bad, 1.0)), [np.inf] * 3)
+
+
+@both
+def test_poses_very_far_away_are_as_far_as_the_crow_flies(car):
+    oracle = car(GOAL, RADIUS)
+    np.testing.assert_allclose(oracle([(1e9, 0, 1), (3e200, 4e200, 1)]), [1e9, 5e200], rtol=1e-7)
+    with pytest.raises(ValueError, match="nearer to the goal"):
+        oracle.shortest_path((3e200, 4e200, 1))
+
+
+def test_the_answer_of_a_pose_depends_on_no_other():
+    poses, oracle = random_poses(9001), ReedsShepp(GOAL, RADIUS)
+    together = oracle(poses)
+    np.testing.assert_array_equal(together, np.concatenate([oracle(part) for part in np.array_split(poses, 7)]))
+    assert together.dtype == np.float64 and oracle(np.zeros((0, 3))).shape == (0,)
+
+
+@both
+@pytest.mark.parametrize(
+    ("goal", "radius", "x", "message"),
+    [
+        ((0, 0), 1, None, r"goal pose must be one point of shape \(3,\)"),
+        ((0, 0, np.inf), 1, None, "goal pose must have finite"),
+        ((0, 0, 0), 0, None, "radius must be a positive finite number, got 0"),
+        ((0, 0, 0), -1, None, "radius must be a positive finite number, got -1"),
+        ((0, 0, 0), np.nan, None, "radius must be a positive finite number, got nan"),
+        ((0, 0, 0), "wide", None, "radius must be a positive finite number, got 'wide'"),
+        ((0, 0, 0), 1, np.zeros((2, 2)), r"x must have shape \(n, 3\), got \(2, 2\)"),
+        ((0, 0, 0), 1, np.zeros(3), r"x\[None\]"),
+        ((0, 0, 0), 1, np.ma.masked_less([[0.0, 1.0, 2.0]], 1), "some are masked"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked_types")
+def test_bad_input_is_refused(car, goal, radius, x, message):
+    with pytest.raises(ValueError, match=message):
+        car(goal, radius)(x)
+
+
+@both
+def test_a_path_needs_a_pose(car):
+    with pytest.raises(ValueError, match="start pose must have finite"):
+        car(GOAL, RADIUS).shortest_path((0, np.nan, 0))
+    assert car((1, 2, 0.5), 3).shortest_path((1, 2, 0.5)) == []
+
+
+ORACLES = [(Dubins(GOAL, 1.7), 1), (ReedsShepp(GOAL, 1.7), 2), (Euclidean(GOAL), 3), (Euclidean((1.0, 2.0)), 2)]
+
+
+def image(symmetry, x):
+    return x @ symmetry.matrix.T + symmetry.offset
+
+
+@pytest.mark.parametrize(("oracle", "number"), ORACLES)
+@given(st.tuples(*[st.floats(-20, 20)] * 3))
+def test_images_by_isometries_that_keep_the_goal_are_as_far_from_it(oracle, number, point):
+    x = np.array([point[: oracle.dim]])
+    assert isinstance(oracle, SymmetricFn) and len(oracle.symmetries) == number
+    for symmetry in oracle.symmetries:
+        np.testing.assert_allclose(oracle(image(symmetry, x)), oracle(x), rtol=1e-9, atol=1e-6)
+        assert np.abs(symmetry.matrix - np.eye(oracle.dim)).max() > 0.1
+        np.testing.assert_allclose(symmetry.matrix @ symmetry.matrix.T, np.eye(oracle.dim), atol=1e-15)
+        np.testing.assert_allclose(image(symmetry, oracle.goal), oracle.goal, atol=1e-15)
+
+
+def test_a_roadmap_states_none_and_there_are_those_about_a_point():
+    assert not isinstance(Roadmap.from_workspace(Workspace(((0, 0), (1, 1))), (0.5, 0.5), 5), SymmetricFn)
+    turn = Symmetry.about(np.array([1.0, 2.0]), np.array([[0.0, -1.0], [1.0, 0.0]]))
+    np.testing.assert_allclose(image(turn, np.array([3.0, 2.0])), (1, 4))

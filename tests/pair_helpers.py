@@ -1,0 +1,66 @@
+"""What the tests of pairs share: workspaces, exact distances, and what holds of the pairs of any workspace."""
+
+import numpy as np
+import shapely
+from piece_helpers import TEN, box
+from shapely import affinity
+
+from plr_jax import Box, VisibilityGraph, Workspace, scenes
+from plr_jax.pairs.outline import Outline
+from plr_jax.pairs.stored import Stored
+from plr_jax.plr.partition.cells import Cells, levels_of
+
+MAZE = scenes.maze().workspace
+WALL = Workspace(TEN, [box(4, 0, 6, 8)])
+
+
+def two_batches(workspace, n, seed=0):
+    """Free points, the first and the second ones of pairs."""
+    return workspace.sample_free(2 * n, seed).reshape(2, n, 2)
+
+
+def exact(workspace, x, y):
+    """Distances by an oracle that computes them pair by pair."""
+    return VisibilityGraph(workspace, x[0]).between(x, y)
+
+
+def joined(rooms, n=40, squeeze=False):
+    """Rooms of ten by ten as one workspace, of which queries are compiled once, and ``n`` pairs of points of each."""
+    side = int(np.ceil(len(rooms) ** 0.5))
+    shifts, size = 11 * np.stack(np.divmod(np.arange(len(rooms)), side), axis=1), 11 * side - 1
+    obstacles = [
+        wall for k in range(1, side) for wall in (box(11 * k - 1, 0, 11 * k, size), box(0, 11 * k - 1, size, 11 * k))
+    ]
+    for room, shift in zip(rooms, shifts, strict=True):
+        inside = shapely.intersection(room.obstacles, shapely.box(0, 0, 10, 10))
+        obstacles += [affinity.translate(part, *shift) for part in shapely.get_parts(inside) if part.area > 0]
+    x, y = np.concatenate([two_batches(room, n) + shift for room, shift in zip(rooms, shifts, strict=True)], axis=1)
+    return Workspace(((0, 0), (size, size)), obstacles, squeeze=squeeze), x, y
+
+
+def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6):
+    """Fails unless distances are exact to rounding and their bounds hold; the share of finite upper bounds."""
+    truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
+    reached = np.isfinite(truth)
+    np.testing.assert_allclose(pairs(x, y), truth, atol=tolerance * scale)
+    lower, upper = (np.asarray(bound, np.float64) for bound in pairs.bounds(x, y))
+    assert (lower <= truth).all() and (truth <= upper).all()
+    assert (lower[reached] >= truth[reached] - 1e-4 * scale).all()
+    return np.isfinite(upper[reached]).mean()
+
+
+def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0):
+    """What a file holds of one ring of corners; without leaves' lists one leaf has them all."""
+    corner = np.arange(len(points))
+    outline = Outline(np.zeros(2), 1.0, np.asarray(points), np.array([0, len(points)]), False)
+    levels = levels_of(Cells.root(2) if cells is None else cells)[0]
+    leaf, listed = (0 * corner, corner) if lists is None else lists
+    joined = np.array(joined, int).reshape(-1, 2)
+    return Stored(Box((0, 0), domain), outline, corner, joined, levels, leaf, listed, rounding, rounding)
+
+
+def serpentine(corners, joined=()):
+    """The same of a corridor with so many corners."""
+    k = np.arange(corners // 2)
+    points = np.concatenate([np.stack([2 * k, 3 * (k % 2)], 1), np.stack([2 * k, 10 + 3 * (k % 2)], 1)[::-1]])
+    return stored_ring(points, (2 * len(k), 14), joined, rounding=2.0**-10)

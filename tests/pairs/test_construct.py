@@ -1,0 +1,116 @@
+"""Construction of pairs: budgets, bytes, what is refused, and the lattice and the lists that a file is made of."""
+
+import numpy as np
+import pytest
+from pair_helpers import MAZE
+from piece_helpers import TEN, WORKSPACES, box
+
+from plr_jax import VisibilityGraph, Workspace, construct_pairs
+from plr_jax.geometry.corners import corner_visibility
+from plr_jax.pairs.construct import grow_lists, lattice_step
+from plr_jax.pairs.visible_corners import visible_corners
+from plr_jax.plr.certificate.certificate import Proof
+from plr_jax.plr.growth.limits import check_limits
+
+LIMITS = check_limits(2, 0.5, True, lambda dim, leaves: leaves, None, None, 10_000, None, Proof.NONE, 13)
+
+
+def test_a_smaller_budget_gives_a_coarser_partition_and_the_same_the_same_bytes():
+    budgets = np.array([200, 400, 800])
+    sizes = [construct_pairs(MAZE, max_bytes=size) for size in budgets.tolist()]
+    assert (np.array([pairs.num_bytes for pairs in sizes]) <= budgets).all()
+    assert sizes[0].num_leaves < sizes[1].num_leaves < sizes[2].num_leaves
+    assert construct_pairs(MAZE, max_bytes=200).to_bytes() == sizes[0].to_bytes()
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    ("workspace", "max_bytes", "message"),
+    [
+        (np.zeros((3, 3)), None, "Workspace"),
+        ([[0, 0]], None, "Workspace"),
+        (None, None, "Workspace"),
+        (MAZE, 50, "alone take .*max_bytes=50"),
+        (MAZE, 0, "max_bytes"),
+        (Workspace(((0, 0), (1e20, 1e20))), None, "wide"),
+    ],
+)
+def test_what_is_refused(workspace, max_bytes, message):
+    with pytest.raises(ValueError, match=message):
+        construct_pairs(workspace, max_bytes=max_bytes)
+
+
+def test_the_budget_that_is_meant_if_none_is_given_is_told(monkeypatch):
+    monkeypatch.setattr("plr_jax.pairs.construct.DEFAULT_MAX_BYTES", 50)
+    with pytest.raises(ValueError, match="max_bytes=50"):
+        construct_pairs(MAZE)
+
+
+def test_walls_too_thin_for_32_bits_are_refused():
+    with pytest.raises(ValueError, match="thinner than"):
+        construct_pairs(Workspace(TEN, [box(5, 0, 5 + 1e-5, 8)]))
+    thin = Workspace(TEN, [box(5, 0, 5 + 1e-3, 8)])
+    pairs, x, y = construct_pairs(thin, max_bytes=512), np.array([[4.0, 1.0]]), np.array([[6.0, 1.0]])
+    np.testing.assert_allclose(pairs(x, y), VisibilityGraph(thin, y[0])(x), rtol=1e-6)
+
+
+@pytest.mark.parametrize("step", [2.0, 0.25, 0.1, 0.001, 2.0**-12])
+def test_the_widest_lattice_that_holds_all_points(step):
+    points = step * np.random.default_rng(0).integers(-40, 40, (50, 2))
+    points[0] = step  # odd, so that no wider one holds it
+    assert lattice_step(points, 4096.0, 1e-9) == pytest.approx(step, rel=1e-12)
+
+
+def test_the_finest_lattice_if_none_holds_the_points():
+    assert lattice_step(np.array([[np.pi, 1.0]]), 8.0, 1e-12) == 8 * 2.0**-24
+
+
+def grown(workspace, most_leaves):
+    """Corners, the leaves' lists of them, and their boxes."""
+    visibility = corner_visibility(workspace)
+    root = visible_corners(visibility, workspace, workspace.bounds)
+    lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda lists: 0)
+    return visibility.corners, lists, *lists.cells.boxes(workspace.bounds)
+
+
+def listed_at(grown_lists, x):
+    """The corners that are listed for the first leaf that holds a point."""
+    corners, lists, lo, hi = grown_lists
+    cell = np.flatnonzero(((lo <= x) & (x <= hi)).all(axis=1))[0]
+    return corners.points[lists.corner[lists.cell == cell]]
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+@pytest.mark.parametrize("seed", range(2))
+def test_lists_hold_all_corners_that_paths_turn_at_first(kind, seed):
+    workspace = kind(np.random.default_rng(seed))
+    goals, starts = workspace.sample_free(6, seed), workspace.sample_free(12, seed + 1)
+    oracle = VisibilityGraph(workspace, goals[0])
+    paths = [oracle.with_goal(goal).shortest_path(x) for goal in goals for x in starts]
+    for most_leaves in (1, 40):
+        lists = grown(workspace, most_leaves)
+        for start, turn, *_ in (path for path in paths if len(path) > 2):
+            assert (np.abs(listed_at(lists, start) - turn).max(axis=1, initial=0.0) <= 1e-9).any()
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+def test_corners_seen_by_all_of_a_cell_are_seen_from_its_points(kind):
+    workspace = kind(np.random.default_rng(7))
+    corners, lists, lo, hi = grown(workspace, 40)
+    assert len(lists.cells) > 10 and (np.diff(lists.cell) >= 0).all() and lists.by_all.any()
+    assert np.ldexp(1.0, -lists.cells.depth.sum(axis=1)).sum() == 1
+    entry = np.flatnonzero(lists.by_all)
+    for points in np.random.default_rng(8).uniform(lo, hi, (20, *lo.shape)):
+        own, corner = points[lists.cell[entry]], corners.points[lists.corner[entry]]
+        free = workspace.is_free(own)
+        assert workspace.is_visible(own[free], corner[free]).all()
+
+
+def test_a_wall_by_hand_and_no_wall():
+    """The corners of the near side are listed, and not the one that the wall hides from all of the cell."""
+    lists = grown(Workspace(((0, 0), (16, 16)), [box(6, 6, 10, 10)]), 64)
+    for x, near, hidden in (((1.0, 8.5), {(6, 6), (6, 10)}, (10, 6)), ((15.0, 7.5), {(10, 6), (10, 10)}, (6, 10))):
+        listed = set(map(tuple, listed_at(lists, x).tolist()))
+        assert near <= listed and hidden not in listed
+    _, lists, _, _ = grown(Workspace(TEN, []), 40)
+    assert len(lists.cells) == 1 and len(lists.corner) == 0

@@ -1,0 +1,87 @@
+"""Pairs by any metric: symmetric to the bit, 0 on the diagonal, close to what was sampled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from pair_helpers import WALL, exact
+
+from plr_jax import Box, MetricPairs, VisibilityGraph, construct_metric_pairs, load, save
+
+
+def manhattan(x, y):
+    return np.abs(x - y).sum(axis=1)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return construct_metric_pairs(manhattan, ((0.0, 0.0), (1.0, 1.0)), max_leaves=300)
+
+
+def random_points(seed, dim=2):
+    return np.random.default_rng(seed).uniform(0, 1, (2, 2000, dim)).astype(np.float32)
+
+
+def test_close_to_the_metric_symmetric_to_the_last_bit_and_zero_on_the_diagonal(pairs):
+    x, y = random_points(0)
+    assert np.abs(np.asarray(pairs(x, y)) - manhattan(x, y)).mean() < 0.03
+    np.testing.assert_array_equal(pairs(x, y), pairs(y, x))
+    np.testing.assert_array_equal(pairs(x, x), 0)
+    assert np.asarray(pairs(x, x + np.float32(1e-4)))[(x < 0.999).all(axis=1)].min() >= 0
+    y[:, 0] = x[:, 0]
+    np.testing.assert_array_equal(pairs(x, y), pairs(y, x))
+
+
+def test_jit_vmap_grad_and_shapes(pairs):
+    x, y = (jnp.asarray(p[:20].reshape(4, 5, 2)) for p in random_points(2))
+    expected = pairs(x, y)
+    assert expected.shape == (4, 5) and pairs(x, y[0, 0]).shape == (4, 5) and pairs(x[0, 0], y[0, 0]).shape == ()
+    np.testing.assert_allclose(jax.jit(lambda f, x, y: f(x, y))(pairs, x, y), expected, rtol=1e-6)
+    np.testing.assert_allclose(jax.vmap(jax.vmap(pairs))(x, y), expected, rtol=1e-6)
+    gradients = jax.jit(jax.vmap(jax.grad(pairs, argnums=(0, 1))))
+    (dx, dy), swapped = gradients(x[0], y[0]), gradients(y[0], x[0])
+    np.testing.assert_allclose(dx, swapped[1], atol=1e-6)
+    np.testing.assert_allclose(dy, swapped[0], atol=1e-6)
+
+
+def test_around_a_wall_by_an_exact_oracle():
+    oracle = VisibilityGraph(WALL, (1, 1))
+    around = construct_metric_pairs(oracle.between, WALL.bounds, max_leaves=1000, leaf="continuous")
+    x, y = WALL.sample_free(2000, 1), WALL.sample_free(2000, 2)
+    truth, answer = exact(WALL, x, y), np.asarray(around(x, y))
+    assert np.isfinite(answer).all()
+    assert np.abs(answer - truth).mean() < 0.5 * np.abs(np.linalg.norm(x - y, axis=1) - truth).mean()
+
+
+def test_a_line_that_closes():
+    def around(x, y):
+        apart = np.abs(x - y)[:, 0] % 1
+        return np.minimum(apart, 1 - apart)
+
+    pairs = construct_metric_pairs(around, Box((0.0,), (1.0,), (True,)), max_leaves=300)
+    x, y = random_points(3, dim=1)
+    assert np.abs(np.asarray(pairs(x, y)) - around(x, y)).mean() < 0.01
+
+
+def test_far_from_the_origin_and_from_a_file_it_answers_alike(pairs, tmp_path):
+    x, y = (points.astype(np.float64) for points in random_points(5))
+    save(pairs.plr, tmp_path / "pairs.plr")
+    again = MetricPairs(load(tmp_path / "pairs.plr"))
+    np.testing.assert_array_equal(again(x, y), pairs(x, y))
+    assert again.num_bytes == (tmp_path / "pairs.plr").stat().st_size and again.dim == 2
+    far = np.array([5e5, 4e6])
+    moved = construct_metric_pairs(manhattan, (far, far + 1), max_leaves=300)
+    np.testing.assert_allclose(moved(far + x, far + y), pairs(x, y), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda pairs: construct_metric_pairs(manhattan, (np.zeros(4), np.ones(4))), "at most 3 dimensions"),
+        (lambda pairs: pairs(np.zeros((3, 3)), np.zeros((3, 3))), r"x must be points of shape \(..., 2\)"),
+        (lambda pairs: pairs(np.zeros((3, 2)), np.zeros(4)), r"y must be points of shape \(..., 2\)"),
+    ],
+)
+def test_what_is_refused(pairs, call, message):
+    with pytest.raises(ValueError, match=message):
+        call(pairs)

@@ -1,0 +1,172 @@
+"""PairPLR: what it answers for which points, in compiled functions too, gradients, its file, and one goal of it."""
+
+import math
+import tracemalloc
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from pair_helpers import MAZE, exact, serpentine, stored_ring, two_batches
+
+import plr_jax
+from plr_jax import Box, PairPLR, VisibilityGraph, scenes
+from plr_jax.pairs.pair_plr import pairs_from_bytes
+from plr_jax.plr.file.container import Header
+from plr_jax.plr.partition.cells import levels_of
+
+INSIDE = np.array([0.1, 0.1])
+
+
+def test_the_maze_is_exact_in_a_kilobyte_symmetric_to_the_last_bit_and_zero_on_the_diagonal(maze):
+    assert maze.num_bytes == len(maze.to_bytes()) <= 1024
+    x, y = two_batches(MAZE, 4000)
+    np.testing.assert_allclose(maze(x, y), exact(MAZE, x, y), atol=1e-6)
+    np.testing.assert_array_equal(maze(x, y), maze(y, x))
+    np.testing.assert_array_equal(maze(x, x), np.zeros(4000))
+
+
+def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
+    around = math.hypot(2, 4) + 2 + math.hypot(2, 4)
+    x = jnp.array([(2, 4), (2, 4), (2, 9), (4, 8), (4, 3), (0, 0), (4, 0), (3, 3)], float)
+    y = jnp.array([(8, 4), (2, 9), (8, 9), (6, 8), (4, 7), (10, 0), (6, 0), (3, 3)], float)
+    expected = np.array([around, 5, 6, 2, 4, 2 * math.hypot(4, 8) + 2, 18, 0])
+    plr = wall.to((8.0, 4.0))
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        np.testing.assert_allclose(wall(x, y), expected, rtol=1e-6)
+        lower, upper = wall.bounds(x, y)
+        assert (lower <= expected).all() and (expected <= upper).all()
+        # Both ends are clamped: a way straight to the left side, and one from below along the wall.
+        np.testing.assert_allclose(wall(x - 10, y[0], outside="clamp") >= 0, True)
+        np.testing.assert_allclose(plr.waypoint(x[:1]), [(4, 8)], atol=1e-5)
+
+
+def test_outside_is_infinite_nan_stays_and_the_corners_of_the_domain_are_inside(maze):
+    far = [(1.1, 0.5), (0.5, -0.1), (np.inf, 0.5), (1e300, 0.5)]
+    with np.errstate(over="raise"):
+        assert np.isinf(maze(far, INSIDE)).all() and np.isinf(maze(INSIDE, far)).all()
+    assert np.isnan(maze(np.array([np.nan, 0.5]), INSIDE)) and np.isnan(maze(INSIDE, np.array([np.nan, 2.0])))
+    assert np.isfinite(maze([(0, 0), (1, 1), (1, 0), (0, 1)], INSIDE)).all()
+
+
+def test_gradients_are_those_of_the_first_legs_and_zero_where_there_is_none(maze):
+    x, y = two_batches(MAZE, 200, seed=3)
+    gradients = jax.jit(jax.vmap(jax.grad(maze, argnums=(0, 1))))
+    step = 1e-5
+    for found, at in zip(gradients(jnp.asarray(x), jnp.asarray(y)), ((x, y), (y, x)), strict=True):
+        np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
+        for axis, shift in enumerate(step * np.eye(2)):
+            difference = exact(MAZE, at[0] + shift, at[1]) - exact(MAZE, at[0] - shift, at[1])
+            error = np.abs(np.asarray(found)[:, axis] - difference / (2 * step))
+            assert np.median(error) < 1e-3 and (error < 1e-2).mean() > 0.97  # but where the way on changes
+    beyond = np.where(np.arange(200)[:, None] % 2, 1.1, INSIDE)
+    for found in gradients(jnp.asarray(beyond), jnp.tile(INSIDE, (200, 1))):
+        np.testing.assert_array_equal(found, 0)
+
+
+def test_jit_vmap_and_shapes_agree(maze):
+    x, y = (jnp.asarray(points.reshape(3, 20, 2)) for points in two_batches(MAZE, 60))
+    expected = maze(x, y)
+    assert expected.shape == (3, 20) and maze(x, y[0, 0]).shape == (3, 20) and maze(x[0, 0], y[0, 0]).shape == ()
+    np.testing.assert_allclose(jax.vmap(jax.vmap(maze))(x, y), expected, atol=1e-6)
+    np.testing.assert_allclose(jax.jit(lambda pairs, x, y: pairs(x, y))(maze, x, y), expected, rtol=3e-7, atol=6e-8)
+    np.testing.assert_allclose(maze(np.asarray(x, np.float64), np.asarray(y)), expected, atol=1e-6)
+
+
+def test_large_batches_are_answered_as_small_ones(maze):
+    x, y = two_batches(MAZE, 20_000, seed=1)
+    every = np.asarray(maze(x, y))
+    np.testing.assert_allclose(jax.jit(maze.__call__)(x, y), every, rtol=3e-7, atol=3e-7)
+    for part in (slice(0, 4000), slice(16_000, 20_000)):
+        np.testing.assert_allclose(every[part], maze(x[part], y[part]), rtol=3e-7, atol=3e-7)
+
+
+def test_tables_are_made_once_when_they_are_first_needed(maze):
+    x, y = two_batches(MAZE, 100, seed=4)
+    expected = maze(x, y)
+    for ask in (lambda pairs: pairs(x, y), lambda pairs: jax.jit(pairs.__call__)(x, y)):
+        pairs = pairs_from_bytes(maze.to_bytes())
+        assert "tables" not in vars(pairs) and repr(pairs) == repr(maze)
+        assert "tables" not in vars(pairs.with_label("new"))
+        np.testing.assert_allclose(ask(pairs), expected, rtol=3e-7, atol=6e-8)
+        tables = vars(pairs)["tables"]
+        assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tables))
+        ask(pairs)
+        assert vars(pairs)["tables"] is tables is pairs.with_label("new").tables
+    fresh = pairs_from_bytes(maze.to_bytes())
+    moved = jax.tree_util.tree_map(jnp.asarray, fresh)
+    np.testing.assert_allclose(moved(x, y), expected, rtol=3e-7, atol=6e-8)
+    assert moved.to_bytes() == maze.to_bytes()
+    paths = {jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(fresh)}
+    assert {".file", ".tables.distances"} <= paths
+
+
+def test_to_load_a_file_takes_what_its_bytes_do():
+    """Also where few bytes are of many corners, of which tables take hundreds of megabytes."""
+    data = serpentine(8192).to_bytes()
+    pairs_from_bytes(serpentine(64).to_bytes())  # what is loaded but once is there
+    for size in (*Header.read(data).marks, len(data)):
+        tracemalloc.start()
+        pairs = pairs_from_bytes(data[:size])
+        grown = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert grown < 500 * size < 2**23 and "tables" not in vars(pairs)
+        assert pairs.num_corners == 8192
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (
+            np.random.default_rng(0).integers(0, 1000, (300, 2)),
+            "300 walls of its outline cross one another too often",
+        ),
+        (np.stack([np.arange(60) % 7, np.zeros(60, int)], axis=1), "too often|bounds no workspace"),
+        (np.array([(2000, 0), (3000, 0), (2000, 1000)]), "bounds no workspace"),
+    ],
+)
+def test_an_outline_of_nothing_is_found_out_when_it_is_asked(points, message):
+    data = stored_ring(points, (1000, 1000)).to_bytes()
+    first, second = Header.read(data).marks
+    assert pairs_from_bytes(data[:second]).tables.walls.size
+    with pytest.raises(ValueError, match=f"The file cannot be asked: .*({message})"):
+        pairs_from_bytes(data[:first])(np.ones(2), np.ones(2))
+
+
+@pytest.mark.parametrize("goal", [scenes.maze().goals[0], MAZE.sample_free(1, seed=1)[0]])
+def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
+    plr, truth = maze.to(goal), VisibilityGraph(MAZE, goal)
+    assert isinstance(plr, plr_jax.PLR) and plr.leaf.name == "cone"
+    x = MAZE.sample_free(4000, 3)
+    error = np.abs(np.asarray(plr(x)) - truth(x))
+    assert error.mean() < 1e-5 and error.max() < 0.02
+    sources = plr.stored.sources
+    np.testing.assert_allclose(sources.offsets, truth(sources.points), atol=1e-5)
+    leg = np.linalg.norm(sources.points - sources.points[sources.parent], axis=1)
+    np.testing.assert_allclose(sources.offsets[sources.parent] + leg, sources.offsets, atol=1e-4)
+    assert plr_jax.from_bytes(plr.to_bytes()).num_bytes == plr.num_bytes
+
+
+def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_they_are_alike(maze, wall):
+    """As is the one leaf of a file that was cut off before its lists."""
+    cut = pairs_from_bytes(maze.to_bytes()[: maze.file_marks[-1]])
+    goal, x = MAZE.sample_free(1, seed=8)[0], MAZE.sample_free(4000, seed=3)
+    assert cut.num_leaves == 1 and np.abs(np.asarray(cut.to(goal)(x)) - maze(x, goal)).mean() < 1e-4
+    assert wall.to((2.0, 4.0)).num_leaves < 0.5 * wall.num_leaves
+
+
+def test_goals_outside_and_points_that_are_none_are_refused(maze):
+    for wrong in ((2.0, 2.0), (np.nan, 0.0), (1.0,)):
+        with pytest.raises(ValueError, match=r"goal|Goal"):
+            maze.to(wrong)
+    with pytest.raises(ValueError, match=r"shape \(\.\.\., 2\)"):
+        maze(np.zeros((4, 3)), np.zeros(2))
+    with pytest.raises(ValueError, match="real"):
+        maze(np.zeros((4, 2), complex), np.zeros(2))
+
+
+def test_properties(maze):
+    assert isinstance(maze, PairPLR) and maze.domain == Box((0, 0), (1, 1))
+    assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
+    assert len(levels_of(maze.stored.cells)[0]) == len(maze.stored.levels)
+    assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes

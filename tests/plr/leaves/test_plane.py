@@ -1,0 +1,146 @@
+"""Planes: what a query answers, how they are rounded to few bits, and how they are written."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, random_partition, walled
+
+from plr_jax import Box
+from plr_jax.plr import Plane, construct
+from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.leaves.plane import (
+    FLOAT_BITS,
+    StoredPlanes,
+    encode_planes,
+    planes_bits,
+    read_planes,
+    unreachable_code,
+    write_planes,
+)
+from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.sampling.cell_fit import midrange
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return construct(walled, UNIT, max_leaves=100)
+
+
+def test_a_query_is_the_plane_of_the_leaf_that_holds_the_point_also_in_double_precision(exact, x):
+    np.testing.assert_allclose(exact(x), evaluate_by_search(exact, x), atol=1e-6)
+    gradient = jax.vmap(jax.grad(exact))(jnp.asarray(x))
+    np.testing.assert_allclose(gradient, exact.slope[leaf_by_search(exact, x)], rtol=1e-6)
+    of_cone, doubles = construct(cone, UNIT, max_leaves=40), x.astype(np.float64)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(of_cone(doubles), evaluate_by_search(of_cone, doubles), rtol=1e-12)
+
+
+def test_rounding_is_as_the_step_says(exact, x):
+    rounded = construct(walled, UNIT, max_leaves=100, leaf=Plane(coefficient_bits=8))
+    difference = np.abs(np.asarray(exact(x)) - np.asarray(rounded(x)))
+    assert 0 < difference.max() <= 1.5 * rounded.stored.step + 1e-6
+
+
+def test_floats_without_a_budget_and_integers_with_one(exact):
+    assert exact.stored.bits == 32 and construct(walled, UNIT, max_bytes=500).stored.bits in range(8, 17)
+    assert construct(walled, UNIT, max_leaves=5, leaf=Plane(coefficient_bits=12)).stored.bits == 12
+
+
+def test_without_a_budget_planes_may_be_as_deep_as_in_32_kilobytes():
+    """However few they are: next to a goal a plane errs the more, the wider it is."""
+    few, small = (construct(lambda x: np.sqrt(cone(x)), UNIT, max_leaves=64, max_bytes=most) for most in (None, 1024))
+    assert few.cells.depth.max() == 9 and few.num_bytes < 1024 and small.cells.depth.max() == 7
+    needed = few.cells.depth.max(axis=0).sum()  # more than the class of a kilobyte has, so there are more
+    assert few.tables.blocks is None and len(few.tables.leaf_of_slot) == 2**needed > 2**14
+
+
+def test_a_budget_larger_than_needed_makes_the_file_of_a_tolerance_smaller():
+    plain, small = (construct(cone, UNIT, tolerance=0.01, max_bytes=most) for most in (None, 1 << 20))
+    assert small.num_bytes < 0.7 * plain.num_bytes and small.num_leaves <= plain.num_leaves + 8
+
+
+def test_a_fit_of_the_callers_own():
+    def flat(pattern, value, weight):
+        return value.max(axis=1), 0 * value[:, :2]
+
+    plr = construct(lambda x: x[:, 0], UNIT, max_leaves=4, compute_coefficients=flat)
+    np.testing.assert_allclose(plr.slope, 0)
+    assert (plr(points(100, 0)) >= 0.2).all()
+
+
+def test_midrange_planes_need_fewer_leaves_for_a_tolerance():
+    balanced = construct(cone, UNIT, tolerance=0.002, compute_coefficients=midrange)
+    x = points(20_000, 0)
+    assert np.abs(balanced(x) - cone(x)).max() < 1.2 * 0.002
+    assert balanced.num_leaves < 0.8 * construct(cone, UNIT, tolerance=0.002).num_leaves
+
+
+def test_numbers_are_the_value_at_the_corner_and_the_slopes():
+    """The plane ``3 + 5 x - 2 y`` on [2, 4] x [1, 2], in its upper half along x."""
+    cells, corner = Cells.root(2).split(np.array([0]))[[1]], np.array([2.0, 1.0])
+    numbers = Plane().numbers(Box(corner, (4, 2)), cells, np.array([[3 + 17.5 - 3, 2.5, -1.0]]), corner)
+    np.testing.assert_allclose(numbers, [[3 + 10 - 2, 5, -2]])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 1000), bits=st.integers(4, 20), scale=st.sampled_from([1e-6, 1.0, 1e6]))
+def test_rounding_is_within_half_a_step(seed, bits, scale):
+    rng = np.random.default_rng(seed)
+    center, half = scale * rng.uniform(-1, 5, size=30), scale * rng.normal(size=(30, 3))
+    center[rng.random(30) < 0.2] = np.inf
+    center[0] = scale
+    planes, blocked = encode_planes(center, half, bits), np.isinf(center)
+    again_center, again_half = planes.decode()
+    np.testing.assert_array_equal(planes.unreachable, blocked)
+    assert np.isinf(again_center[blocked]).all()
+    # The step spans the center values (or the half-differences, where those are far larger), but for its rounding.
+    spread = max(np.ptp(center[~blocked]), np.abs(half[~blocked]).max() / 256)
+    assert planes.step <= spread / (2**bits - 2) * (1 + 1e-5) + abs(scale) * 1e-5
+    for again, before in ((again_center, center), (again_half, half)):
+        assert np.abs(again[~blocked] - before[~blocked]).max() <= planes.step * (0.5 + 1e-9)
+
+
+def test_floats_and_constants_are_kept_to_32_bits():
+    center, half = np.array([0.1, np.inf, -3.0]), np.array([[0.3], [np.nan], [7.0]])
+    again_center, again_half = encode_planes(center, half, FLOAT_BITS).decode()
+    np.testing.assert_array_equal(again_center, center.astype(np.float32))
+    np.testing.assert_array_equal(again_half, np.array([[0.3], [0.0], [7.0]], np.float32))
+    for bits in (4, 8, 16):
+        planes = encode_planes(np.full(3, 2.5), np.zeros((3, 2)), bits)
+        np.testing.assert_allclose(planes.decode()[0], 2.5, rtol=1e-6)
+        assert not planes.unreachable.any()
+
+
+@pytest.mark.parametrize(("bits", "expected"), [(10, [[4, 0, 0, 9], [2, 0]]), (FLOAT_BITS, [[32] * 4, [32] * 2])])
+def test_widths_hold_the_largest_half_difference_of_their_depth(bits, expected):
+    half, depth = np.array([[3, 0], [-4, 0], [0, 0], [200, -1]]), np.array([[0, 1], [0, 1], [2, 1], [3, 0]])
+    planes = StoredPlanes(bits, 0.0, 1.0, np.zeros(4, np.int64), half)
+    assert [widths.tolist() for widths in planes.widths(depth)] == expected
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), dim=st.integers(1, 5), bits=st.sampled_from([4, 11, 16, 20, 32]))
+def test_what_is_read_is_what_was_written(seed, dim, bits):
+    rng, depth = np.random.default_rng(seed), random_partition(seed, dim, 30).depth
+    center = np.where(rng.random(len(depth)) < 0.2, np.inf, rng.normal(size=len(depth)))
+    center[0] = 1.0
+    planes = encode_planes(center, rng.normal(size=depth.shape), bits)
+    write_planes(body := BitWriter(), depth, planes)
+    assert body.num_bits == planes_bits(depth, planes)
+    again = read_planes(BitReader(body.to_bytes()), depth)
+    for name in ("center", "half", "bits", "offset", "step"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(planes, name))
+
+
+def test_the_mark_of_unreachable_leaves():
+    assert unreachable_code(8) == 255
+    assert np.array([unreachable_code(32)], np.uint32).view(np.float32)[0] == np.inf
+
+
+def test_planes_beyond_floats_are_refused():
+    for center, half, bits in ((1e31, 0, 16), (1.0, -1e31, FLOAT_BITS)):
+        with pytest.raises(ValueError, match="scale them down"):
+            encode_planes(np.array([center]), np.full((1, 2), half, float), bits)
