@@ -16,6 +16,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 
 _MITRE = 4.0  # times as far as a wall recedes does a tip at the most
 _OF_CONTACTS = 1 / 16  # times as far do contacts move back
+_SHARP = -0.5  # cosine of the turn at an end of an obstacle, at the most
 _COUNT_BITS = 32
 _AT_ONCE = 2**5  # walls of which it is found what they cross
 
@@ -105,11 +106,16 @@ class Outline:
     def is_turned_around(self, distance: float, vertices: Float[np.ndarray, "points 2"]) -> bool:
         """Whether a wall points the other way after all have moved so far back: an obstacle is too thin for that.
 
-        Walls point as they do between the vertices, of which the lattice may have made one point.
+        Walls point as they do between the vertices. One that the lattice has made a point does no harm but at a sharp
+        end, where those beside it point against one another.
         """
         moved, following = self.moved_points(distance), self._following
         walls, moved_walls = vertices[following] - vertices, moved[following] - moved
-        return bool(((walls * moved_walls).sum(axis=1) < 0).any())
+        is_turned = (walls * moved_walls).sum(axis=1) < 0
+        is_point = (self.points[following] == self.points).all(axis=1)
+        before, after = walls[np.argsort(following)], walls[following]
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        return bool((is_turned & (~is_point | ((before * after).sum(axis=1) < _SHARP * lengths))).any())
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         """The points after all walls have moved so far back, out of free space, or into it if negative.
