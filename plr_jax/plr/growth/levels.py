@@ -1,7 +1,6 @@
-"""Boxes of a domain, level by level of the number of splits, and the best trees of them at a price a leaf.
+"""Boxes of a domain, level by level of the number of splits.
 
 Every box that a tree may hold is looked at once, whichever splits lead to it, unless its cost is below some prices.
-Then the best tree follows from the smallest boxes up: a box is a leaf, or cheaper halved along one of the axes.
 """
 
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from plr_jax.plr.partition.cells import Cells
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05  # of a leaf's average share, that every box has besides its own
 AT_ONCE = 1 << 14  # boxes
-_UNKNOWN, _POOR = -1, -2
+UNKNOWN, POOR = -1, -2
 
 
 @runtime_checkable
@@ -68,7 +67,7 @@ class BoxLevel:
     @staticmethod
     def of(boxes: Boxes, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
         """That of boxes that were not halved yet."""
-        return BoxLevel(boxes, key, np.full((2, 2, len(key)), _UNKNOWN))
+        return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
         """What each box adds to the error of a tree, its largest error a little."""
@@ -78,112 +77,56 @@ class BoxLevel:
         """Add new boxes behind those that there are."""
         self.boxes = self.boxes.append(boxes)
         self.key = np.concatenate([self.key, key])
-        self.child = np.concatenate([self.child, np.full((2, 2, len(key)), _UNKNOWN)], axis=2)
-
-
-@dataclass(frozen=True, eq=False)
-class Prunings:
-    """The best tree below every box, for several prices of a leaf, level by level.
-
-    Attributes:
-        price: The prices, falling.
-        total: What the best tree below each box costs, in errors and leaves, one array a level.
-        count: Its number of leaves.
-        choice: The axis along which it halves the box, -1 where the box is a leaf.
-    """
-
-    price: Float[np.ndarray, "prices"]
-    total: list[Float[np.ndarray, "prices _"]]
-    count: list[Int[np.ndarray, "prices _"]]
-    choice: list[Int[np.ndarray, "prices _"]]
+        self.child = np.concatenate([self.child, np.full((2, 2, len(key)), UNKNOWN)], axis=2)
 
 
 def expand(
     levels: list[BoxLevel],
-    reached: Bool[np.ndarray, "start"],
-    price: float,
+    price: Float[np.ndarray, "first"],
     least_share: float,
     limits: Limits,
     gain: float = 1.0,
     margin: float = np.inf,
-) -> bool:
-    """Look at the halves of boxes below some that cost more than a price, and at theirs; whether there are more.
+) -> None:
+    """Look at the halves of boxes that cost more than a price, and at theirs.
 
     Args:
         levels: All that was looked at; what is found is added.
-        reached: Below which boxes of the first level to look.
-        price: Of a leaf.
+        price: Of a leaf, for each box of the first level, below which all have the least that leads to them; ``inf``
+            where nothing is to be looked at.
         least_share: How much a box's largest error counts besides its integral.
         limits: The limits.
         gain: How many prices a box must cost to be halved; below 1 no tree gains by it.
-        margin: Times as much as along the other axis halves may cost to be looked at further; without, the best tree
-            is the best of all.
+        margin: Times as large as along the other axis the halves' integral may be for them to be looked at further;
+            without, the best tree is the best of all.
     """
-    below, is_open = reached, False
     for depth in range(limits.max_depth):
         if depth == len(levels):
             break
         level = levels[depth]
-        if len(below) < len(level.key):
-            below = np.append(below, np.zeros(len(level.key) - len(below), bool))
-        cost = level.costs(least_share)
-        halvable = _may_expand(level, limits) & below
-        axis, parent = np.nonzero(halvable & (cost > gain * price))
-        is_open |= bool((halvable & (cost > 0) & (cost <= gain * price)).any())
+        is_new = may_halve(level.boxes.cells, limits) & (level.child[:, 0] == UNKNOWN)
+        axis, parent = np.nonzero(is_new & (level.costs(least_share) > gain * price))
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
-                _drop_poor_axes(level, np.unique(parent), levels[depth + 1].costs(least_share), margin)
+                # Of boxes that were halved along both axes, those halves are left out that are the poorer by far.
+                child, integral = level.child[:, :, np.unique(parent)], levels[depth + 1].boxes.integral
+                halves = np.where((child >= 0).all(axis=1), integral[child].sum(axis=1), np.inf)
+                axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
+                level.child[axis, :, np.unique(parent)[which]] = POOR
         if depth + 1 < len(levels):
-            children = level.child[:, :, below]
-            below = np.zeros(len(levels[depth + 1].key), bool)
-            below[children[children >= 0]] = True
+            box, halves = np.flatnonzero(price < np.inf), np.full(len(levels[depth + 1].key), np.inf)
+            for child in level.child[:, :, box].reshape(4, -1):
+                np.minimum.at(halves, child[child >= 0], price[box[child >= 0]])
+            price = halves
     check_memory(float(sum(len(level.key) for level in levels)))
-    return is_open
 
 
-def prune(
-    levels: list[BoxLevel], price: Float[np.ndarray, "prices"], least_share: float, gain: float = 1.0
-) -> Prunings:
-    """The best tree below every box, for several prices a leaf; boxes that cost less than ``gain`` are not halved."""
-    totals, counts, choices = [], [], []
-    for level in reversed(levels):
-        cost = level.costs(least_share)
-        total = cost + price[:, None]
-        count, choice = np.ones(total.shape, np.int32), np.full(total.shape, -1, np.int8)
-        for axis in range(2):
-            lower, upper = level.child[axis]
-            halved = np.flatnonzero(lower >= 0)
-            lower, upper = lower[halved], upper[halved]
-            if not len(halved):
-                continue
-            both = totals[-1][:, lower] + totals[-1][:, upper]
-            worth = cost[halved] > gain * price[:, None]  # of other boxes halves may be known, for other members
-            at, box = np.nonzero((both < total[:, halved]) & worth)
-            here = halved[box]
-            total[at, here], choice[at, here] = both[at, box], axis
-            count[at, here] = counts[-1][at, lower[box]] + counts[-1][at, upper[box]]
-        totals.append(total)
-        counts.append(count)
-        choices.append(choice)
-    return Prunings(price, totals[::-1], counts[::-1], choices[::-1])
-
-
-def _drop_poor_axes(
-    level: BoxLevel, parent: Int[np.ndarray, "parents"], cost: Float[np.ndarray, "next"], margin: float
-) -> None:
-    """Leave out, of boxes that were halved along both axes, halves that cost more than those along the other."""
-    child = level.child[:, :, parent]
-    halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
-    axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
-    level.child[axis, :, parent[which]] = _POOR
-
-
-def _may_expand(level: BoxLevel, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
-    """Along which axes boxes may be halved that were not yet."""
-    depth = level.boxes.cells.depth.T
+def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
+    """Along which axes boxes may be halved."""
+    depth = cells.depth.T
     shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
-    return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS) & (level.child[:, 0] == _UNKNOWN)
+    return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS)
 
 
 def _add_halves(

@@ -38,7 +38,7 @@ class MemberTree:
         levels: As a file stores them.
         cells: The leaves.
         source: Viewpoint of each leaf's source, -1 where nothing reaches the goal.
-        depth: The level of boxes that each leaf is one of; -1 of none, above a family's start or where nothing is.
+        depth: The level of boxes that each leaf is one of.
         box: The box there.
     """
 
@@ -50,11 +50,12 @@ class MemberTree:
 
 
 def tree_of_leaves(levels: list[BoxLevel], leaves: list[Int[np.ndarray, "_"]]) -> MemberTree:
-    """The tree whose leaves are some boxes of each level."""
-    first, *others = (level.boxes.cells[box] for level, box in zip(levels, leaves, strict=True))
+    """The tree whose leaves are some boxes of each of the first levels."""
+    used = levels[: len(leaves)]
+    first, *others = (level.boxes.cells[box] for level, box in zip(used, leaves, strict=True))
     cells = first.append(*others)
     splits, order = levels_of(cells)
-    source = np.concatenate([level.boxes.views(box) for level, box in zip(levels, leaves, strict=True)])
+    source = np.concatenate([level.boxes.views(box) for level, box in zip(used, leaves, strict=True)])
     depth = np.repeat(np.arange(len(leaves)), [len(box) for box in leaves])
     return MemberTree(splits, cells[order], source[order], depth[order], np.concatenate(leaves)[order])
 
@@ -92,11 +93,11 @@ class Options:
 
 def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: Pattern) -> Options:
     """The options of all boxes that are leaves of some tree."""
-    key = np.unique(np.concatenate([_keys(tree)[tree.depth >= 0] for tree in trees]))
+    key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)
     box, source, by_all = _pairs_of_boxes(boxes)
-    is_doubted = boxes.source >= 0
+    is_doubted = np.diff(boxes.visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
     doubted = np.flatnonzero(is_doubted)
@@ -144,10 +145,8 @@ def sources_in_sight(
 
 def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
-    leaf, boxes = np.flatnonzero(tree.depth >= 0), options.boxes
-    box = np.searchsorted(options.key, _keys(tree)[leaf])
-    option, run = run_members(options.first, box)
-    leaf = leaf[run]
+    boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
+    option, leaf = run_members(options.first, box)
     if not len(leaf):
         return leaf, leaf
     is_own = options.is_own[option]

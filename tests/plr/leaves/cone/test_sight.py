@@ -6,7 +6,7 @@ from plr_helpers import UNIT
 
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 from plr_jax.plr._location import leaf_of
-from plr_jax.plr.leaves.cone import model
+from plr_jax.plr.leaves.cone import best
 
 GOAL = (0.1, 0.1)
 WALL = [(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]
@@ -32,7 +32,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
     workspace = maze.workspace
     x = workspace.sample_free(20_000, seed=0)
     plr = construct(maze, workspace.bounds, leaf="cone", max_bytes=max_bytes, certified=True)
-    monkeypatch.setattr(model, "sources_in_sight", own_sources)
+    monkeypatch.setattr(best, "sources_in_sight", own_sources)
     before = construct(maze, workspace.bounds, leaf="cone", max_bytes=max_bytes, certified=True)
     assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
     assert plr.max_error <= before.max_error * (1 + 1e-6)
@@ -44,7 +44,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
 
 def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
     trees, changed = [], []
-    choose = model.sources_in_sight
+    choose = best.sources_in_sight
 
     def with_few(*arguments):
         trees.append(arguments[0])
@@ -54,7 +54,7 @@ def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
             )
         return changed[-1]
 
-    monkeypatch.setattr(model, "sources_in_sight", with_few)
+    monkeypatch.setattr(best, "sources_in_sight", with_few)
     construct(maze, maze.workspace.bounds, leaf="cone", max_leaves=200)
     counts = [(source != trees[0].source).sum() for source in changed]
     assert counts[:2] == [0, 3] and counts[2] > 5
@@ -65,7 +65,7 @@ def test_only_as_many_changes_are_made_as_fit(maze, monkeypatch):
 def test_where_all_is_in_sight_nothing_changes(monkeypatch):
     exact = VisibilityGraph(Workspace(((0, 0), (1, 1))), GOAL)
     calls = []
-    choose = model.sources_in_sight
-    monkeypatch.setattr(model, "sources_in_sight", lambda *arguments: calls.append(choose(*arguments)) or calls[-1])
+    choose = best.sources_in_sight
+    monkeypatch.setattr(best, "sources_in_sight", lambda *arguments: calls.append(choose(*arguments)) or calls[-1])
     plr = construct(exact, UNIT, leaf="cone", max_bytes=128)
     assert calls[0].tolist() == [0] and plr.num_leaves == 1

@@ -1,0 +1,65 @@
+"""The best partitions of cones, within the limits of a file each: for one goal, or for many of one workspace."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from plr_jax._types import Sources
+from plr_jax.geometry.box import Box
+from plr_jax.plr.growth.levels import BoxLevel
+from plr_jax.plr.growth.limits import Limits
+from plr_jax.plr.growth.optimal import Forest, Leaves, PriceSearch, Thrift
+from plr_jax.plr.leaves.base import MemberLeaves
+from plr_jax.plr.leaves.cone.codec import StoredCones, cones_in_order, num_bytes_of
+from plr_jax.plr.leaves.cone.sight import MemberTree, options_of_trees, sources_in_sight, tree_of_leaves
+from plr_jax.plr.sampling.cell_fit import Pattern
+
+_ROOM = 64
+"""One byte for so many is left for sources to be changed to others that are in sight."""
+
+
+def best_cones(
+    levels: list[BoxLevel],
+    roots: Int[np.ndarray, "members"],
+    sources: Sequence[Sources],
+    domain: Box,
+    limits: Limits,
+    pattern: Pattern,
+    run: Callable[[Forest, Callable[[Forest], Forest | None]], Forest],
+    thrift: Thrift = Thrift(),
+) -> list[MemberLeaves]:
+    """The leaves of each member, some of which have sources that are in sight instead of the best ones.
+
+    Args:
+        levels: Boxes to start with.
+        roots: The box of the first level that each member starts at.
+        sources: Those of each member, in the order of viewpoints: corners, and its own goal, whatever that one's.
+        domain: What the leaves cover.
+        limits: The limits of each.
+        pattern: Samples of a cell, by which sources in sight are chosen.
+        run: Takes steps from first trees, until there is none.
+        thrift: What the search leaves out.
+    """
+
+    def stored(member: int, view: Int[np.ndarray, "leaves"]) -> StoredCones:
+        return cones_in_order(np.minimum(view, len(sources[member].points) - 1), sources[member], domain)
+
+    def size(member: int, leaves: Leaves) -> int:
+        tree = tree_of_leaves(levels, leaves)
+        return num_bytes_of(tree.cells, stored(member, tree.source), domain, limits) * (_ROOM + 1) // _ROOM
+
+    boxes = levels[0].boxes
+    num_sources = len(np.unique(boxes.visible.source)) or len(sources[0].points)
+    search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
+    # Where only boxes without an error may be leaves, the trees at any high price are alike.
+    prices = np.minimum(boxes.integral + boxes.error, domain.width.max() if len(levels) > 1 else np.inf)[roots]
+    trees = [tree_of_leaves(levels, tree.leaves) for tree in run(search.first(prices.tolist()), search.next).trees]
+    options, members = options_of_trees(levels, trees, pattern), []
+    for member, tree in enumerate(trees):
+
+        def fits(view: Int[np.ndarray, "leaves"], member: int = member, tree: MemberTree = tree) -> bool:
+            return num_bytes_of(tree.cells, stored(member, view), domain, limits) <= limits.max_bytes
+
+        members.append((tree.levels, tree.cells, stored(member, sources_in_sight(tree, options, fits))))
+    return members
