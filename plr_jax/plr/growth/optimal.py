@@ -12,16 +12,17 @@ References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.levels import LEAST_SHARE, LEAST_SHARE_PROVEN, UNKNOWN, BoxLevel, expand, may_halve
 from plr_jax.plr.growth.limits import BudgetTooSmall, Limits
+from plr_jax.plr.partition.cells import MAX_DEPTH, Level
 
 _LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
 _RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
@@ -30,10 +31,11 @@ _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
 _FIRST_SHARE = 0.25  # of what the limits allow, that the first tree should take: the power is but a guess yet
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # about as many as one more takes, and what it is the first to name
+_HIGH = 1e300  # a price at which no box is halved that may be a leaf
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""Which boxes of each level are leaves."""
+"""Which boxes of each of the first levels are leaves."""
 
 
 class Thrift(NamedTuple):
@@ -44,25 +46,41 @@ class Thrift(NamedTuple):
         margin: Times as large as along the other axis an error may be for halves to be looked at further.
         attempts: To find a price with which a tree is full.
         full: The share of what the limits allow with which it is.
+        is_walked: Whether a file holds a tree as it was found; else as :func:`levels_of` has it, which takes longer.
     """
 
     gain: float = 1.0
     margin: float = np.inf
     attempts: int = 12
     full: float = 0.997
+    is_walked: bool = False
+
+
+EXACT = Thrift()
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The leaves of a member's best tree at a price a leaf, and the bytes of their file."""
+    """A member's best tree at a price a leaf.
+
+    Attributes:
+        leaves: Which boxes of each level are leaves.
+        splits: Its levels.
+        order: Of the traversal of the leaves.
+        price: The price.
+        num_bytes: Of the file.
+        is_final: Whether the search is over.
+    """
 
     leaves: Leaves
+    splits: list[Level]
+    order: Int[np.ndarray, "leaves"]
     price: float
     num_bytes: int = 0
     is_final: bool = False
 
     def __len__(self) -> int:
-        return sum(map(len, self.leaves))
+        return len(self.order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +107,7 @@ class PriceSearch:
         levels: Boxes to start with, to which those that are looked at are added.
         roots: The box of the first level that each member starts at.
         limits: The limits of each.
-        size: Gives the bytes of the file of a member's leaves.
+        size: Gives the bytes of the file of a member's tree.
         num_sources: How many sources leaves may name; a file holds those that they do. Going by them the search goes
             less far beyond its limits.
         thrift: What it leaves out.
@@ -100,27 +118,30 @@ class PriceSearch:
         levels: list[BoxLevel],
         roots: Int[np.ndarray, "members"],
         limits: Limits,
-        size: Callable[[int, Leaves], int],
+        size: Callable[[int, PricedTree], int],
         num_sources: int = 0,
-        thrift: Thrift = Thrift(),
+        thrift: Thrift = EXACT,
     ) -> None:
         self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
         self._num_sources, self._thrift = num_sources, thrift
         self._own: list[list[_Own]] = [[]] * len(roots)
 
-    def first(self, prices: Sequence[float]) -> Forest:
-        """The trees at high prices.
+    def first(self) -> Forest:
+        """The smallest trees.
 
         Raises:
             BudgetTooSmall: If the budget of bytes is too small for one of them.
         """
         trees = []
-        for member, price in enumerate(prices):
-            self._look(member, np.inf, 1.0)
-            trees.append(self._tree(member, price, 1.0))
-            if trees[-1].num_bytes > self._limits.max_bytes:
-                what = "one leaf" if len(trees[-1]) == 1 else f"a tree of {len(trees[-1])} leaves"
-                raise BudgetTooSmall(self._limits.max_bytes, trees[-1].num_bytes, what)
+        for member in range(len(self._roots)):
+            self._look(member, _HIGH, 1.0)
+            tree = self._tree(member, _HIGH, 1.0)
+            if tree.num_bytes > self._limits.max_bytes:
+                what = "one leaf" if len(tree) == 1 else f"a tree of {len(tree)} leaves"
+                raise BudgetTooSmall(self._limits.max_bytes, tree.num_bytes, what)
+            boxes = [(level.boxes, box) for level, box in zip(self.levels, tree.leaves, strict=False)]
+            cost = sum(float(np.sum(each.integral[box] + each.error[box] / len(tree))) for each, box in boxes)
+            trees.append(replace(tree, price=cost / len(tree)))
         return Forest(trees)
 
     def next(self, now: Forest) -> Forest | None:
@@ -157,7 +178,7 @@ class PriceSearch:
         if len(now) == 1:
             room = max(_FIRST_SHARE * room, 2.0)
             return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
-        before = sum(map(len, self._best_leaves(member, _RATE_STEP * now.price, least_share)))
+        before = len(self._tree_alone(member, _RATE_STEP * now.price, least_share))
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, least_share
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
@@ -166,9 +187,9 @@ class PriceSearch:
 
     def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
         """The best tree of what was looked at."""
-        leaves = self._best_leaves(member, price, least_share)
-        num_bytes = self._size(member, leaves) if np.isfinite(self._limits.max_bytes) else 0
-        return PricedTree(leaves, price, num_bytes, is_final)
+        tree = self._tree_alone(member, price, least_share)
+        num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
+        return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
     def _fits(self, tree: PricedTree) -> bool:
         return len(tree) <= self._limits.max_leaves and tree.num_bytes <= self._limits.max_bytes
@@ -202,21 +223,24 @@ class PriceSearch:
                 break
             cost = level.boxes.integral[here] + least_share * level.boxes.error[here]
             is_worth, child = cost > self._thrift.gain * price, level.child[:, :, here]
-            child = np.where(is_worth | np.isinf(cost), child, UNKNOWN)
-            is_all &= not (may_halve(level.boxes.cells[here], self._limits) & (cost > 0) & ~is_worth).any()
+            rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
+            is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
+            child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
             own.append(_Own(here, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
-                is_own[child[child >= 0]] = True
+                known = child >= 0
+                halves = child[known]
+                is_own[halves] = True
                 here = np.flatnonzero(is_own)
                 place = np.empty(len(is_own), np.int64)
                 place[here] = np.arange(len(here))
-                child[child >= 0] = place[child[child >= 0]]
+                child[known] = place[halves]
         self._own[member] = own
         return is_all
 
-    def _best_leaves(self, member: int, price: float, least_share: float) -> Leaves:
-        """Leaves of the member's tree for which their costs and their prices together are least."""
+    def _tree_alone(self, member: int, price: float, least_share: float) -> PricedTree:
+        """The member's tree for which costs of leaves and their prices together are least."""
         own, choices, below = self._own[member], [], np.zeros(0)
         for level, (box, child) in zip(reversed(self.levels[: len(own)]), reversed(own), strict=True):
             cost = level.boxes.integral[box] + least_share * level.boxes.error[box]
@@ -230,9 +254,15 @@ class PriceSearch:
                 total[halved], choice[halved] = both[cheaper], axis
             below = total
             choices.append(choice)
-        leaves, here = [], np.zeros(1, np.int64)
-        for (box, child), choice in zip(own, reversed(choices), strict=True):
+        leaves, splits, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+        for depth, ((box, child), choice) in enumerate(zip(own, reversed(choices), strict=True)):
+            if not len(here):
+                break
             axis = choice[here]
-            leaves.append(box[here[axis < 0]])
-            here = child[axis[axis >= 0], :, here[axis >= 0]].ravel()
-        return leaves
+            is_inner = axis >= 0
+            leaves.append(box[here[~is_inner]])
+            paths.append(path[~is_inner])
+            splits.append(Level(is_inner, axis[is_inner]))
+            here = child[axis[is_inner], :, here[is_inner]].ravel()
+            path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+        return PricedTree(leaves, splits, np.argsort(np.concatenate(paths)), price)

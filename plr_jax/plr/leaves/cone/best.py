@@ -9,10 +9,10 @@ from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import Forest, Leaves, PriceSearch, Thrift
+from plr_jax.plr.growth.optimal import EXACT, Forest, PricedTree, PriceSearch, Thrift
 from plr_jax.plr.leaves.base import MemberLeaves
-from plr_jax.plr.leaves.cone.codec import StoredCones, cones_in_order, num_bytes_of
-from plr_jax.plr.leaves.cone.sight import MemberTree, options_of_trees, sources_in_sight, tree_of_leaves
+from plr_jax.plr.leaves.cone.codec import ConeFiles
+from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tree_of_leaves
 from plr_jax.plr.sampling.cell_fit import Pattern
 
 _ROOM = 64
@@ -27,7 +27,7 @@ def best_cones(
     limits: Limits,
     pattern: Pattern,
     run: Callable[[Forest, Callable[[Forest], Forest | None]], Forest],
-    thrift: Thrift = Thrift(),
+    thrift: Thrift = EXACT,
 ) -> list[MemberLeaves]:
     """The leaves of each member, some of which have sources that are in sight instead of the best ones.
 
@@ -41,25 +41,24 @@ def best_cones(
         run: Takes steps from first trees, until there is none.
         thrift: What the search leaves out.
     """
+    files = [ConeFiles(each, domain) for each in sources]
 
-    def stored(member: int, view: Int[np.ndarray, "leaves"]) -> StoredCones:
-        return cones_in_order(np.minimum(view, len(sources[member].points) - 1), sources[member], domain)
+    def views(member: int, view: Int[np.ndarray, "leaves"]) -> Int[np.ndarray, "leaves"]:
+        return np.minimum(view, len(sources[member].points) - 1)
 
-    def size(member: int, leaves: Leaves) -> int:
-        tree = tree_of_leaves(levels, leaves)
-        return num_bytes_of(tree.cells, stored(member, tree.source), domain, limits) * (_ROOM + 1) // _ROOM
+    def size(member: int, tree: PricedTree) -> int:
+        view = views(member, tree_of_leaves(levels, tree, thrift.is_walked).source)
+        return files[member].num_bytes(view, limits) * (_ROOM + 1) // _ROOM
 
-    boxes = levels[0].boxes
-    num_sources = len(np.unique(boxes.visible.source)) or len(sources[0].points)
+    num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
     search = PriceSearch(levels, roots, limits, size, num_sources, thrift)
-    # Where only boxes without an error may be leaves, the trees at any high price are alike.
-    prices = np.minimum(boxes.integral + boxes.error, domain.width.max() if len(levels) > 1 else np.inf)[roots]
-    trees = [tree_of_leaves(levels, tree.leaves) for tree in run(search.first(prices.tolist()), search.next).trees]
+    trees = [tree_of_leaves(levels, tree, thrift.is_walked) for tree in run(search.first(), search.next).trees]
     options, members = options_of_trees(levels, trees, pattern), []
     for member, tree in enumerate(trees):
 
-        def fits(view: Int[np.ndarray, "leaves"], member: int = member, tree: MemberTree = tree) -> bool:
-            return num_bytes_of(tree.cells, stored(member, view), domain, limits) <= limits.max_bytes
+        def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
+            return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
 
-        members.append((tree.levels, tree.cells, stored(member, sources_in_sight(tree, options, fits))))
+        view = views(member, sources_in_sight(tree, options, fits))
+        members.append((tree.levels, tree.cells, files[member].stored(view)))
     return members

@@ -36,12 +36,6 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
-    def views(self, box: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        """Viewpoint of the best source of each of some boxes, -1 where nothing reaches the goal."""
-        view = self.source[box]
-        view[view >= 0] = views_of(self.visible, view[view >= 0])
-        return view
-
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
         columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
         return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)

@@ -148,7 +148,11 @@ def _lattice(
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     """Append sources, and every leaf's."""
-    sources = cones.sources
+    _write_sources(body, domain, cones.sources)
+    _write_ranks(body, cones.source, len(cones.sources.code))
+
+
+def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
     fine, others = np.split(sources.code, [sources.num_fine])
     body.write(np.array([len(fine)]), _COUNT_BITS)
     if len(fine):
@@ -161,12 +165,16 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
-    # Rank of each leaf's source among those lately used, 0 for the latest.
-    source = cones.source
-    rank, recent = np.zeros(len(source), np.int64), list(range(len(sources.code)))
-    for leaf in np.flatnonzero(np.diff(source, prepend=0)).tolist():
-        rank[leaf] = place = recent.index(int(source[leaf]))
+
+
+def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"], num_sources: int) -> None:
+    """Rank of each leaf's source among those lately used, 0 for the latest."""
+    rank, recent = np.zeros(len(source), np.int64), list(range(num_sources))
+    changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
+    for each in source[changes].tolist():
+        ranks.append(place := recent.index(each))
         recent.insert(0, recent.pop(place))
+    rank[changes] = ranks
     for each in range(_ESCAPE):
         body.write((rank == each).astype(np.int64), 1)
         rank = rank[rank > each]
@@ -230,13 +238,6 @@ def _origin(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
     return np.rint(steps).astype(np.int64)
 
 
-def cones_bits(domain: Box, cones: StoredCones) -> int:
-    """How many bits ``write_cones`` appends."""
-    body = BitWriter()
-    write_cones(body, domain, cones)
-    return body.num_bits
-
-
 def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
@@ -273,18 +274,44 @@ def stored_cones(
 
 def cones_in_order(source: Int[np.ndarray, "leaves"], sources: Sources, domain: Box) -> StoredCones:
     """What a file keeps of leaves in the order of the tree's traversal."""
-    leaf = np.flatnonzero(source >= 0)
-    before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
-    source = source[leaf[np.maximum(before, 0)]]
-    kept = _with_parents(np.unique(source), sources.parents)
-    place = np.searchsorted(kept, np.arange(len(sources.parents)))
-    stored, index = store_sources(sources.points[kept], sources.distances[kept], place[sources.parents[kept]], domain)
-    return StoredCones(stored, index[place[source]])
+    return ConeFiles(sources, domain).stored(source)
 
 
-def num_bytes_of(cells: Cells, cones: StoredCones, domain: Box, limits: Limits) -> int:
-    """Bytes of the file of some leaves, and of a proof if there is to be one."""
-    return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
+class ConeFiles:
+    """What files keep of leaves with given sources, and how large they are.
+
+    Those that leaves name are often the same from file to file: what is kept of them is found once.
+    """
+
+    def __init__(self, sources: Sources, domain: Box) -> None:
+        self._sources, self._domain = sources, domain
+        self._kept: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
+
+    def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
+        """What is kept of leaves in the order of the tree's traversal; one without a source, -1, has that before."""
+        return self._stored(source)[0]
+
+    def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
+        """Bytes of their file, and of a proof if there is to be one."""
+        cones, num_bits = self._stored(source)
+        _write_ranks(body := BitWriter(), cones.source, len(cones.sources.code))
+        return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
+
+    def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
+        """What is kept of leaves, and how many bits sources take."""
+        leaf, sources = np.flatnonzero(source >= 0), self._sources
+        before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
+        source = source[leaf[np.maximum(before, 0)]]
+        kept = _with_parents(np.unique(source), sources.parents)
+        if kept.tobytes() not in self._kept:
+            place = np.searchsorted(kept, np.arange(len(sources.parents)))
+            stored, index = store_sources(
+                sources.points[kept], sources.distances[kept], place[sources.parents[kept]], self._domain
+            )
+            _write_sources(body := BitWriter(), self._domain, stored)
+            self._kept[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
+        stored, index, num_bits = self._kept[kept.tobytes()]
+        return StoredCones(stored, index[source]), num_bits
 
 
 def _with_parents(used: Int[np.ndarray, "used"], parents: Int[np.ndarray, "sources"]) -> Int[np.ndarray, "kept"]:

@@ -3,8 +3,8 @@
 Above some number of splits every box has sources of its own for every goal, and hardly one is a leaf of a good tree
 but where one source serves all of it. So goals *start* at boxes of so many splits, and those above are leaves only
 where all of the boxes that they hold have no error and one source. Where sources take most of the bytes, as of a
-hundred corners in 1 KB, leaves are fewer than the start expects, and a good tree has larger ones: a single goal starts
-at the whole domain.
+hundred corners in 1 KB, leaves are fewer than the start expects, and a good tree has larger ones: a single goal
+starts at the whole domain.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
 _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
 # Boxes are left out that seldom are leaves, for which the search is twice as quick; where sources take most of the
 # bytes, as of a hundred corners in 1 KB, mean errors are up to 1.6 times as large for it.
-_THRIFT, _THRIFT_PROVEN = Thrift(4.0, 1.0, 4, 0.99), Thrift(4.0, 1.2, 4, 0.99)
+_THRIFT, _THRIFT_PROVEN = (Thrift(4.0, margin, 6, 0.993, is_walked=True) for margin in (1.0, 1.2))
 _ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
 
 

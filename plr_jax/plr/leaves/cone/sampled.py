@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import SourcedFn, Sources
 from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.growth.best_first import (
     Encoding,
     best_axis,
@@ -17,7 +18,7 @@ from plr_jax.plr.growth.best_first import (
 )
 from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import Rules
-from plr_jax.plr.leaves.cone.codec import StoredCones, num_bytes_of, stored_cones
+from plr_jax.plr.leaves.cone.codec import StoredCones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.sources import (
     BEYOND_NOISE,
     Cones,
@@ -121,7 +122,8 @@ def grow_from_samples(sampler: Sampler, rules: Rules, limits: Limits) -> tuple[C
     leaves = _Leaves(known, may_own, domain, rules, limits)
 
     def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-        return num_bytes_of(*leaves.stored(nodes[leaf]), domain, limits)
+        write_cones(body := BitWriter(), domain, leaves.stored(nodes[leaf])[1])
+        return limits.file_size(domain.dim, len(leaf), body.num_bits)
 
     encoding = Encoding([0], size, lambda nodes, leaf, bits: 0.0)
     first = leaves.nodes_of(root, np.array([np.inf]))

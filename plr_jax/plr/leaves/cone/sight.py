@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import run_members
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.growth.levels import BoxLevel
+from plr_jax.plr.growth.optimal import PricedTree
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, errors_of_options, views_of
 from plr_jax.plr.partition.cells import Cells, Level, levels_of
 from plr_jax.plr.sampling.cell_fit import Pattern
@@ -49,15 +50,16 @@ class MemberTree:
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], leaves: list[Int[np.ndarray, "_"]]) -> MemberTree:
-    """The tree whose leaves are some boxes of each of the first levels."""
-    used = levels[: len(leaves)]
-    first, *others = (level.boxes.cells[box] for level, box in zip(used, leaves, strict=True))
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> MemberTree:
+    """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
+    parts = [(level.boxes, box) for level, box in zip(levels, tree.leaves, strict=False)]
+    first, *others = (boxes.cells[box] for boxes, box in parts)
     cells = first.append(*others)
-    splits, order = levels_of(cells)
-    source = np.concatenate([level.boxes.views(box) for level, box in zip(used, leaves, strict=True)])
-    depth = np.repeat(np.arange(len(leaves)), [len(box) for box in leaves])
-    return MemberTree(splits, cells[order], source[order], depth[order], np.concatenate(leaves)[order])
+    splits, order = (tree.splits, tree.order) if is_walked else levels_of(cells)
+    depth, box = np.repeat(np.arange(len(parts)), [len(box) for _, box in parts]), np.concatenate(tree.leaves)
+    source = np.concatenate([boxes.source[box] for boxes, box in parts])
+    source[source >= 0] = views_of(levels[0].boxes.visible, source[source >= 0])
+    return MemberTree(splits, cells[order], source[order], depth[order], box[order])
 
 
 @dataclass(frozen=True, eq=False)
