@@ -178,7 +178,7 @@ def test_what_is_done_before_an_interrupt_is_kept(oracles, family, monkeypatch):
         (lambda oracles: 3, {}, "must be a list of distance functions"),
         (lambda oracles: [oracles[0], 5], {}, "number 1 is 5"),
         (list, {"executor": 4}, "executor must be"),
-        (list, {"leaf": "cone", "max_bytes": 10}, "too small: a tree of 1 leaves takes"),
+        (list, {"leaf": "cone", "max_bytes": 10}, "too small: one leaf takes"),
         (list, {"seed": -1}, "seed must be"),
     ],
 )

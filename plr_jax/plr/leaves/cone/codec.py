@@ -217,7 +217,7 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     sources = StoredSources(num_fine, exponent, fraction, code, parent, offset)
     if not (np.isfinite(offset).all() and np.abs(sources.points).max() < LARGEST and sources.offsets.max() < LARGEST):
         raise ValueError("it states sources whose coordinates or distances are too large")
-    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), len(sources.code)))
+    return StoredCones(sources, _read_ranks(body, num_leaves, len(sources.code)))
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
@@ -238,7 +238,13 @@ def _origin(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
     return np.rint(steps).astype(np.int64)
 
 
-def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:
+def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
+    """The source of each leaf, from its rank."""
+    rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
+    for each in range(_ESCAPE):
+        rest = rest[body.read_alike(len(rest), 1) == 0]
+        rank[rest] = each + 1
+    rank[rest] += body.read_coded(len(rest))
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
     recent, changes = list(range(count)), np.flatnonzero(rank)
@@ -246,16 +252,7 @@ def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.nda
     for number, place in enumerate(rank[changes].tolist()):
         recent.insert(0, recent.pop(place))
         latest[number + 1] = recent[0]
-    return latest[np.searchsorted(changes, np.arange(len(rank)), side="right")]
-
-
-def _read_ranks(body: BitReader, num_leaves: int) -> Int[np.ndarray, "leaves"]:
-    rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
-    for each in range(_ESCAPE):
-        rest = rest[body.read_alike(len(rest), 1) == 0]
-        rank[rest] = each + 1
-    rank[rest] += body.read_coded(len(rest))
-    return rank
+    return latest[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
 # From leaves and the sources that they chose to what a file keeps of them, and its size.
@@ -269,12 +266,7 @@ def stored_cones(
     Where a leaf has no source, -1, it takes that of the leaf before.
     """
     order = levels_of(cells)[1]
-    return cells[order], cones_in_order(source[order], sources, domain)
-
-
-def cones_in_order(source: Int[np.ndarray, "leaves"], sources: Sources, domain: Box) -> StoredCones:
-    """What a file keeps of leaves in the order of the tree's traversal."""
-    return ConeFiles(sources, domain).stored(source)
+    return cells[order], ConeFiles(sources, domain).stored(source[order])
 
 
 class ConeFiles:
@@ -302,7 +294,12 @@ class ConeFiles:
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
-        kept = _with_parents(np.unique(source), sources.parents)
+        is_kept, used = np.zeros(len(sources.parents), bool), np.unique(source)
+        while len(used):  # sources, their parents, and so on
+            is_kept[used] = True
+            used = np.unique(sources.parents[used])
+            used = used[~is_kept[used]]
+        kept = np.flatnonzero(is_kept)
         if kept.tobytes() not in self._kept:
             place = np.searchsorted(kept, np.arange(len(sources.parents)))
             stored, index = store_sources(
@@ -312,13 +309,3 @@ class ConeFiles:
             self._kept[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
         stored, index, num_bits = self._kept[kept.tobytes()]
         return StoredCones(stored, index[source]), num_bits
-
-
-def _with_parents(used: Int[np.ndarray, "used"], parents: Int[np.ndarray, "sources"]) -> Int[np.ndarray, "kept"]:
-    """Indices of some sources, of their parents, and so on, ascending."""
-    kept = np.zeros(len(parents), bool)
-    while len(used):
-        kept[used] = True
-        used = np.unique(parents[used])
-        used = used[~kept[used]]
-    return np.flatnonzero(kept)

@@ -16,7 +16,6 @@ from jaxtyping import Int
 
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth.levels import POOR, BoxLevel, may_halve
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import Forest, Thrift
@@ -29,9 +28,8 @@ from plr_jax.plr.sampling.cell_fit import Pattern
 _MOST_SPLITS, _LEAVES_A_START = 9, 8.0
 _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
 _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
-# Boxes are left out that seldom are leaves, for which the search is twice as quick; where sources take most of the
-# bytes, as of a hundred corners in 1 KB, mean errors are up to 1.6 times as large for it.
-_THRIFT, _THRIFT_PROVEN = (Thrift(4.0, margin, 6, 0.993, is_walked=True) for margin in (1.0, 1.2))
+# Boxes are left out that seldom are leaves, for which the search is twice as quick.
+_THRIFT = Thrift(2.0, 1.2, 5, 0.99, is_walked=True)
 _ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
 
 
@@ -71,9 +69,8 @@ class FamilyTask:
         key = np.append(key, cells[empty].hashes())
         levels = [*self._above(boxes, node_of), BoxLevel.of(boxes, key)]
         roots = np.arange(len(oracles)) if self.halves else node_of[:, 0]
-        thrift = _THRIFT if limits.proof is Proof.NONE else _THRIFT_PROVEN
         sources = [_corners_first(oracle.sources) for oracle in oracles]
-        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, _run, thrift)
+        return best_cones(levels, roots, sources, self.domain, limits, self.pattern, _run, _THRIFT)
 
     def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
         """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""

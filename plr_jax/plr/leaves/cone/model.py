@@ -15,7 +15,7 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.levels import BoxLevel
 from plr_jax.plr.growth.limits import Limits, grow
-from plr_jax.plr.leaves.base import UNIT, Functions, Rules, largest_coordinates
+from plr_jax.plr.leaves.base import UNIT, FamilyLeafModel, Functions, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.best import best_cones
 from plr_jax.plr.leaves.cone.boxes import root_box
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
@@ -30,24 +30,19 @@ _UNDERFLOW = 1.1e-19
 
 
 @dataclass(frozen=True)
-class Cone:
+class Cone(FamilyLeafModel):
     """Cones ``offset + |x - source|``. Coefficients: the offset, the coordinates of the source.
 
     Away from the lines where the next corner changes, that is what a distance among obstacles is.
     """
 
     name = "cone"
-    num_samples = 96
     least_bytes = 0.5
     has_deep_trees = True
-    is_of_cells = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Half a byte each, and what some tens of sources take."""
         return num_leaves // 2 + 256
-
-    def check_dim(self, dim: int) -> None:
-        """Cones are for any number of axes."""
 
     def least_samples(self, dim: int) -> int:
         """So many determine a cone, and show an error."""
@@ -109,20 +104,6 @@ class Cone:
         """Values at points of the functions of leaves, one a point."""
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
 
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Planes of the value at the center and of the slope between the centers of opposite faces."""
-        center, half = (lo + hi) / 2, np.empty_like(lo)
-        for axis in range(lo.shape[1]):
-            step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
-            above, below = (self.values(lo, hi, coefficients, center + sign * step) for sign in (1, -1))
-            half[:, axis] = (above - below) / 2
-        return self.values(lo, hi, coefficients, center), half
-
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves terms"]:
@@ -163,10 +144,6 @@ class Cone:
         length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
         return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
-
-    def num_numbers(self, dim: int) -> int:
-        """The offset, and coordinates of the source."""
-        return 1 + dim
 
     def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The offset, to which the root is added of the squares of differences, summed axis by axis."""

@@ -8,7 +8,6 @@ could have instead is asked once for all trees that have it as a leaf.
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,8 +26,6 @@ _PRICE = 30.0
 _LEAST_SHORTFALL = 1e-9
 """Widths of the domain by which a distance is above a cone for certain."""
 _KEY_BITS = 40  # for the place of a box in its level
-
-Pairs: TypeAlias = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,11 @@ def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: P
     key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)
-    box, source, by_all = _pairs_of_boxes(boxes)
+    # Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it.
+    visible, count = boxes.visible, len(boxes.visible.sources.points)
+    pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
+    box, source = np.divmod(pair, count)
+    by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
     is_doubted = np.diff(boxes.visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
@@ -164,12 +165,3 @@ def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "chang
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
     return leaf[best], options.view[option[best]]
-
-
-def _pairs_of_boxes(boxes: ConeBoxes) -> Pairs:
-    """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it."""
-    visible = boxes.visible
-    count = len(visible.sources.points)
-    key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
-    box, source = np.divmod(key, count)
-    return box, source, np.bincount(index, visible.by_all, len(key)) == np.diff(visible.first_piece)[box]

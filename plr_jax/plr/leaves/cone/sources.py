@@ -223,8 +223,9 @@ def fit_families(cones: Cones, samples: Sequence[Samples], parents: Int[np.ndarr
 
     A source that is its own parent, a root, keeps an offset of its own; without children it stays as it is.
     """
-    each = np.arange(len(parents))
-    is_root = parents == each
+    from scipy.sparse import diags_array
+
+    is_root = parents == np.arange(len(parents))
     in_family = ~is_root
     in_family[parents[~is_root]] = True
     if not in_family.any():
@@ -234,7 +235,11 @@ def fit_families(cones: Cones, samples: Sequence[Samples], parents: Int[np.ndarr
     used = np.append(np.repeat(in_family, dim), is_root & in_family)
     for _ in range(_STEPS):
         here = _cones_by_parents(point, root_offset, parents, chains)
-        step = _step(here, samples, parents, chains, used)
+        equations = [normal_equations(samples[i], here[[i]]) for i in range(len(here))]
+        normal, moments = (np.concatenate(part) for part in zip(*equations, strict=True))
+        of_parameters = _numbers_of_parameters(here, parents, chains) @ diags_array(used.astype(np.float64))
+        squares = weighted_squares(of_parameters, normal) + diags_array((~used).astype(np.float64))
+        step = solve_sparse(squares, of_parameters.T @ moments.ravel())
         point = point - step[: count * dim].reshape(count, dim)
         root_offset = root_offset - step[count * dim :]
     return _cones_by_parents(point, root_offset, parents, chains)
@@ -260,23 +265,6 @@ def _cones_by_parents(
 ) -> Cones:
     """Cones whose offsets follow from their parents."""
     return Cones(point, chains @ (root_offset + np.linalg.norm(point - point[parents], axis=1)))
-
-
-def _step(
-    cones: Cones,
-    samples: Sequence[Samples],
-    parents: Int[np.ndarray, "sources"],
-    chains: "csr_array",
-    used: Bool[np.ndarray, "parameters"],
-) -> Float[np.ndarray, "parameters"]:
-    """By how much coordinates of all sources, then offsets of all roots, are too large; 0 for those not in use."""
-    from scipy.sparse import diags_array
-
-    equations = [normal_equations(samples[i], cones[[i]]) for i in range(len(cones))]
-    normal, moments = (np.concatenate(part) for part in zip(*equations, strict=True))
-    of_parameters = _numbers_of_parameters(cones, parents, chains) @ diags_array(used.astype(np.float64))
-    squares = weighted_squares(of_parameters, normal) + diags_array((~used).astype(np.float64))
-    return solve_sparse(squares, of_parameters.T @ moments.ravel())
 
 
 def _numbers_of_parameters(cones: Cones, parents: Int[np.ndarray, "sources"], chains: "csr_array") -> "csr_array":

@@ -8,7 +8,6 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.leaves.cone.codec import (
     StoredCones,
     StoredSources,
-    cones_bits,
     read_cones,
     store_sources,
     write_cones,
@@ -57,7 +56,6 @@ def test_what_is_written_is_read(lattice, seed, dim, count):
     reader = BitReader(body.to_bytes())
     found = read_cones(reader, domain, len(source))
     assert reader.at_end()
-    assert body.num_bits == cones_bits(domain, StoredCones(stored, source))
     np.testing.assert_array_equal(found.source, source)
     for name in ("code", "parent", "root_offset", "points", "offsets"):
         np.testing.assert_array_equal(getattr(found.sources, name), getattr(stored, name))
@@ -111,7 +109,7 @@ def test_ranks_are_few_bits_where_leaves_take_turns():
     points = np.arange(200.0).reshape(100, 2)
     stored, _ = store_sources(points, np.zeros(100), np.arange(100), Box((0, 0), (200, 200)))
     one, two = (
-        cones_bits(Box((0, 0), (200, 200)), StoredCones(stored, s))
+        bits_of(Box((0, 0), (200, 200)), StoredCones(stored, s)).num_bits
         for s in (np.full(1000, 77), 77 + np.arange(1000) % 2)
     )
     assert two - one < 1100
@@ -178,7 +176,7 @@ def test_no_sources_and_no_step_are_refused():
 def test_a_rank_beyond_the_sources_is_refused():
     body = bits_of(DOMAIN, StoredCones(stored_sources(), np.zeros(1, int)))
     body._bits.pop()  # the ranks of one leaf
-    while body.num_bits > cones_bits(DOMAIN, StoredCones(stored_sources(), np.zeros(1, int))) - 1:
+    while body.num_bits > bits_of(DOMAIN, StoredCones(stored_sources(), np.zeros(1, int))).num_bits - 1:
         body._bits.pop()
     body.write(np.array([0]), 1).write(np.array([0]), 1).write(np.array([0]), 1).write_coded(np.array([0]))
     with pytest.raises(ValueError, match="names source 3 of 3"):
