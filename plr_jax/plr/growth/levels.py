@@ -85,8 +85,8 @@ def expand(
     price: Float[np.ndarray, "first"],
     least_share: float,
     limits: Limits,
-    gain: float = 1.0,
     margin: float = np.inf,
+    share: float = 0.0,
 ) -> None:
     """Look at the halves of boxes that cost more than a price, and at theirs.
 
@@ -96,24 +96,25 @@ def expand(
             where nothing is to be looked at.
         least_share: How much a box's largest error counts besides its integral.
         limits: The limits.
-        gain: How many prices a box must cost to be halved; below 1 no tree gains by it.
-        margin: Times as large as along the other axis the halves' integral may be for them to be looked at further;
-            without, the best tree is the best of all.
+        margin: Times as much as along the other axis halves may cost to be looked at further; without, the best tree
+            is the best of all.
+        share: How much largest errors count in that, whoever asks.
     """
     for depth in range(limits.max_depth):
         if depth == len(levels):
             break
         level = levels[depth]
         is_new = may_halve(level.boxes.cells, limits) & (level.child[:, 0] == UNKNOWN)
-        axis, parent = np.nonzero(is_new & (level.costs(least_share) > gain * price))
+        axis, parent = np.nonzero(is_new & (level.costs(least_share) > price))
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
                 # Of boxes that were halved along both axes, those halves are left out that are the poorer by far.
-                child, integral = level.child[:, :, np.unique(parent)], levels[depth + 1].boxes.integral
-                halves = np.where((child >= 0).all(axis=1), integral[child].sum(axis=1), np.inf)
+                parent = np.unique(parent)
+                child, cost = level.child[:, :, parent], levels[depth + 1].costs(share)
+                halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
                 axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
-                level.child[axis, :, np.unique(parent)[which]] = POOR
+                level.child[axis, :, parent[which]] = POOR
         if depth + 1 < len(levels):
             box, halves = np.flatnonzero(price < np.inf), np.full(len(levels[depth + 1].key), np.inf)
             for child in level.child[:, :, box].reshape(4, -1):

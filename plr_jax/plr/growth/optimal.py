@@ -42,14 +42,12 @@ class Thrift(NamedTuple):
     """What a search leaves out for its speed.
 
     Attributes:
-        gain: Prices that a box must cost to be halved; below 1 no tree gains by it, below 4 trees seldom gain one.
-        margin: Times as large as along the other axis an error may be for halves to be looked at further.
+        margin: Times as much as along the other axis halves may cost to be looked at further.
         attempts: To find a price with which a tree is full.
         full: The share of what the limits allow with which it is.
         is_walked: Whether a file holds a tree as it was found; else as :func:`levels_of` has it, which takes longer.
     """
 
-    gain: float = 1.0
     margin: float = np.inf
     attempts: int = 12
     full: float = 0.997
@@ -124,6 +122,7 @@ class PriceSearch:
     ) -> None:
         self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
         self._num_sources, self._thrift = num_sources, thrift
+        self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         self._own: list[list[_Own]] = [[]] * len(roots)
 
     def first(self) -> Forest:
@@ -150,11 +149,13 @@ class PriceSearch:
         aims = {i: self._aim(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
         if not aims:
             return None
-        limits, thrift, price = self._limits, self._thrift, np.full(len(self.levels[0].key), np.inf)
+        limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
         for member, (of_member, _) in aims.items():
             price[self._roots[member]] = min(price[self._roots[member]], of_member)
         # What more than a member alone would look at is found for others, it does not use.
-        expand(self.levels, price, max(share for _, share in aims.values()), limits, thrift.gain, thrift.margin)
+        least_share = max(share for _, share in aims.values())
+        share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / _BITS_A_LEAF)
+        expand(self.levels, price, least_share, limits, self._thrift.margin, share)
         for member, (of_member, least_share) in aims.items():
             is_final = self._look(member, of_member, least_share)
             larger = self._tree(member, _LAST * of_member if is_final else of_member, least_share, is_final)
@@ -173,8 +174,7 @@ class PriceSearch:
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
         more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
         most = float(min(self._limits.max_leaves, len(now) + more))
-        least = LEAST_SHARE if self._limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
-        least_share, room = least / (most if most < _UNLIMITED else len(now)), most / len(now)
+        least_share, room = self._least / (most if most < _UNLIMITED else len(now)), most / len(now)
         if len(now) == 1:
             room = max(_FIRST_SHARE * room, 2.0)
             return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
@@ -222,7 +222,7 @@ class PriceSearch:
             if not len(here):
                 break
             cost = level.boxes.integral[here] + least_share * level.boxes.error[here]
-            is_worth, child = cost > self._thrift.gain * price, level.child[:, :, here]
+            is_worth, child = cost > price, level.child[:, :, here]
             rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
             is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
             child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
@@ -245,9 +245,8 @@ class PriceSearch:
         for level, (box, child) in zip(reversed(self.levels[: len(own)]), reversed(own), strict=True):
             cost = level.boxes.integral[box] + least_share * level.boxes.error[box]
             total, choice = cost + price, np.full(len(box), -1)
-            is_worth = cost > self._thrift.gain * price
             for axis, (lower, upper) in enumerate(child):
-                halved = np.flatnonzero((lower >= 0) & is_worth)
+                halved = np.flatnonzero(lower >= 0)
                 both = below[lower[halved]] + below[upper[halved]]
                 cheaper = both < total[halved]
                 halved = halved[cheaper]

@@ -203,7 +203,7 @@ class Plane(LinearLeafModel):
 
         In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
         """
-        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, MOST_ROWS * self.least_bytes)
+        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
     def __post_init__(self):
         bits = self.coefficient_bits

@@ -12,7 +12,7 @@ from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.growth.optimal import EXACT, Forest, PricedTree, PriceSearch, Thrift
 from plr_jax.plr.leaves.base import MemberLeaves
 from plr_jax.plr.leaves.cone.codec import ConeFiles
-from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tree_of_leaves
+from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tree_of_leaves, views_of_leaves
 from plr_jax.plr.sampling.cell_fit import Pattern
 
 _ROOM = 64
@@ -47,8 +47,11 @@ def best_cones(
         return np.minimum(view, len(sources[member].points) - 1)
 
     def size(member: int, tree: PricedTree) -> int:
-        view = views(member, tree_of_leaves(levels, tree, thrift.is_walked).source)
-        return files[member].num_bytes(view, limits) * (_ROOM + 1) // _ROOM
+        if thrift.is_walked:
+            view = views_of_leaves(levels, tree)[tree.order]
+        else:
+            view = tree_of_leaves(levels, tree, is_walked=False).source
+        return files[member].num_bytes(views(member, view), limits) * (_ROOM + 1) // _ROOM
 
     num_sources = len(np.unique(levels[0].boxes.visible.source)) or len(sources[0].points)
     search = PriceSearch(levels, roots, limits, size, num_sources, thrift)

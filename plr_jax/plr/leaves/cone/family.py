@@ -29,7 +29,7 @@ _MOST_SPLITS, _LEAVES_A_START = 9, 8.0
 _BITS_A_LEAF, _BITS_OF_SOURCES = 4.4, 400  # about, before the first tree tells
 _RESOLVED = float(np.finfo(np.float32).eps / 4)  # of a distance: what no query resolves
 # Boxes are left out that seldom are leaves, for which the search is twice as quick.
-_THRIFT = Thrift(2.0, 1.2, 5, 0.99, is_walked=True)
+_THRIFT = Thrift(1.0, 5, 0.99, is_walked=True)
 _ANY, _NONE = -1, -2  # source of what does not reach the goal, and of what has several or an error
 
 
@@ -74,7 +74,8 @@ class FamilyTask:
 
     def _above(self, boxes: ConeBoxes, node_of: Int[np.ndarray, "goals lowest"]) -> list[BoxLevel]:
         """The boxes above the start, goal by goal: where one source serves all of it, each has no error."""
-        levels, node, nothing = [], node_of, boxes.visible.of_cells(np.zeros(0, np.int64))
+        levels, node = [], node_of
+        nothing: Any = boxes.visible.of_cells(np.zeros(0, np.int64))
         is_alone = (boxes.source < 0) | (only_sources(boxes.visible) >= 0)
         source = np.where(is_alone, boxes.source, _NONE)[node_of]
         for cells, child in zip(reversed(self.tops[:-1]), reversed(self.halves), strict=True):

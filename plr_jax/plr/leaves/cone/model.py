@@ -61,10 +61,9 @@ class Cone(FamilyLeafModel):
                 sampler.root()  # which says so
             levels = [BoxLevel.of(root_box(visible, domain, limits.tolerance), Cells.root(2).hashes())]
             run = partial(grow, limits=limits)
-            ((_, *leaves),) = best_cones(
-                levels, np.zeros(1, np.int64), [visible.sources], domain, limits, sampler.pattern, run
-            )
-            return leaves[0], leaves[1]
+            root = np.zeros(1, np.int64)
+            ((_, cells, stored),) = best_cones(levels, root, [visible.sources], domain, limits, sampler.pattern, run)
+            return cells, stored
         return grow_from_samples(sampler, rules, limits)
 
     def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:

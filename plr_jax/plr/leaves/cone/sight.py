@@ -54,9 +54,14 @@ def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) ->
     cells = first.append(*others)
     splits, order = (tree.splits, tree.order) if is_walked else levels_of(cells)
     depth, box = np.repeat(np.arange(len(parts)), [len(box) for _, box in parts]), np.concatenate(tree.leaves)
-    source = np.concatenate([boxes.source[box] for boxes, box in parts])
+    return MemberTree(splits, cells[order], views_of_leaves(levels, tree)[order], depth[order], box[order])
+
+
+def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
+    """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
+    source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
     source[source >= 0] = views_of(levels[0].boxes.visible, source[source >= 0])
-    return MemberTree(splits, cells[order], source[order], depth[order], box[order])
+    return source
 
 
 @dataclass(frozen=True, eq=False)

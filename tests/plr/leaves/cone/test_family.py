@@ -78,7 +78,7 @@ def test_boxes_above_the_start_are_leaves_where_one_source_serves_all(workspace,
 
 def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
     levels, roots, _ = levels_of_family(monkeypatch, MAZE, [(0.06, 0.07), (0.9, 0.93)], 8 * 2**3)
-    search = PriceSearch(levels, roots, limits_of(64), lambda member, tree: 0, thrift=Thrift(4.0, 1.2, 4, 0.99))
+    search = PriceSearch(levels, roots, limits_of(64), lambda member, tree: 0, thrift=Thrift(1.2, 4, 0.99))
     forest = search.first()
     while (larger := search.next(forest)) is not None:
         forest = larger
@@ -99,7 +99,7 @@ def test_trees_are_those_of_a_recursion_and_boxes_are_there_once(monkeypatch):
         def best(depth, box, price=tree.price, costs=costs, memo=memo):
             if (depth, box) not in memo:
                 ways = [costs[depth][box] + price]
-                if costs[depth][box] > 4 * price:
+                if costs[depth][box] > price:
                     halves = [each for each in levels[depth].child[:, :, box].tolist() if each[0] >= 0]
                     ways += [sum(best(depth + 1, half) for half in both) for both in halves]
                 memo[depth, box] = min(ways)
