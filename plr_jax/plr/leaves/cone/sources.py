@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
+from plr_jax.plr.growth.limits import Rows
 from plr_jax.plr.leaves.sparse_squares import solve_sparse, weighted_squares
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
@@ -38,7 +39,7 @@ _RANK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(Rows):
     """Points, as many of each cell, their distances, and weights: 0 where a point does not count."""
 
     x: Float[np.ndarray, "cells k dim"]
@@ -47,14 +48,6 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.x)
-
-    def __getitem__(self, index) -> "Samples":
-        return Samples(self.x[index], self.distance[index], self.weight[index])
-
-    def append(self, other: "Samples") -> "Samples":
-        """Those of these cells, followed by those of others."""
-        parts = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in ("x", "distance", "weight"))
-        return Samples(*parts)
 
     def as_one(self) -> "Samples":
         """Those of all cells that count, as of one."""
@@ -68,7 +61,7 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
-class Cones:
+class Cones(Rows):
     """Functions ``offset + |x - point|``."""
 
     point: Float[np.ndarray, "cones dim"]
@@ -76,13 +69,6 @@ class Cones:
 
     def __len__(self) -> int:
         return len(self.offset)
-
-    def __getitem__(self, index) -> "Cones":
-        return Cones(self.point[index], self.offset[index])
-
-    def append(self, other: "Cones") -> "Cones":
-        """These, followed by others."""
-        return Cones(np.concatenate([self.point, other.point]), np.append(self.offset, other.offset))
 
     def __call__(self, x: Float[np.ndarray, "cones k dim"]) -> Float[np.ndarray, "cones k"]:
         """Values at points, as many for each cone."""
@@ -297,7 +283,7 @@ _CLAIMS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class Patches(Rows):
     """Cells and the cones that fit them.
 
     Attributes:
@@ -328,14 +314,6 @@ class Patches:
         """Which err as noise makes them: where two sources that differ by little meet, cones err by more."""
         freedom = (self.samples.weight > 0).sum(axis=1) - self.samples.x.shape[2] - 1
         return self.error <= noise * (1 + _UNLIKELY / np.sqrt(2 * freedom))
-
-    def __getitem__(self, index) -> "Patches":
-        return Patches(self.samples[index], self.cones[index], self.error[index], self.spread[index])
-
-    def append(self, other: "Patches") -> "Patches":
-        """These, followed by others."""
-        error, spread = np.append(self.error, other.error), np.append(self.spread, other.spread)
-        return Patches(self.samples.append(other.samples), self.cones.append(other.cones), error, spread)
 
 
 @dataclass(frozen=True, eq=False)
