@@ -4,7 +4,7 @@ import os
 import warnings
 from collections.abc import Callable, Sized
 from dataclasses import dataclass, fields
-from typing import Any, Self, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -152,13 +152,16 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 NEVER = -np.inf
 
 
+Columns = TypeVar("Columns", bound="Rows")
+
+
 class Rows:
     """What a dataclass inherits whose columns are arrays, or rows themselves, of equal length."""
 
-    def __getitem__(self, index: Any) -> Self:
+    def __getitem__(self: Columns, index: Any) -> Columns:
         return type(self)(*(column[index] for column in self._columns()))
 
-    def append(self, *others: Self) -> Self:
+    def append(self: Columns, *others: Any) -> Columns:
         """These rows, followed by others."""
         if not others:
             return self

@@ -123,6 +123,7 @@ class PriceSearch:
         self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
         self._num_sources, self._thrift = num_sources, thrift
         self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
+        self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
         self._own: list[list[_Own]] = [[]] * len(roots)
 
     def first(self) -> Forest:
@@ -154,7 +155,7 @@ class PriceSearch:
             price[self._roots[member]] = min(price[self._roots[member]], of_member)
         # What more than a member alone would look at is found for others, it does not use.
         least_share = max(share for _, share in aims.values())
-        share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / _BITS_A_LEAF)
+        share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
         expand(self.levels, price, least_share, limits, self._thrift.margin, share)
         for member, (of_member, least_share) in aims.items():
             is_final = self._look(member, of_member, least_share)
@@ -172,7 +173,7 @@ class PriceSearch:
         # How many leaves the limits may allow, going by the bytes that a tree leaves.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
-        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
+        more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
         most = float(min(self._limits.max_leaves, len(now) + more))
         least_share, room = self._least / (most if most < _UNLIMITED else len(now)), most / len(now)
         if len(now) == 1:
