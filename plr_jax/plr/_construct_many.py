@@ -60,8 +60,9 @@ def construct_many(
 
     Cones of goals of one workspace, whose oracles :meth:`VisibilityGraph.with_goal` made of one another, are built
     together: what corners see is found once, and cells that are alike for several goals are looked at once. Their
-    PLRs err about as much as those that :func:`construct` builds, but are not the same: prices of a leaf are those of
-    a ladder, and no cell larger than about eight times an average leaf is a leaf unless one source serves all of it.
+    PLRs err about as much as those that :func:`construct` builds, but are not the same: cells are not looked at whose
+    halves the other way are better, and none larger than about eight times an average leaf is a leaf unless one
+    source serves all of it.
     All others are what :func:`construct` builds, one by one.
 
     Args:

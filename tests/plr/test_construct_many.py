@@ -230,7 +230,7 @@ def test_another_release_is_other_work(work, finished, monkeypatch):
         (lambda oracles: 3, {}, "must be a list of distance functions"),
         (lambda oracles: [oracles[0], 5], {}, "number 1 is 5"),
         (list, {"executor": 4}, "executor must be"),
-        (list, {"max_bytes": 10}, "too small: a tree of 1 leaves takes"),
+        (list, {"leaf": "cone", "max_bytes": 10}, "too small: one leaf takes"),
         (list, {"seed": -1}, "seed must be"),
         (list, {"checkpoint": __file__}, "test_construct_many.py is no checkpoint: choose another path"),
         (list, {"checkpoint": 3}, "checkpoint must be the path of a file or None, got 3"),

@@ -118,21 +118,12 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
     for axis, basis in enumerate(fit.pattern.halves_bases):
         squares[:, axis] = total - np.square(residual @ basis).sum(axis=1)
         if len(masked):
-            squares[masked, axis] = total[masked] - _explained(fit.pattern.halves[axis], residual[masked], weight)
+            explained = np.zeros(len(masked))  # by planes in both halves
+            for design in np.split(fit.pattern.halves[axis], 2, axis=1):
+                projection = (weight * residual[masked]) @ design
+                explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
+            squares[masked, axis] = total[masked] - explained
     return squares
-
-
-def _explained(
-    halves: Float[np.ndarray, "k terms_of_both"],
-    residual: Float[np.ndarray, "cells k"],
-    weight: Float[np.ndarray, "cells k"],
-) -> Float[np.ndarray, "cells"]:
-    """Part of the residuals' weighted sum of squares that least-squares planes in both halves explain."""
-    explained = np.zeros(len(residual))
-    for design in np.split(halves, 2, axis=1):
-        projection = (weight * residual) @ design
-        explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
-    return explained
 
 
 _BYTES_SLACK = 1.15  # leaves grown beyond the budget, so that fewer bits for more leaves is a choice
@@ -165,7 +156,8 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
         parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-        return Nodes.concatenate([fit_part(cells[part], bound[part]) for part in parts])
+        first, *others = (fit_part(cells[part], bound[part]) for part in parts)
+        return first.append(*others)
 
     def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
         fit = sampler(cells)
@@ -174,7 +166,8 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
             return nodes_of(fit, bound)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
         fits = (fit[~few], bound[~few]), (sampler.densely(cells[few]), bound[few])
-        return Nodes.concatenate([nodes_of(*each) for each in fits if len(each[1])])[np.argsort(order)]
+        first, *others = (nodes_of(*each) for each in fits if len(each[1]))
+        return first.append(*others)[np.argsort(order)]
 
     return fit_nodes
 
@@ -192,31 +185,26 @@ def grow_best_first(
         #
         # Of the last few all: some are sampled in vain, but a round of a few takes as long as one of many.
         order = split_order(nodes)
-        wanted = order[: _splits_allowed(nodes, order, limits, encoding)]
+        allowed = limits.max_leaves - 1
+        if np.isfinite(limits.max_bytes):  # then at most about as many as the bytes a leaf takes so far allow
+            leaf = nodes.leaves_after(order[nodes.child[order] >= 0][:allowed])
+            enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
+            bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
+            a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
+            allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / a_leaf) + 1)
+        wanted = order[:allowed]
         wanted = wanted[nodes.child[wanted] < 0]
         batch = wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]
         if len(batch) == 0:
             return None
         children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
-        grown = Nodes.concatenate([nodes, children])
+        grown = nodes.append(children)
         grown.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
         check_memory(float(len(grown.key)))
         return grown
 
     nodes = grow(root, split_some, limits)
     return nodes, *_choose_leaves(nodes, limits, encoding)
-
-
-def _splits_allowed(nodes: Nodes, order: Int[np.ndarray, "splits"], limits: Limits, encoding: Encoding) -> int:
-    """How many splits the limits may allow at most, judged by the bytes a leaf takes so far."""
-    allowed = limits.max_leaves - 1
-    if np.isfinite(limits.max_bytes):
-        leaf = nodes.leaves_after(order[nodes.child[order] >= 0][:allowed])
-        enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
-        bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
-        a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
-        allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / a_leaf) + 1)
-    return allowed
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
@@ -228,30 +216,24 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
-    within = [(_leaves_within(nodes, order, limits.max_bytes, encoding, bits), bits) for bits in encoding.choices]
-    leaf, bits = min(within, key=lambda choice: (_expected_error(nodes, encoding, *choice), -choice[1]))
-    return leaf, bits
 
+    def most_leaves(bits: int) -> Int[np.ndarray, "leaves"]:
+        """Those of the largest tree of that order that fits into the bytes; none if not even the root does."""
+        if np.isinf(limits.max_bytes):
+            return nodes.leaves_after(order)
+        enough = bisect_right(
+            range(len(order) + 1),
+            limits.max_bytes,
+            key=lambda number: encoding.size(nodes, nodes.leaves_after(order[:number]), bits),
+        )
+        return nodes.leaves_after(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
-def _leaves_within(
-    nodes: Nodes, order: Int[np.ndarray, "splits"], max_bytes: float, encoding: Encoding, bits: int
-) -> Int[np.ndarray, "leaves"]:
-    """Leaves of the largest tree of the given order that fits into so many bytes; none if not even the root does."""
-    if np.isinf(max_bytes):
-        return nodes.leaves_after(order)
+    def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+        """Mean error over reachable points: of the fit and of the rounding, which are independent."""
+        return np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)) if len(leaf) else np.inf
 
-    def size(num_splits: int) -> int:
-        return encoding.size(nodes, nodes.leaves_after(order[:num_splits]), bits)
-
-    enough = bisect_right(range(len(order) + 1), max_bytes, key=size)
-    return nodes.leaves_after(order[: enough - 1]) if enough else np.empty(0, np.int64)
-
-
-def _expected_error(nodes: Nodes, encoding: Encoding, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-    """Mean error over reachable points: of the fit and of the rounding, which are independent."""
-    if len(leaf) == 0:
-        return np.inf
-    return float(np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)))
+    within = [(most_leaves(bits), bits) for bits in encoding.choices]
+    return min(within, key=lambda choice: (expected_error(*choice), -choice[1]))
 
 
 def _fit_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"]) -> float:

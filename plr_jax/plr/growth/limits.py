@@ -2,9 +2,9 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence, Sized
+from collections.abc import Callable, Sized
 from dataclasses import dataclass, fields
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -152,8 +152,33 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 NEVER = -np.inf
 
 
+Columns = TypeVar("Columns", bound="Rows")
+
+
+class Rows:
+    """What a dataclass inherits whose columns are arrays, or rows themselves, of equal length."""
+
+    def __getitem__(self: Columns, index: Any) -> Columns:
+        return type(self)(*(column[index] for column in self._columns()))
+
+    def append(self: Columns, *others: Any) -> Columns:
+        """These rows, followed by others."""
+        if not others:
+            return self
+        every = zip(self._columns(), *(other._columns() for other in others), strict=True)
+        return type(self)(
+            *(
+                np.concatenate(parts) if isinstance(parts[0], np.ndarray) else parts[0].append(*parts[1:])
+                for parts in every
+            )
+        )
+
+    def _columns(self) -> list[Any]:
+        return [getattr(self, column.name) for column in fields(cast(Any, self))]
+
+
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class Nodes(Rows):
     """All nodes of the growing tree, parents before children; as long as it has leaves.
 
     Attributes:
@@ -173,20 +198,6 @@ class Nodes:
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
-
-    @staticmethod
-    def concatenate(parts: Sequence["Nodes"]) -> "Nodes":
-        """Nodes one after another, at least one part."""
-        first, *others = parts
-        if not others:
-            return first
-        cells = first.cells.append(*(part.cells for part in others))
-        columns = [column.name for column in fields(Nodes) if column.name != "cells"]
-        return Nodes(cells, *(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
-
-    def __getitem__(self, index) -> "Nodes":
-        columns = {column.name: getattr(self, column.name)[index] for column in fields(Nodes)}
-        return Nodes(**columns)
 
     def leaves_after(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
         """Leaves of the tree whose inner nodes are the given ones."""

@@ -1,8 +1,12 @@
-"""The best dyadic partition at a price a leaf, of all that there are.
+"""The best dyadic partitions at a price a leaf, of all that there are.
 
 Splitting best-first decides for an axis by what one split gains, and never takes it back. Here the best tree of all
-boxes is found, whatever the splits that lead to them. The price falls, and more boxes are looked at, until the best
-tree is beyond its limits; of the prices in between, the lowest within them is taken.
+boxes is found, whatever the splits that lead to them: from the smallest boxes up, a box is a leaf, or cheaper halved
+along one of the axes. The price falls, and more boxes are looked at, until the best tree is beyond its limits; of the
+prices in between, the lowest within them is taken.
+
+Trees of several members, as of the goals of one workspace, are sought in turns: boxes that are alike for several are
+looked at once, and what one finds does not depend on who else is there.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -10,15 +14,15 @@ References:
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Int
 
 from plr_jax.plr.certificate.certificate import Proof
-from plr_jax.plr.growth.levels import LEAST_SHARE, LEAST_SHARE_PROVEN, Boxes, BoxLevel, expand, prune
-from plr_jax.plr.growth.limits import Limits, grow
-from plr_jax.plr.partition.cells import Cells
+from plr_jax.plr.growth.levels import LEAST_SHARE, LEAST_SHARE_PROVEN, UNKNOWN, BoxLevel, expand, may_halve
+from plr_jax.plr.growth.limits import BudgetTooSmall, Limits
+from plr_jax.plr.partition.cells import MAX_DEPTH, Level
 
 _LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7  # to what share of the price before it may fall, and falls at the least
 _RATE_STEP = 8.0  # times the price, to see how it falls as leaves get more
@@ -27,121 +31,238 @@ _BEYOND = 1.15  # times as large as they allow a tree should be, near them
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # a price falls about as the leaves to this power, if there is an end to them
 _FIRST_SHARE = 0.25  # of what the limits allow, that the first tree should take: the power is but a guess yet
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # about as many as one more takes, and what it is the first to name
-_ATTEMPTS, _FULL = 12, 0.997  # to find a price with which a tree takes this share of what the limits allow
+_HIGH = 1e300  # a price at which no box is halved that may be a leaf
 _LAST = 1e-12  # of the last price, once all boxes were looked at: of trees that are as good, the smallest is taken
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""Which boxes of each level are leaves."""
+"""Which boxes of each of the first levels are leaves."""
+
+
+class Thrift(NamedTuple):
+    """What a search leaves out for its speed.
+
+    Attributes:
+        margin: Times as much as along the other axis halves may cost to be looked at further.
+        attempts: To find a price with which a tree is full.
+        full: The share of what the limits allow with which it is.
+        is_walked: Whether a file holds a tree as it was found; else as :func:`levels_of` has it, which takes longer.
+    """
+
+    margin: float = np.inf
+    attempts: int = 12
+    full: float = 0.997
+    is_walked: bool = False
+
+
+EXACT = Thrift()
 
 
 @dataclass(frozen=True, eq=False)
-class _Tree:
-    """The leaves of the best tree at a price a leaf, and the bytes of their file."""
+class PricedTree:
+    """A member's best tree at a price a leaf.
+
+    Attributes:
+        leaves: Which boxes of each level are leaves.
+        splits: Its levels.
+        order: Of the traversal of the leaves.
+        price: The price.
+        num_bytes: Of the file.
+        is_final: Whether the search is over.
+    """
 
     leaves: Leaves
+    splits: list[Level]
+    order: Int[np.ndarray, "leaves"]
     price: float
-    num_bytes: int
-    is_final: bool
+    num_bytes: int = 0
+    is_final: bool = False
 
     def __len__(self) -> int:
-        return sum(map(len, self.leaves))
+        return len(self.order)
 
 
-def best_partition(
-    root: Boxes, limits: Limits, size: Callable[[list[BoxLevel], Leaves], int], num_sources: int = 0
-) -> tuple[list[BoxLevel], Leaves]:
-    """The best tree within the limits.
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """A tree of each member; as long as they have leaves."""
+
+    trees: list[PricedTree]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.trees))
+
+
+class _Own(NamedTuple):
+    """The boxes of one level that a member looked at, and where their halves stand among its own of the next."""
+
+    box: Int[np.ndarray, "own"]
+    child: Int[np.ndarray, "2 2 own"]
+
+
+class PriceSearch:
+    """The search of the largest best trees within the limits.
 
     Args:
-        root: The domain as a box.
-        limits: The limits.
-        size: Gives the bytes of a file of some leaves.
+        levels: Boxes to start with, to which those that are looked at are added.
+        roots: The box of the first level that each member starts at.
+        limits: The limits of each.
+        size: Gives the bytes of the file of a member's tree.
         num_sources: How many sources leaves may name; a file holds those that they do. Going by them the search goes
             less far beyond its limits.
-
-    Returns:
-        All boxes that were looked at, and which of them are its leaves.
-
-    Raises:
-        BudgetTooSmall: If the budget of bytes is too small for one leaf.
+        thrift: What it leaves out.
     """
-    search = _Search(root, limits, size, num_sources)
-    tree = search.tree(float(root.integral[0] + root.error[0]), 1.0)
-    limits.require_room(tree.num_bytes)
-    leaves = grow(tree, search.next, limits).leaves
-    return search.levels[: len(leaves)], leaves  # the last ones looked at may have been beyond the limits
 
+    def __init__(
+        self,
+        levels: list[BoxLevel],
+        roots: Int[np.ndarray, "members"],
+        limits: Limits,
+        size: Callable[[int, PricedTree], int],
+        num_sources: int = 0,
+        thrift: Thrift = EXACT,
+    ) -> None:
+        self.levels, self._roots, self._limits, self._size = levels, roots, limits, size
+        self._num_sources, self._thrift = num_sources, thrift
+        self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
+        self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
+        self._own: list[list[_Own]] = [[]] * len(roots)
 
-class _Search:
-    """The search of a price, and the boxes that were looked at so far."""
+    def first(self) -> Forest:
+        """The smallest trees.
 
-    def __init__(self, root: Boxes, limits: Limits, size: Callable[..., int], num_sources: int) -> None:
-        self.levels = [BoxLevel.of(root, Cells.root(2).hashes())]
-        self._limits, self._size, self._num_sources = limits, size, num_sources
+        Raises:
+            BudgetTooSmall: If the budget of bytes is too small for one of them.
+        """
+        trees = []
+        for member in range(len(self._roots)):
+            self._look(member, _HIGH, 1.0)
+            tree = self._tree(member, _HIGH, 1.0)
+            if tree.num_bytes > self._limits.max_bytes:
+                what = "one leaf" if len(tree) == 1 else f"a tree of {len(tree)} leaves"
+                raise BudgetTooSmall(self._limits.max_bytes, tree.num_bytes, what)
+            boxes = [(level.boxes, box) for level, box in zip(self.levels, tree.leaves, strict=False)]
+            cost = sum(float(np.sum(each.integral[box] + each.error[box] / len(tree))) for each, box in boxes)
+            trees.append(replace(tree, price=cost / len(tree)))
+        return Forest(trees)
 
-    def tree(self, price: float, least_share: float, is_final: bool = False) -> _Tree:
-        """The best tree of what was looked at."""
-        leaves = _best_leaves(self.levels, price, least_share)
-        num_bytes = self._size(self.levels, leaves) if np.isfinite(self._limits.max_bytes) else 0
-        return _Tree(leaves, price, num_bytes, is_final)
-
-    def fits(self, tree: _Tree) -> bool:
-        """Whether a tree is within the limits."""
-        return len(tree) <= self._limits.max_leaves and tree.num_bytes <= self._limits.max_bytes
-
-    def next(self, now: _Tree) -> _Tree | None:
-        """A larger tree, after more boxes were looked at; None if there is none."""
-        if now.is_final:
+    def next(self, now: Forest) -> Forest | None:
+        """Larger trees, after more boxes were looked at; None if there are none."""
+        trees = list(now.trees)
+        aims = {i: self._aim(i, tree) for i, tree in enumerate(trees) if not tree.is_final}
+        if not aims:
             return None
+        limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
+        for member, (of_member, _) in aims.items():
+            price[self._roots[member]] = min(price[self._roots[member]], of_member)
+        # What more than a member alone would look at is found for others, it does not use.
+        least_share = max(share for _, share in aims.values())
+        share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
+        expand(self.levels, price, least_share, limits, self._thrift.margin, share)
+        for member, (of_member, least_share) in aims.items():
+            is_final = self._look(member, of_member, least_share)
+            larger = self._tree(member, _LAST * of_member if is_final else of_member, least_share, is_final)
+            trees[member] = (
+                larger if self._fits(larger) else self._largest(member, trees[member], larger, least_share)
+            )
+        return Forest(trees)
+
+    def _aim(self, member: int, now: PricedTree) -> tuple[float, float]:
+        """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now.
+
+        With it comes how much of a box's largest error counts.
+        """
         # How many leaves the limits may allow, going by the bytes that a tree leaves.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
-        more = bits / (_BITS_A_LEAF + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
+        more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # then each leaf brings a source along
         most = float(min(self._limits.max_leaves, len(now) + more))
-        least = LEAST_SHARE if self._limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
-        least_share = least / (most if most < _UNLIMITED else len(now))
-        price = self._next_price(now, most / len(now), least_share)
-        is_final = not expand(self.levels, np.ones(1, bool), price, least_share, self._limits)
-        larger = self.tree(_LAST * price if is_final else price, least_share, is_final)
-        return larger if self.fits(larger) else self._largest(now, larger, least_share)
+        least_share, room = self._least / (most if most < _UNLIMITED else len(now)), most / len(now)
+        if len(now) == 1:
+            room = max(_FIRST_SHARE * room, 2.0)
+            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
+        before = len(self._tree_alone(member, _RATE_STEP * now.price, least_share))
+        if before == len(now) or room > _MUCH_ROOM:
+            return _LARGEST_DROP * now.price, least_share
+        rate = np.log(len(now) / before) / np.log(_RATE_STEP)
+        drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
+        return drop * now.price, least_share
 
-    def _share(self, tree: _Tree) -> float:
+    def _tree(self, member: int, price: float, least_share: float, is_final: bool = False) -> PricedTree:
+        """The best tree of what was looked at."""
+        tree = self._tree_alone(member, price, least_share)
+        num_bytes = self._size(member, tree) if np.isfinite(self._limits.max_bytes) else 0
+        return replace(tree, num_bytes=num_bytes, is_final=is_final)
+
+    def _fits(self, tree: PricedTree) -> bool:
+        return len(tree) <= self._limits.max_leaves and tree.num_bytes <= self._limits.max_bytes
+
+    def _share(self, tree: PricedTree) -> float:
         """Of what the limits allow, how much a tree takes."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
-    def _next_price(self, now: _Tree, room: float, least_share: float) -> float:
-        """The price at which a tree is expected to be a little beyond the limits, or a good deal larger than now."""
-        if len(now) == 1:
-            room = max(_FIRST_SHARE * room, 2.0)
-            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP)
-        before = sum(map(len, _best_leaves(self.levels, _RATE_STEP * now.price, least_share)))
-        if before == len(now) or room > _MUCH_ROOM:
-            return _LARGEST_DROP * now.price
-        rate = np.log(len(now) / before) / np.log(_RATE_STEP)
-        return now.price * float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
-
-    def _largest(self, fits: _Tree, beyond: _Tree, least_share: float) -> _Tree:
+    def _largest(self, member: int, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
         """The largest tree that fits, of prices between one that does and one that does not."""
         largest = fits
-        for attempt in range(_ATTEMPTS):
+        for attempt in range(self._thrift.attempts):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._share(fits), self._share(beyond)])
             aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
-            middle = self.tree(float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high))), least_share)
-            if self.fits(middle):
+            price = float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high)))
+            middle = self._tree(member, price, least_share)
+            if self._fits(middle):
                 fits = largest = middle
             else:
                 beyond = middle
-            if self._share(largest) > _FULL:
+            if self._share(largest) > self._thrift.full:
                 break
         return replace(largest, is_final=True)
 
+    def _look(self, member: int, price: float, least_share: float) -> bool:
+        """Note which boxes a member looks at, at a price of a leaf; whether these are all that matter."""
+        here, own, is_all = self._roots[member : member + 1], [], True
+        for depth, level in enumerate(self.levels):
+            if not len(here):
+                break
+            cost = level.boxes.integral[here] + least_share * level.boxes.error[here]
+            is_worth, child = cost > price, level.child[:, :, here]
+            rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
+            is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
+            child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
+            own.append(_Own(here, child))
+            if depth + 1 < len(self.levels):
+                is_own = np.zeros(len(self.levels[depth + 1].key), bool)
+                known = child >= 0
+                halves = child[known]
+                is_own[halves] = True
+                here = np.flatnonzero(is_own)
+                place = np.empty(len(is_own), np.int64)
+                place[here] = np.arange(len(here))
+                child[known] = place[halves]
+        self._own[member] = own
+        return is_all
 
-def _best_leaves(levels: list[BoxLevel], price: float, least_share: float) -> Leaves:
-    """Leaves of the tree for which their costs and their prices together are least."""
-    leaves, here = [], np.zeros(1, np.int64)
-    for level, choices in zip(levels, prune(levels, np.array([price]), least_share).choice, strict=True):
-        axis = choices[0, here]
-        leaves.append(here[axis < 0])
-        here = level.child[axis[axis >= 0], :, here[axis >= 0]].ravel()
-    return leaves
+    def _tree_alone(self, member: int, price: float, least_share: float) -> PricedTree:
+        """The member's tree for which costs of leaves and their prices together are least."""
+        own, choices, below = self._own[member], [], np.zeros(0)
+        for level, (box, child) in zip(reversed(self.levels[: len(own)]), reversed(own), strict=True):
+            cost = level.boxes.integral[box] + least_share * level.boxes.error[box]
+            total, choice = cost + price, np.full(len(box), -1)
+            for axis, (lower, upper) in enumerate(child):
+                halved = np.flatnonzero(lower >= 0)
+                both = below[lower[halved]] + below[upper[halved]]
+                cheaper = both < total[halved]
+                halved = halved[cheaper]
+                total[halved], choice[halved] = both[cheaper], axis
+            below = total
+            choices.append(choice)
+        leaves, splits, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+        for depth, ((box, child), choice) in enumerate(zip(own, reversed(choices), strict=True)):
+            if not len(here):
+                break
+            axis = choice[here]
+            is_inner = axis >= 0
+            leaves.append(box[here[~is_inner]])
+            paths.append(path[~is_inner])
+            splits.append(Level(is_inner, axis[is_inner]))
+            here = child[axis[is_inner], :, here[is_inner]].ravel()
+            path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+        return PricedTree(leaves, splits, np.argsort(np.concatenate(paths)), price)

@@ -1,8 +1,8 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -52,69 +52,53 @@ class Parameters:
         return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
 
 
-@runtime_checkable
-class LeafModel(Protocol):
+class LeafModel:
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
     A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
     value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
-    gives back.
+    gives back. Below a model finds first what it has to say, then what follows from that, unless it knows better.
+
+    Attributes:
+        name: What ``construct(leaf=...)`` calls it.
+        num_samples: Samples of a cell, unless others are asked for.
+        least_bytes: Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction.
+        has_deep_trees: Whether small trees are deep, for which a query's tables have pages: see ``query/pages.py``.
+        is_of_cells: Whether its functions are of the place in a cell, whose own numbers then stand before the others.
+            Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
     """
 
-    @property
-    def name(self) -> str:
-        """What ``construct(leaf=...)`` calls it."""
-        ...
+    name: str
+    num_samples: int = 96
+    least_bytes: int | float = 1
+    has_deep_trees: bool = False
+    is_of_cells: bool = False
 
-    @property
-    def num_samples(self) -> int:
-        """Samples of a cell, unless others are asked for."""
-        ...
-
-    @property
-    def least_bytes(self) -> int | float:
-        """Bytes of a file that a leaf takes at the least, a power of two, which may be a fraction."""
-        ...
-
-    @property
-    def has_deep_trees(self) -> bool:
-        """Whether small trees are deep, for which a query's tables have pages: see ``query/pages.py``."""
-        ...
-
-    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Bytes that so many leaves count without a budget: they may be as deep as in a file of that size.
-
-        Their own file may be smaller, and its class give fewer slots than they then need.
-        """
-        ...
-
-    def check_dim(self, dim: int) -> None:
-        """Raise ``ValueError`` if the model is not for so many axes."""
-        ...
-
-    def least_samples(self, dim: int) -> int:
-        """Samples of a cell that determine its function, at the least."""
-        ...
+    # How it is fitted.
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
         """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
-        ...
+        raise NotImplementedError
+
+    # How it is stored.
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
         """Append what a file keeps of the leaves."""
-        ...
+        raise NotImplementedError
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
         """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
-        ...
+        raise NotImplementedError
 
     def unreachable(self, stored: Any) -> Bool[np.ndarray, "leaves"]:
         """Which leaves have no function of their own, as nothing of them reaches the goal."""
-        ...
+        raise NotImplementedError
 
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients of every leaf's function, finite."""
-        ...
+        raise NotImplementedError
+
+    # How it is evaluated.
 
     def values(
         self,
@@ -124,34 +108,13 @@ class LeafModel(Protocol):
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
         """Values at points of the functions of leaves, which have boxes and finite coefficients, one a point."""
-        ...
-
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf: value at the center, half-differences between opposite faces' centers."""
-        ...
+        raise NotImplementedError
 
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, of slope 0."""
-        ...
-
-    @property
-    def is_of_cells(self) -> bool:
-        """Whether its functions are of the place in a cell, whose own numbers then stand before the others.
-
-        Along each axis the number 1 is the domain, and the halves of ``i`` are ``2 i`` and ``2 i + 1``.
-        """
-        ...
-
-    def num_numbers(self, dim: int) -> int:
-        """How many :attr:`numbers` a query reads of a leaf."""
-        ...
+        raise NotImplementedError
 
     def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The value at a place, by operations whose order is part of the format: see ``plr/portable``.
@@ -162,7 +125,9 @@ class LeafModel(Protocol):
                 domain's rounded lower corner.
             root: The square root.
         """
-        ...
+        raise NotImplementedError
+
+    # How well that is known, for proofs.
 
     def below_cones(
         self,
@@ -174,23 +139,102 @@ class LeafModel(Protocol):
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
-        ...
+        raise NotImplementedError
 
     def differences(
         self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of functions of leaves minus those of others, over boxes, one each."""
-        ...
+        raise NotImplementedError
 
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
-        ...
+        raise NotImplementedError
+
+    # What follows.
+
+    def num_numbers(self, dim: int) -> int:
+        """How many :attr:`numbers` a query reads of a leaf: as of a value and one more along each axis."""
+        return 1 + dim
+
+    def check_dim(self, dim: int) -> None:
+        """Raise ``ValueError`` if the model is not for so many axes; it is for any."""
+
+    def least_samples(self, dim: int) -> int:
+        """Samples of a cell that determine its function, at the least."""
+        return self.num_numbers(dim)
+
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        """Bytes that so many leaves count without a budget: they may be as deep as in a file of that size.
+
+        Their own file may be smaller, and its class give fewer slots than they then need.
+        """
+        return int(2 * self.least_bytes * num_leaves)
+
+    def mean_planes(
+        self,
+        lo: Float[np.ndarray, "leaves dim"],
+        hi: Float[np.ndarray, "leaves dim"],
+        coefficients: Float[np.ndarray, "leaves terms"],
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf: value at the center, half-differences between opposite faces' centers."""
+        center, half = (lo + hi) / 2, np.empty_like(lo)
+        for axis in range(lo.shape[1]):
+            step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
+            above, below = (self.values(lo, hi, coefficients, center + sign * step) for sign in (1, -1))
+            half[:, axis] = (above - below) / 2
+        return self.values(lo, hi, coefficients, center), half
 
 
-@runtime_checkable
-class CornerLeafModel(LeafModel, Protocol):
+class LinearLeafModel(LeafModel):
+    """Leaves whose functions are linear in their coefficients, so that they can be refined.
+
+    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
+    ``basis(u) @ coefficients``.
+    """
+
+    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+        """What the coefficients multiply at local coordinates ``u``."""
+        raise NotImplementedError
+
+    def of_planes(
+        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
+    ) -> Float[np.ndarray, "leaves terms"]:
+        """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
+        raise NotImplementedError
+
+    def parameters(self, cells: Cells, stored: Any) -> Parameters:
+        """The free numbers of the leaves' functions, which a refinement may change."""
+        raise NotImplementedError
+
+    def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
+        """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
+        raise NotImplementedError
+
+    def raised(self, stored: Any, shift: float) -> Any:
+        """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
+        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
+
+    def values(
+        self,
+        lo: Float[np.ndarray, "n dim"],
+        hi: Float[np.ndarray, "n dim"],
+        coefficients: Float[np.ndarray, "n terms"],
+        x: Float[np.ndarray, "n dim"],
+    ) -> Float[np.ndarray, "n"]:
+        """Values at points of the functions of leaves, one a point."""
+        return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
+
+    def mean_planes(
+        self, lo: Any, hi: Any, coefficients: Float[np.ndarray, "leaves terms"]
+    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+        """The mean plane of every leaf."""
+        return linear_mean_planes(self, coefficients, lo.shape[1])
+
+
+class CornerLeafModel(LinearLeafModel):
     """Leaves that hold values at their corners, tied across faces."""
 
     def of_corners(
@@ -203,38 +247,39 @@ class CornerLeafModel(LeafModel, Protocol):
         step: float,
     ) -> Any:
         """What is stored of leaves with these values, to multiples of a step; hanging corners follow from others."""
-        ...
+        raise NotImplementedError
 
 
-@runtime_checkable
-class LinearLeafModel(LeafModel, Protocol):
-    """Leaves whose functions are linear in their coefficients.
+class SourcedLeafModel(LeafModel):
+    """Leaves that name a source each: paths to the goal go straight there, and on from source to source."""
 
-    In the local coordinates ``u`` of a leaf (``[-1, 1]`` along every axis) its function is
-    ``basis(u) @ coefficients``.
-    """
+    def sources(self, stored: Any) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
+        """All sources, with their parents, and the index of every leaf's own."""
+        raise NotImplementedError
 
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-        """What the coefficients multiply at local coordinates ``u``."""
-        ...
+    def of_sources(
+        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
+    ) -> tuple[Cells, Any]:
+        """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
+        raise NotImplementedError
 
-    def of_planes(
-        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-    ) -> Float[np.ndarray, "leaves terms"]:
-        """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
-        ...
+    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
+        """Of a leaf's numbers those that say how far its source is from the domain's rounded lower corner."""
+        raise NotImplementedError
 
-    def parameters(self, cells: Cells, stored: Any) -> Parameters:
-        """The free numbers of the leaves' functions, which a refinement may change."""
-        ...
 
-    def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
-        """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
-        ...
+MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
+"""Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
 
-    def raised(self, stored: Any, shift: float) -> Any:
-        """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
-        ...
+
+class FamilyLeafModel(SourcedLeafModel):
+    """A leaf model whose leaves are found for many distance functions of a family at once."""
+
+    def family_task(
+        self, first: FamilyFn, domain: Box, limits: Limits, seed: int
+    ) -> Callable[[Sequence[FamilyFn]], list[MemberLeaves]]:
+        """What gives the leaves of some of the family of a function, with what all share."""
+        raise NotImplementedError
 
 
 def as_linear(leaf: LeafModel) -> LinearLeafModel:
@@ -247,40 +292,6 @@ def as_linear(leaf: LeafModel) -> LinearLeafModel:
     return leaf
 
 
-@runtime_checkable
-class SourcedLeafModel(LeafModel, Protocol):
-    """Leaves that name a source each: paths to the goal go straight there, and on from source to source."""
-
-    def sources(self, stored: Any) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """All sources, with their parents, and the index of every leaf's own."""
-        ...
-
-    def of_sources(
-        self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
-    ) -> tuple[Cells, Any]:
-        """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
-        ...
-
-    def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
-        """Of a leaf's numbers those that say how far its source is from the domain's rounded lower corner."""
-        ...
-
-
-MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
-"""Levels of a tree, its leaves in the order of its traversal, and what their model stores of them."""
-
-
-@runtime_checkable
-class FamilyLeafModel(LeafModel, Protocol):
-    """A leaf model whose leaves are found for many distance functions of a family at once."""
-
-    def family_task(
-        self, first: FamilyFn, domain: Box, limits: Limits, seed: int
-    ) -> Callable[[Sequence[FamilyFn]], list[MemberLeaves]]:
-        """What gives the leaves of some of the family of a function, with what all share."""
-        ...
-
-
 def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
     """A leaf model whose leaves have sources; raises ``ValueError`` if they have none."""
     if not isinstance(leaf, SourcedLeafModel):
@@ -289,17 +300,6 @@ def as_sourced(leaf: LeafModel) -> SourcedLeafModel:
             "leaf='cone', or follow it with descend."
         )
     return leaf
-
-
-def linear_values(
-    model: LinearLeafModel,
-    lo: Float[np.ndarray, "n dim"],
-    hi: Float[np.ndarray, "n dim"],
-    coefficients: Float[np.ndarray, "n terms"],
-    x: Float[np.ndarray, "n dim"],
-) -> Float[np.ndarray, "n"]:
-    """What :meth:`LeafModel.values` is of a linear model."""
-    return np.sum(model.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
 
 def linear_mean_planes(

@@ -1,7 +1,7 @@
 """A plane in every leaf, each fitted to its own samples: the paper's model."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,10 @@ from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
     Functions,
+    LinearLeafModel,
     Parameters,
     Rules,
     largest_coordinates,
-    linear_mean_planes,
-    linear_values,
     rounded_down,
 )
 from plr_jax.plr.partition.cells import Cells, levels_of
@@ -92,9 +91,6 @@ class StoredPlanes:
             return floats_of_bits(self.center), floats_of_bits(self.half)
         center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
         return center, self.step * self.half
-
-    def __getitem__(self, index) -> "StoredPlanes":
-        return StoredPlanes(self.bits, self.offset, self.step, self.center[index], self.half[index])
 
 
 def unreachable_code(bits: int) -> int:
@@ -184,7 +180,7 @@ _BUDGET_BITS = range(8, 17)  # of center values, that construction chooses from 
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(LinearLeafModel):
     """Planes, which may jump from leaf to leaf. Coefficients: value at a leaf's center, half-differences.
 
     Args:
@@ -201,15 +197,13 @@ class Plane:
     name = "plane"
     num_samples = 192
     least_bytes = 2
-    has_deep_trees = False
-    is_of_cells = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Their coefficients', and 32 KB at least: the plane next to a goal errs the less, the deeper it may be.
 
         In the plane that is up to 9 halvings along an axis, for which a smaller file's class may give too few slots.
         """
-        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, MOST_ROWS * self.least_bytes)
+        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
     def __post_init__(self):
         bits = self.coefficient_bits
@@ -220,45 +214,38 @@ class Plane:
                 f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {bits}."
             )
 
-    def check_dim(self, dim: int) -> None:
-        """Planes are for any number of axes."""
-
-    def least_samples(self, dim: int) -> int:
-        """With so many samples a plane passes through them."""
-        return dim + 1
-
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, StoredPlanes]:
         """Grow the partition best-first, each leaf's plane fitted once."""
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
+        choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
+        choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
             fit = with_unseen_planes(fit, sampler)
-            priority = self._proven_errors(fit, sampler) if by_proof else np.asarray(rules.should_split(fit), float)
-            axis = np.asarray(rules.split(fit))
-            return nodes_of_fit(fit, np.column_stack([fit.center, fit.half]), bound, priority, axis, limits)
+            planes = np.column_stack([fit.center, fit.half])
+            if by_proof and sampler.memory is not None:
+                functions = *fit.cells.boxes(sampler.domain), np.where(np.isfinite(planes), planes, 0.0)
+                priority = proven_errors(sampler.memory.sources(fit.cells), self.below_cones, functions)
+            else:
+                priority = np.asarray(rules.should_split(fit), float)
+            return nodes_of_fit(fit, planes, bound, priority, np.asarray(rules.split(fit)), limits)
 
-        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
+        def stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:
+            return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
 
         def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-            cells = nodes.cells[leaf]
-            return limits.file_size(cells.dim, len(leaf), planes_bits(cells.depth, _stored(nodes, leaf, bits)))
+            num_bits = planes_bits(nodes.cells.depth[leaf], stored(nodes, leaf, bits))
+            return limits.file_size(nodes.cells.dim, len(leaf), num_bits)
 
-        encoding = Encoding(self._choices(limits), size, _rounding_error)
+        def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+            """Of rounding center and half-differences to a multiple of the step."""
+            return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
+
+        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
+        encoding = Encoding(choices, size, rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
         leaf = leaf[levels_of(nodes.cells[leaf])[1]]
-        return nodes.cells[leaf], _stored(nodes, leaf, bits)
-
-    def _proven_errors(self, fit: CellFit, sampler: Sampler) -> Float[np.ndarray, "cells"]:
-        """Of the planes of cells."""
-        assert sampler.memory is not None, "what has a proof answers for cells"
-        planes = np.column_stack([np.where(np.isfinite(fit.center), fit.center, 0.0), fit.half])
-        functions = *fit.cells.boxes(sampler.domain), planes
-        return proven_errors(sampler.memory.sources(fit.cells), self.below_cones, functions)
-
-    def _choices(self, limits: Limits) -> Sequence[int]:
-        if self.coefficient_bits is not None:
-            return [int(self.coefficient_bits)]
-        return _BUDGET_BITS if np.isfinite(limits.max_bytes) else [FLOAT_BITS]
+        return nodes.cells[leaf], stored(nodes, leaf, bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
         """Append what the file keeps of the leaves."""
@@ -280,25 +267,6 @@ class Plane:
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
-
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, one a point."""
-        return linear_values(self, lo, hi, coefficients, x)
-
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf."""
-        return linear_mean_planes(self, coefficients, lo.shape[1])
 
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
@@ -324,7 +292,7 @@ class Plane:
         if stored.bits == FLOAT_BITS:
             center, half = stored.decode()
             return encode_planes(rounded_down(center + shift), half, FLOAT_BITS)
-        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
+        return super().raised(stored, shift)
 
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
@@ -367,22 +335,9 @@ class Plane:
         terms = numbers[:, 0] + numbers[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + numbers[:, 1:] @ largest_coordinates(domain))
 
-    def num_numbers(self, dim: int) -> int:
-        """The value at the corner, and slopes."""
-        return 1 + dim
-
     def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The value at the corner, to which a product is added axis by axis."""
         value, *slopes = numbers
         for slope, along in zip(slopes, place, strict=True):
             value = value + slope * along
         return value
-
-
-def _rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-    """Of rounding center and half-differences to a multiple of the step."""
-    return float(_stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
-
-
-def _stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:
-    return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

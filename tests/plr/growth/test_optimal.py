@@ -9,8 +9,9 @@ import pytest
 
 from plr_jax.plr.certificate.certificate import Proof
 from plr_jax.plr.growth import levels
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import best_partition
+from plr_jax.plr.growth.levels import BoxLevel
+from plr_jax.plr.growth.limits import Limits, grow
+from plr_jax.plr.growth.optimal import PriceSearch
 from plr_jax.plr.partition.cells import Cells
 
 
@@ -104,13 +105,15 @@ def limits(**given):
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
 
 
-def size(levels, leaves):
-    return 10 + 3 * sum(map(len, leaves))
+def size(member, tree):
+    return 10 + 3 * len(tree)
 
 
 def best_boxes(root, **given):
-    levels, leaves = best_partition(root, limits(**given), size)
-    first, *others = (level.boxes[box] for level, box in zip(levels, leaves, strict=True))
+    levels = [BoxLevel.of(root, root.cells.hashes())]
+    search = PriceSearch(levels, np.zeros(1, np.int64), limits(**given), size)
+    (tree,) = grow(search.first(), search.next, limits(**given)).trees
+    first, *others = (level.boxes[box] for level, box in zip(levels, tree.leaves, strict=False))
     return first.append(*others)
 
 

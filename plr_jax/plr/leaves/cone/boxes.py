@@ -36,12 +36,6 @@ class ConeBoxes:
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
 
-    def views(self, box: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        """Viewpoint of the best source of each of some boxes, -1 where nothing reaches the goal."""
-        view = self.source[box]
-        view[view >= 0] = views_of(self.visible, view[view >= 0])
-        return view
-
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> "ConeBoxes":
         columns = (getattr(self, name)[index] for name in ("source", "error", "integral"))
         return ConeBoxes(self.domain, self.negligible, self.cells[index], self.visible.of_cells(index), *columns)
@@ -109,7 +103,20 @@ def fitted_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSour
     """
     best, error, integral = only_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
-    best[several], error[several], integral[several] = _best_cones(visible.of_cells(several))
+    if len(several):
+        some = visible.of_cells(several)
+        # Sources tried for each: those that the centers of its pieces use, of the largest pieces first.
+        count, area = len(visible.sources.points), areas(some.pieces)
+        key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
+        box, source = np.divmod(key, count)
+        order = np.lexsort((some.rank(source), -np.bincount(index, area, len(key)), box))
+        box, source = box[order], source[order]
+        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_OPTIONS
+        box, source = box[is_tried], source[is_tried]
+        largest, of_option = errors_of_options(some, box, source)
+        order = np.lexsort((some.rank(source), largest, of_option, box))
+        order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
+        best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
     counts = error > negligible
     integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
     return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
@@ -130,55 +137,20 @@ def only_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     return only
 
 
-def _best_cones(
-    visible: CellSources,
-) -> tuple[Int[np.ndarray, "boxes"], Float[np.ndarray, "boxes"], Float[np.ndarray, "boxes"]]:
-    """Of boxes that have pieces: the best source, its largest error, and the integral of its error."""
-    if not visible.num_cells:
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-    box, source = _options(visible, areas(visible.pieces))
-    largest, integral = errors_of_options(visible, box, source)
-    order = np.lexsort((visible.rank(source), largest, integral, box))
-    order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
-    return source[order], largest[order], integral[order]
-
-
 def errors_of_options(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
     """Proven bounds of the largest error of a source's cone in a box, and of its integral over the free part."""
     piece, option = run_members(visible.first_piece, box)
-    lower, upper = bounds_of_pieces(visible, piece, _ConesAboveOptions(visible, source, option))
+    points, distances = visible.sources.points[source], visible.sources.distances[source]
+
+    def above_options(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
+        """Cones minus those of the sources that are tried."""
+        return difference_of_cones(pieces, apex, offset, points[option[row]], distances[option[row]])
+
+    lower, upper = bounds_of_pieces(visible, piece, above_options)
     error = np.maximum(-lower, upper)
     if not len(option):
         return np.zeros(0), np.zeros(0)
     largest = np.maximum.reduceat(error, np.flatnonzero(np.append(True, option[1:] != option[:-1])))
     return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
-
-
-def _options(
-    visible: CellSources, area: Float[np.ndarray, "pieces"]
-) -> tuple[Int[np.ndarray, "options"], Int[np.ndarray, "options"]]:
-    """Boxes and the sources tried for each: those that the centers of its pieces use, of the largest pieces first."""
-    count = len(visible.sources.points)
-    key, index = np.unique(visible.cell * np.int64(count) + visible.best, return_inverse=True)
-    box, source = np.divmod(key, count)
-    order = np.lexsort((visible.rank(source), -np.bincount(index, area, len(key)), box))
-    box, source = box[order], source[order]
-    rank = np.arange(len(box)) - np.searchsorted(box, box)
-    return box[rank < _MOST_OPTIONS], source[rank < _MOST_OPTIONS]
-
-
-@dataclass(frozen=True, eq=False)
-class _ConesAboveOptions:
-    """Cones minus those of the sources that are tried."""
-
-    visible: CellSources
-    source: Int[np.ndarray, "options"]
-    option: Int[np.ndarray, "rows"]
-
-    def __call__(
-        self, pieces: Any, apex: Float[np.ndarray, "n 2"], offset: Float[np.ndarray, "n"], row: Int[np.ndarray, "n"]
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        own, sources = self.source[self.option[row]], self.visible.sources
-        return difference_of_cones(pieces, apex, offset, sources.points[own], sources.distances[own])

@@ -148,7 +148,11 @@ def _lattice(
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     """Append sources, and every leaf's."""
-    sources = cones.sources
+    _write_sources(body, domain, cones.sources)
+    _write_ranks(body, cones.source, len(cones.sources.code))
+
+
+def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
     fine, others = np.split(sources.code, [sources.num_fine])
     body.write(np.array([len(fine)]), _COUNT_BITS)
     if len(fine):
@@ -161,12 +165,16 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
-    # Rank of each leaf's source among those lately used, 0 for the latest.
-    source = cones.source
-    rank, recent = np.zeros(len(source), np.int64), list(range(len(sources.code)))
-    for leaf in np.flatnonzero(np.diff(source, prepend=0)).tolist():
-        rank[leaf] = place = recent.index(int(source[leaf]))
+
+
+def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"], num_sources: int) -> None:
+    """Rank of each leaf's source among those lately used, 0 for the latest."""
+    rank, recent = np.zeros(len(source), np.int64), list(range(num_sources))
+    changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
+    for each in source[changes].tolist():
+        ranks.append(place := recent.index(each))
         recent.insert(0, recent.pop(place))
+    rank[changes] = ranks
     for each in range(_ESCAPE):
         body.write((rank == each).astype(np.int64), 1)
         rank = rank[rank > each]
@@ -209,7 +217,7 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     sources = StoredSources(num_fine, exponent, fraction, code, parent, offset)
     if not (np.isfinite(offset).all() and np.abs(sources.points).max() < LARGEST and sources.offsets.max() < LARGEST):
         raise ValueError("it states sources whose coordinates or distances are too large")
-    return StoredCones(sources, _sources_of_ranks(_read_ranks(body, num_leaves), len(sources.code)))
+    return StoredCones(sources, _read_ranks(body, num_leaves, len(sources.code)))
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
@@ -230,14 +238,13 @@ def _origin(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
     return np.rint(steps).astype(np.int64)
 
 
-def cones_bits(domain: Box, cones: StoredCones) -> int:
-    """How many bits ``write_cones`` appends."""
-    body = BitWriter()
-    write_cones(body, domain, cones)
-    return body.num_bits
-
-
-def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.ndarray, "leaves"]:
+def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
+    """The source of each leaf, from its rank."""
+    rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
+    for each in range(_ESCAPE):
+        rest = rest[body.read_alike(len(rest), 1) == 0]
+        rank[rest] = each + 1
+    rank[rest] += body.read_coded(len(rest))
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
     recent, changes = list(range(count)), np.flatnonzero(rank)
@@ -245,16 +252,7 @@ def _sources_of_ranks(rank: Int[np.ndarray, "leaves"], count: int) -> Int[np.nda
     for number, place in enumerate(rank[changes].tolist()):
         recent.insert(0, recent.pop(place))
         latest[number + 1] = recent[0]
-    return latest[np.searchsorted(changes, np.arange(len(rank)), side="right")]
-
-
-def _read_ranks(body: BitReader, num_leaves: int) -> Int[np.ndarray, "leaves"]:
-    rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
-    for each in range(_ESCAPE):
-        rest = rest[body.read_alike(len(rest), 1) == 0]
-        rank[rest] = each + 1
-    rank[rest] += body.read_coded(len(rest))
-    return rank
+    return latest[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
 # From leaves and the sources that they chose to what a file keeps of them, and its size.
@@ -268,30 +266,46 @@ def stored_cones(
     Where a leaf has no source, -1, it takes that of the leaf before.
     """
     order = levels_of(cells)[1]
-    return cells[order], cones_in_order(source[order], sources, domain)
+    return cells[order], ConeFiles(sources, domain).stored(source[order])
 
 
-def cones_in_order(source: Int[np.ndarray, "leaves"], sources: Sources, domain: Box) -> StoredCones:
-    """What a file keeps of leaves in the order of the tree's traversal."""
-    leaf = np.flatnonzero(source >= 0)
-    before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
-    source = source[leaf[np.maximum(before, 0)]]
-    kept = _with_parents(np.unique(source), sources.parents)
-    place = np.searchsorted(kept, np.arange(len(sources.parents)))
-    stored, index = store_sources(sources.points[kept], sources.distances[kept], place[sources.parents[kept]], domain)
-    return StoredCones(stored, index[place[source]])
+class ConeFiles:
+    """What files keep of leaves with given sources, and how large they are.
 
+    Those that leaves name are often the same from file to file: what is kept of them is found once.
+    """
 
-def num_bytes_of(cells: Cells, cones: StoredCones, domain: Box, limits: Limits) -> int:
-    """Bytes of the file of some leaves, and of a proof if there is to be one."""
-    return limits.file_size(cells.dim, len(cells), cones_bits(domain, cones))
+    def __init__(self, sources: Sources, domain: Box) -> None:
+        self._sources, self._domain = sources, domain
+        self._kept: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
+    def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
+        """What is kept of leaves in the order of the tree's traversal; one without a source, -1, has that before."""
+        return self._stored(source)[0]
 
-def _with_parents(used: Int[np.ndarray, "used"], parents: Int[np.ndarray, "sources"]) -> Int[np.ndarray, "kept"]:
-    """Indices of some sources, of their parents, and so on, ascending."""
-    kept = np.zeros(len(parents), bool)
-    while len(used):
-        kept[used] = True
-        used = np.unique(parents[used])
-        used = used[~kept[used]]
-    return np.flatnonzero(kept)
+    def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
+        """Bytes of their file, and of a proof if there is to be one."""
+        cones, num_bits = self._stored(source)
+        _write_ranks(body := BitWriter(), cones.source, len(cones.sources.code))
+        return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
+
+    def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
+        """What is kept of leaves, and how many bits sources take."""
+        leaf, sources = np.flatnonzero(source >= 0), self._sources
+        before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
+        source = source[leaf[np.maximum(before, 0)]]
+        is_kept, used = np.zeros(len(sources.parents), bool), np.unique(source)
+        while len(used):  # sources, their parents, and so on
+            is_kept[used] = True
+            used = np.unique(sources.parents[used])
+            used = used[~is_kept[used]]
+        kept = np.flatnonzero(is_kept)
+        if kept.tobytes() not in self._kept:
+            place = np.searchsorted(kept, np.arange(len(sources.parents)))
+            stored, index = store_sources(
+                sources.points[kept], sources.distances[kept], place[sources.parents[kept]], self._domain
+            )
+            _write_sources(body := BitWriter(), self._domain, stored)
+            self._kept[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
+        stored, index, num_bits = self._kept[kept.tobytes()]
+        return StoredCones(stored, index[source]), num_bits

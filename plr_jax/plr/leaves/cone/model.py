@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,50 +14,35 @@ from plr_jax.geometry.convex_pieces import Pieces, boxes_as_pieces, difference_o
 from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.best_first import best_axis, largest_error
 from plr_jax.plr.growth.levels import BoxLevel
-from plr_jax.plr.growth.limits import Limits
-from plr_jax.plr.growth.optimal import Leaves, best_partition
-from plr_jax.plr.leaves.base import UNIT, Functions, Rules, largest_coordinates
+from plr_jax.plr.growth.limits import Limits, grow
+from plr_jax.plr.leaves.base import UNIT, FamilyLeafModel, Functions, Rules, largest_coordinates
+from plr_jax.plr.leaves.cone.best import best_cones
 from plr_jax.plr.leaves.cone.boxes import root_box
-from plr_jax.plr.leaves.cone.codec import (
-    StoredCones,
-    cones_in_order,
-    num_bytes_of,
-    read_cones,
-    stored_cones,
-    write_cones,
-)
-from plr_jax.plr.leaves.cone.family.members import FamilyTask, family_task
+from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, stored_cones, write_cones
+from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
 from plr_jax.plr.leaves.cone.sampled import grow_from_samples
-from plr_jax.plr.leaves.cone.sight import options_of_trees, sources_in_sight, tree_of_leaves
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Corner, table_corners
 from plr_jax.plr.sampling.cell_fit import Sampler, sample_pattern
 
 _UNDERFLOW = 1.1e-19
 """The root of the smallest 32-bit float: shorter differences may square to zero."""
-_ROOM = 64
-"""One byte for so many is left for sources to be changed to others that are in sight."""
 
 
 @dataclass(frozen=True)
-class Cone:
+class Cone(FamilyLeafModel):
     """Cones ``offset + |x - source|``. Coefficients: the offset, the coordinates of the source.
 
     Away from the lines where the next corner changes, that is what a distance among obstacles is.
     """
 
     name = "cone"
-    num_samples = 96
     least_bytes = 0.5
     has_deep_trees = True
-    is_of_cells = False
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Half a byte each, and what some tens of sources take."""
         return num_leaves // 2 + 256
-
-    def check_dim(self, dim: int) -> None:
-        """Cones are for any number of axes."""
 
     def least_samples(self, dim: int) -> int:
         """So many determine a cone, and show an error."""
@@ -70,28 +56,14 @@ class Cone:
         _require_euclidean(sampler.domain)
         is_default = sampler.weight_fn is None and rules == Rules(largest_error, best_axis)
         if is_default and sampler.memory is not None:
-            # The best partition of all, its leaves left for sources in sight where that costs little.
-            domain = sampler.domain
-            visible = sampler.memory.sources(Cells.root(domain.dim))
+            domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
             if not len(visible.cell):
                 sampler.root()  # which says so
-
-            def stored(source: Int[np.ndarray, "leaves"]) -> StoredCones:
-                return cones_in_order(source, visible.sources, domain)
-
-            def size_with_room(levels: list[BoxLevel], leaves: Leaves) -> int:
-                tree = tree_of_leaves(levels, leaves)
-                return num_bytes_of(tree.cells, stored(tree.source), domain, limits) * (_ROOM + 1) // _ROOM
-
-            root, num_sources = root_box(visible, domain, limits.tolerance), len(np.unique(visible.source))
-            levels, leaves = best_partition(root, limits, size_with_room, num_sources)
-            tree = tree_of_leaves(levels, leaves)
-
-            def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-                return num_bytes_of(tree.cells, stored(source), domain, limits) <= limits.max_bytes
-
-            options = options_of_trees(levels, [tree], sampler.pattern)
-            return tree.cells, stored(sources_in_sight(tree, options, fits))
+            levels = [BoxLevel.of(root_box(visible, domain, limits.tolerance), Cells.root(2).hashes())]
+            run = partial(grow, limits=limits)
+            root = np.zeros(1, np.int64)
+            ((_, cells, stored),) = best_cones(levels, root, [visible.sources], domain, limits, sampler.pattern, run)
+            return cells, stored
         return grow_from_samples(sampler, rules, limits)
 
     def family_task(self, first: FamilyFn, domain: Box, limits: Limits, seed: int) -> FamilyTask:
@@ -130,20 +102,6 @@ class Cone:
     ) -> Float[np.ndarray, "n"]:
         """Values at points of the functions of leaves, one a point."""
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
-
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Planes of the value at the center and of the slope between the centers of opposite faces."""
-        center, half = (lo + hi) / 2, np.empty_like(lo)
-        for axis in range(lo.shape[1]):
-            step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
-            above, below = (self.values(lo, hi, coefficients, center + sign * step) for sign in (1, -1))
-            half[:, axis] = (above - below) / 2
-        return self.values(lo, hi, coefficients, center), half
 
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
@@ -185,10 +143,6 @@ class Cone:
         length = np.linalg.norm(numbers[:, 1:] + domain.width, axis=1)
         beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
         return 1.01 * UNIT * (beside + 2 * numbers[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
-
-    def num_numbers(self, dim: int) -> int:
-        """The offset, and coordinates of the source."""
-        return 1 + dim
 
     def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The offset, to which the root is added of the squares of differences, summed axis by axis."""

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import SourcedFn, Sources
 from plr_jax.geometry.box import Box
+from plr_jax.plr.file.bits import BitWriter
 from plr_jax.plr.growth.best_first import (
     Encoding,
     best_axis,
@@ -17,7 +18,7 @@ from plr_jax.plr.growth.best_first import (
 )
 from plr_jax.plr.growth.limits import Limits, Nodes, nodes_of_fit
 from plr_jax.plr.leaves.base import Rules
-from plr_jax.plr.leaves.cone.codec import StoredCones, num_bytes_of, stored_cones
+from plr_jax.plr.leaves.cone.codec import StoredCones, stored_cones, write_cones
 from plr_jax.plr.leaves.cone.sources import (
     BEYOND_NOISE,
     Cones,
@@ -115,25 +116,22 @@ def grow_from_samples(sampler: Sampler, rules: Rules, limits: Limits) -> tuple[C
     """Leaves in the order of the tree's traversal, and what a file keeps of them."""
     root, oracle, domain = sampler.root(), sampler.distance_fn, sampler.domain
     if isinstance(oracle, SourcedFn):
-        known, may_own = FoundSources(_reached(oracle.sources), 0.0), False
+        every = oracle.sources
+        reached = np.isfinite(every.distances)
+        parents = (np.cumsum(reached) - 1)[every.parents[reached]]
+        known = FoundSources(Sources(every.points[reached], every.distances[reached], parents), 0.0)
     else:
-        known, may_own = find_sources(sampler), True
-    leaves = _Leaves(known, may_own, domain, rules, limits)
+        known = find_sources(sampler)
+    leaves = _Leaves(known, not isinstance(oracle, SourcedFn), domain, rules, limits)
 
     def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-        return num_bytes_of(*leaves.stored(nodes[leaf]), domain, limits)
+        write_cones(body := BitWriter(), domain, leaves.stored(nodes[leaf])[1])
+        return limits.file_size(domain.dim, len(leaf), body.num_bits)
 
     encoding = Encoding([0], size, lambda nodes, leaf, bits: 0.0)
     first = leaves.nodes_of(root, np.array([np.inf]))
     nodes, leaf, _ = grow_best_first(first, fit_sampled(sampler, leaves.nodes_of), limits, encoding)
     return leaves.stored(nodes[leaf])
-
-
-def _reached(sources: Sources) -> Sources:
-    """The sources that reach the goal."""
-    reached = np.isfinite(sources.distances)
-    place = np.cumsum(reached) - 1
-    return Sources(sources.points[reached], sources.distances[reached], place[sources.parents[reached]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +166,9 @@ class _Leaves:
         offset = np.where(fit.reachable.any(axis=1), cones.offset, np.inf)
         coefficients = np.column_stack([np.where(is_own, -1, choice.source), offset, cones.point])
         nodes = nodes_of_fit(fit, coefficients, np.full(len(fit), np.inf), priority, axis, self.limits)
-        return replace(nodes, key=np.minimum(nodes.key * self._importance(fit.cells), bound))
-
-    def _importance(self, cells: Cells) -> Float[np.ndarray, "cells"]:
-        """How much the largest error of a cell counts by its volume; a rule of the caller's has the last word."""
+        # How much the largest error of a cell counts by its volume; a rule of the caller's has the last word.
         power = _VOLUME_POWER if self.rules.should_split is largest_error else 0.0
-        return 2.0 ** (-power * cells.depth.sum(axis=1))
+        return replace(nodes, key=np.minimum(nodes.key * 2.0 ** (-power * fit.cells.depth.sum(axis=1)), bound))
 
     def _chosen(self, fit: CellFit, choice: Choice) -> tuple[Cones, Bool[np.ndarray, "cells"]]:
         """The cone of each cell, and whether it is of no shared source."""

@@ -8,7 +8,6 @@ could have instead is asked once for all trees that have it as a leaf.
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import run_members
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.growth.levels import BoxLevel
+from plr_jax.plr.growth.optimal import PricedTree
 from plr_jax.plr.leaves.cone.boxes import ConeBoxes, errors_of_options, views_of
 from plr_jax.plr.partition.cells import Cells, Level, levels_of
 from plr_jax.plr.sampling.cell_fit import Pattern
@@ -27,8 +27,6 @@ _LEAST_SHORTFALL = 1e-9
 """Widths of the domain by which a distance is above a cone for certain."""
 _KEY_BITS = 40  # for the place of a box in its level
 
-Pairs: TypeAlias = tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Bool[np.ndarray, "pairs"]]
-
 
 @dataclass(frozen=True, eq=False)
 class MemberTree:
@@ -38,7 +36,7 @@ class MemberTree:
         levels: As a file stores them.
         cells: The leaves.
         source: Viewpoint of each leaf's source, -1 where nothing reaches the goal.
-        depth: The level of boxes that each leaf is one of; -1 of none, above a family's start or where nothing is.
+        depth: The level of boxes that each leaf is one of.
         box: The box there.
     """
 
@@ -49,14 +47,21 @@ class MemberTree:
     box: Int[np.ndarray, "leaves"]
 
 
-def tree_of_leaves(levels: list[BoxLevel], leaves: list[Int[np.ndarray, "_"]]) -> MemberTree:
-    """The tree whose leaves are some boxes of each level."""
-    first, *others = (level.boxes.cells[box] for level, box in zip(levels, leaves, strict=True))
+def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree, is_walked: bool) -> MemberTree:
+    """A tree as its file holds it: as it was walked, or as a tree of its leaves is told from these alone."""
+    parts = [(level.boxes, box) for level, box in zip(levels, tree.leaves, strict=False)]
+    first, *others = (boxes.cells[box] for boxes, box in parts)
     cells = first.append(*others)
-    splits, order = levels_of(cells)
-    source = np.concatenate([level.boxes.views(box) for level, box in zip(levels, leaves, strict=True)])
-    depth = np.repeat(np.arange(len(leaves)), [len(box) for box in leaves])
-    return MemberTree(splits, cells[order], source[order], depth[order], np.concatenate(leaves)[order])
+    splits, order = (tree.splits, tree.order) if is_walked else levels_of(cells)
+    depth, box = np.repeat(np.arange(len(parts)), [len(box) for _, box in parts]), np.concatenate(tree.leaves)
+    return MemberTree(splits, cells[order], views_of_leaves(levels, tree)[order], depth[order], box[order])
+
+
+def views_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
+    """Viewpoints of the best sources of leaves, level by level; -1 where nothing reaches the goal."""
+    source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
+    source[source >= 0] = views_of(levels[0].boxes.visible, source[source >= 0])
+    return source
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +97,15 @@ class Options:
 
 def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: Pattern) -> Options:
     """The options of all boxes that are leaves of some tree."""
-    key = np.unique(np.concatenate([_keys(tree)[tree.depth >= 0] for tree in trees]))
+    key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
     first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
     boxes = first.append(*others)
-    box, source, by_all = _pairs_of_boxes(boxes)
-    is_doubted = boxes.source >= 0
+    # Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it.
+    visible, count = boxes.visible, len(boxes.visible.sources.points)
+    pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
+    box, source = np.divmod(pair, count)
+    by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
+    is_doubted = np.diff(boxes.visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
     doubted = np.flatnonzero(is_doubted)
@@ -144,10 +153,8 @@ def sources_in_sight(
 
 def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "changes"], Int[np.ndarray, "changes"]]:
     """Leaves that are better off with another source, and which; those that gain most, over all their area, first."""
-    leaf, boxes = np.flatnonzero(tree.depth >= 0), options.boxes
-    box = np.searchsorted(options.key, _keys(tree)[leaf])
-    option, run = run_members(options.first, box)
-    leaf = leaf[run]
+    boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
+    option, leaf = run_members(options.first, box)
     if not len(leaf):
         return leaf, leaf
     is_own = options.is_own[option]
@@ -163,12 +170,3 @@ def _changes(tree: MemberTree, options: Options) -> tuple[Int[np.ndarray, "chang
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
     return leaf[best], options.view[option[best]]
-
-
-def _pairs_of_boxes(boxes: ConeBoxes) -> Pairs:
-    """Pairs of a box and a source that some point of it may use, box by box, and whether all of it sees it."""
-    visible = boxes.visible
-    count = len(visible.sources.points)
-    key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
-    box, source = np.divmod(key, count)
-    return box, source, np.bincount(index, visible.by_all, len(key)) == np.diff(visible.first_piece)[box]

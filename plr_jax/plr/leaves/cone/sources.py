@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
+from plr_jax.plr.growth.limits import Rows
 from plr_jax.plr.leaves.sparse_squares import solve_sparse, weighted_squares
 from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.sampling.cell_fit import CellFit, Sampler
@@ -38,7 +39,7 @@ _RANK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(Rows):
     """Points, as many of each cell, their distances, and weights: 0 where a point does not count."""
 
     x: Float[np.ndarray, "cells k dim"]
@@ -47,14 +48,6 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.x)
-
-    def __getitem__(self, index) -> "Samples":
-        return Samples(self.x[index], self.distance[index], self.weight[index])
-
-    def append(self, other: "Samples") -> "Samples":
-        """Those of these cells, followed by those of others."""
-        parts = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in ("x", "distance", "weight"))
-        return Samples(*parts)
 
     def as_one(self) -> "Samples":
         """Those of all cells that count, as of one."""
@@ -68,7 +61,7 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
-class Cones:
+class Cones(Rows):
     """Functions ``offset + |x - point|``."""
 
     point: Float[np.ndarray, "cones dim"]
@@ -76,13 +69,6 @@ class Cones:
 
     def __len__(self) -> int:
         return len(self.offset)
-
-    def __getitem__(self, index) -> "Cones":
-        return Cones(self.point[index], self.offset[index])
-
-    def append(self, other: "Cones") -> "Cones":
-        """These, followed by others."""
-        return Cones(np.concatenate([self.point, other.point]), np.append(self.offset, other.offset))
 
     def __call__(self, x: Float[np.ndarray, "cones k dim"]) -> Float[np.ndarray, "cones k"]:
         """Values at points, as many for each cone."""
@@ -223,8 +209,9 @@ def fit_families(cones: Cones, samples: Sequence[Samples], parents: Int[np.ndarr
 
     A source that is its own parent, a root, keeps an offset of its own; without children it stays as it is.
     """
-    each = np.arange(len(parents))
-    is_root = parents == each
+    from scipy.sparse import diags_array
+
+    is_root = parents == np.arange(len(parents))
     in_family = ~is_root
     in_family[parents[~is_root]] = True
     if not in_family.any():
@@ -234,7 +221,11 @@ def fit_families(cones: Cones, samples: Sequence[Samples], parents: Int[np.ndarr
     used = np.append(np.repeat(in_family, dim), is_root & in_family)
     for _ in range(_STEPS):
         here = _cones_by_parents(point, root_offset, parents, chains)
-        step = _step(here, samples, parents, chains, used)
+        equations = [normal_equations(samples[i], here[[i]]) for i in range(len(here))]
+        normal, moments = (np.concatenate(part) for part in zip(*equations, strict=True))
+        of_parameters = _numbers_of_parameters(here, parents, chains) @ diags_array(used.astype(np.float64))
+        squares = weighted_squares(of_parameters, normal) + diags_array((~used).astype(np.float64))
+        step = solve_sparse(squares, of_parameters.T @ moments.ravel())
         point = point - step[: count * dim].reshape(count, dim)
         root_offset = root_offset - step[count * dim :]
     return _cones_by_parents(point, root_offset, parents, chains)
@@ -260,23 +251,6 @@ def _cones_by_parents(
 ) -> Cones:
     """Cones whose offsets follow from their parents."""
     return Cones(point, chains @ (root_offset + np.linalg.norm(point - point[parents], axis=1)))
-
-
-def _step(
-    cones: Cones,
-    samples: Sequence[Samples],
-    parents: Int[np.ndarray, "sources"],
-    chains: "csr_array",
-    used: Bool[np.ndarray, "parameters"],
-) -> Float[np.ndarray, "parameters"]:
-    """By how much coordinates of all sources, then offsets of all roots, are too large; 0 for those not in use."""
-    from scipy.sparse import diags_array
-
-    equations = [normal_equations(samples[i], cones[[i]]) for i in range(len(cones))]
-    normal, moments = (np.concatenate(part) for part in zip(*equations, strict=True))
-    of_parameters = _numbers_of_parameters(cones, parents, chains) @ diags_array(used.astype(np.float64))
-    squares = weighted_squares(of_parameters, normal) + diags_array((~used).astype(np.float64))
-    return solve_sparse(squares, of_parameters.T @ moments.ravel())
 
 
 def _numbers_of_parameters(cones: Cones, parents: Int[np.ndarray, "sources"], chains: "csr_array") -> "csr_array":
@@ -309,7 +283,7 @@ _CLAIMS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class Patches(Rows):
     """Cells and the cones that fit them.
 
     Attributes:
@@ -340,14 +314,6 @@ class Patches:
         """Which err as noise makes them: where two sources that differ by little meet, cones err by more."""
         freedom = (self.samples.weight > 0).sum(axis=1) - self.samples.x.shape[2] - 1
         return self.error <= noise * (1 + _UNLIKELY / np.sqrt(2 * freedom))
-
-    def __getitem__(self, index) -> "Patches":
-        return Patches(self.samples[index], self.cones[index], self.error[index], self.spread[index])
-
-    def append(self, other: "Patches") -> "Patches":
-        """These, followed by others."""
-        error, spread = np.append(self.error, other.error), np.append(self.spread, other.spread)
-        return Patches(self.samples.append(other.samples), self.cones.append(other.cones), error, spread)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,18 +119,14 @@ class _Rounds:
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
-        stored = StoredValues.rounded(partition, values, _step(fit, residual, weight))
+        # Values are rounded about as coarsely as they err.
+        mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
+        step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
+        stored = StoredValues.rounded(partition, values, max(step, float(np.finfo(np.float32).tiny)))
         body = BitWriter()
         write_values(body, stored)
         num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
         return _Fitted(replace(fit, residual=residual), stored, num_bytes)
-
-
-def _step(fit: CellFit, residual: Float[np.ndarray, "leaves k"], weight: Float[np.ndarray, "leaves k"]) -> float:
-    """Of what stored values are multiples: they are rounded about as coarsely as they err."""
-    mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
-    step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
-    return max(step, float(np.finfo(np.float32).tiny))
 
 
 def fit_values(

@@ -1,7 +1,7 @@
 """Values at the corners of leaves, tied across free faces, all fitted at once."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,11 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.growth.limits import Limits
 from plr_jax.plr.leaves.base import (
     UNIT,
+    CornerLeafModel,
     Functions,
     Parameters,
     Rules,
     largest_coordinates,
-    linear_mean_planes,
-    linear_values,
-    rounded_down,
 )
 from plr_jax.plr.leaves.continuous.codec import (
     StoredValues,
@@ -49,7 +47,7 @@ _MOST_DOUBLINGS = 24  # of a step, with which values become a handful of bits
 
 
 @dataclass(frozen=True)
-class Continuous:
+class Continuous(CornerLeafModel):
     """Functions that do not jump across free faces: a face with a point whose two sides can both be reached.
 
     A face in a wall ties nothing, so nothing blends across walls. Coefficients are values at a leaf's corners, of
@@ -64,23 +62,12 @@ class Continuous:
 
     order: int = 0
 
-    num_samples = 96
-    least_bytes = 1
-    has_deep_trees = False
     is_of_cells = True
-
-    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Two each: most of the values at corners are shared, and small as surpluses."""
-        return 2 * num_leaves
 
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
-
-    @property
-    def name(self) -> str:
-        """What ``construct(leaf=...)`` calls the model."""
-        return ("continuous", "smooth")[self.order]
+        object.__setattr__(self, "name", ("continuous", "smooth")[self.order])
 
     def check_dim(self, dim: int) -> None:
         """Raise ``ValueError`` if the model is not for so many axes."""
@@ -137,25 +124,6 @@ class Continuous:
         """What the coefficients multiply at local coordinates ``u``."""
         return design(self.order, (u + 1) / 2)
 
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
-        """Values at points of the functions of leaves, one a point."""
-        return linear_values(self, lo, hi, coefficients, x)
-
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """The mean plane of every leaf."""
-        return linear_mean_planes(self, coefficients, lo.shape[1])
-
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
@@ -171,10 +139,6 @@ class Continuous:
         """Other values, in multiples of the same step, then of steps that are larger and larger."""
         for doublings in range(_MOST_DOUBLINGS):
             yield StoredValues.rounded(stored.partition, values, stored.step * 2.0**doublings)
-
-    def raised(self, stored: StoredValues, shift: float) -> StoredValues:
-        """All values higher by a number, or by a little less."""
-        return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner

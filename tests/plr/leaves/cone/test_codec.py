@@ -12,7 +12,6 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 from plr_jax.plr.leaves.cone.codec import (
     StoredCones,
     StoredSources,
-    cones_bits,
     read_cones,
     store_sources,
     write_cones,
@@ -59,7 +58,6 @@ def test_what_is_written_is_read(lattice, seed, dim, count):
     reader = BitReader(body.to_bytes())
     found = read_cones(reader, domain, len(source))
     assert reader.at_end()
-    assert body.num_bits == cones_bits(domain, StoredCones(stored, source))
     np.testing.assert_array_equal(found.source, source)
     for name in ("code", "parent", "root_offset", "points", "offsets"):
         np.testing.assert_array_equal(getattr(found.sources, name), getattr(stored, name))
@@ -109,7 +107,7 @@ def test_ranks_are_few_bits_where_leaves_take_turns():
     domain = Box((0, 0), (200, 200))
     stored, _ = store_sources(np.arange(200.0).reshape(100, 2), np.zeros(100), np.arange(100), domain)
     ranks = np.full(1000, 77), 77 + np.arange(1000) % 2
-    one, two = (cones_bits(domain, StoredCones(stored, rank)) for rank in ranks)
+    one, two = (bits_of(domain, StoredCones(stored, rank)).num_bits for rank in ranks)
     assert two - one < 1100 and one < 100 * 60 + 1100
 
 
@@ -165,7 +163,7 @@ def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, mess
 def test_a_rank_beyond_the_sources_is_refused():
     body = bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int)))
     body._bits.pop()  # the ranks of one leaf
-    while body.num_bits > cones_bits(DOMAIN, StoredCones(SOURCES, np.zeros(1, int))) - 1:
+    while body.num_bits > bits_of(DOMAIN, StoredCones(SOURCES, np.zeros(1, int))).num_bits - 1:
         body._bits.pop()
     body.write(np.array([0]), 1).write(np.array([0]), 1).write(np.array([0]), 1).write_coded(np.array([0]))
     with pytest.raises(ValueError, match="names source 3 of 3"):
