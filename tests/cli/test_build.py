@@ -40,10 +40,10 @@ def test_build_keeps_the_budget_and_says_what_it_made(path):
 
 
 def test_specks_of_a_picture_are_told(path, tmp_path):
-    gray = np.full((100, 100), 255, np.uint8)
-    gray[50:60, :40], gray[20, 20] = 0, 0
+    gray = np.full((400, 400), 255, np.uint8)
+    gray[50:60, :150], gray[100, 100] = 0, 0
     Image.fromarray(gray).save(tmp_path / "scan.png")
-    command = ["build", tmp_path / "scan.png", "--goal", "1,1", "--resolution", 0.2, "-o", path, "--leaf", "plane"]
+    command = ["build", tmp_path / "scan.png", "--goal", "1,1", "--resolution", 0.05, "-o", path, "--leaf", "plane"]
     said = done(*command, "--max-leaves", 9)
     assert "map     12 vertices, 4 of them of specks (1; --drop-specks N drops" in said
     np.testing.assert_allclose(load(path).domain.hi, 20)
@@ -52,10 +52,10 @@ def test_specks_of_a_picture_are_told(path, tmp_path):
 
 def test_a_budget_that_cannot_name_the_corners_is_not_tried_with_leaves_that_do(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    gray = np.full((30, 30), 255, np.uint8)
-    gray[3::6, 3::6] = 0  # 100 corners
+    gray = np.full((18, 18), 255, np.uint8)
+    gray[3::6, 3::6] = 0  # 36 corners
     Image.fromarray(gray).save("dots.png")
-    for max_bytes, is_tried in ((150, False), (400, True)):
+    for max_bytes, is_tried in ((80, False), (110, True)):
         assert ("cone" in done("build", "dots.png", "--goal", "1,1", "--max-bytes", max_bytes)) == is_tried
 
 
@@ -283,14 +283,9 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.fixture
-def terminal(monkeypatch):
-    monkeypatch.setattr("sys.stderr", terminal := Terminal())
-    return terminal
-
-
 @pytest.mark.parametrize("prefixes", [(), (80,)])  # too few bytes for cones alone
-def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, terminal, monkeypatch):
+def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, monkeypatch):
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
     build_file(ORACLE, "", prefixes, "best", False, seed=0, max_bytes=700, max_leaves=50)
     said = terminal.getvalue()
     parts = ["part 1 of 2", "part 2 of 2"] if prefixes else ["file"]
@@ -306,10 +301,11 @@ def test_a_terminal_shows_what_is_being_built_of_how_much(prefixes, terminal, mo
     assert file.getvalue() == ""
 
 
-def test_a_terminal_shows_how_many_leaves_are_built(terminal, monkeypatch):
+def test_a_terminal_shows_how_many_leaves_are_built(monkeypatch):
     """As long as it takes: here the clock of progress bars runs a thousand times faster."""
     now = time.time
     monkeypatch.setattr("tqdm.std.time", lambda: 1000 * now())
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
     for name in leaf_names():
         build_file(ORACLE, "", (), name, False, seed=0, max_bytes=None, max_leaves=60)
         assert re.search(r"construct: .*[1-9]\d*/60 ", terminal.getvalue())

@@ -130,7 +130,7 @@ def test_door(num_robots):
     problem = scenes.door(num_robots)
     np.testing.assert_allclose(problem.starts, starts)
     np.testing.assert_allclose(problem.goals, np.roll(starts, half, axis=0))
-    check(problem, free, [DiscRobot(0.4)] * num_robots, zip(problem.starts, problem.goals, strict=True))
+    check(problem, free, [DiscRobot(0.4)] * num_robots, list(zip(problem.starts, problem.goals, strict=True)))
 
 
 @pytest.mark.parametrize(("num_robots", "seed"), [(2, 0), (25, 0), (300, 2)])
