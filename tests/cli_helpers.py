@@ -11,6 +11,13 @@ def run(*arguments, **kwargs):
     return _RUNNER.invoke(_APP, [str(argument) for argument in arguments], **kwargs)
 
 
+def done(*arguments, **kwargs):
+    """What a command prints that is to end well and without a warning."""
+    result = run(*arguments, **kwargs)
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    return result.stdout
+
+
 def mistake(*arguments, **kwargs):
     """What a command says about a mistake; fails unless that is one line with exit code 2."""
     result = run(*arguments, **kwargs)
@@ -19,10 +26,3 @@ def mistake(*arguments, **kwargs):
     assert result.stderr.startswith("Error: ")
     assert result.stderr.count("\n") == 1
     return result.stderr
-
-
-def built(leaf, folder):
-    path = folder / f"{leaf}.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", leaf)
-    assert result.exit_code == 0, result.output
-    return path

@@ -12,19 +12,18 @@ Files that a reader failed at are kept.
 import argparse
 import io
 import json
-import multiprocessing
 import re
 import resource
+import signal
 import struct
 import tempfile
 import time
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cache
-from multiprocessing.connection import Connection
 from pathlib import Path
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from threading import Thread
@@ -110,30 +109,28 @@ class Reader:
     repaired: Callable[[bytes], bytes] | None = None
 
 
+def _written(save: Callable[[Any, Path], None], values: Iterable[Any]) -> list[bytes]:
+    files = []
+    with tempfile.TemporaryDirectory() as folder:
+        for value in values:
+            save(value, Path(folder, "file.json"))
+            files += [Path(folder, "file.json").read_bytes()]
+    return files
+
+
 def _scene_files() -> list[bytes]:
     rings = [_SQUARE, [[5, 5], [6, 5], [6, 6]]]
     holed = Workspace.from_polygons([{"outer": [[-1, -1], [9, -1], [9, 9], [-1, 9]], "holes": rings}])
     robots = [DiscRobot(0.25), RectangleRobot(0.7, 0.1), PointRobot()]
     starts, goals = [(8, 8, 0), (7, 1, 1), (1, 8, 0)], [(8, 0, 0), (6, 2, 2), (5, 8, 0)]
     team = Problem(holed, robots, starts, goals, rotation_weight=0.3)
-    with tempfile.TemporaryDirectory() as folder:
-        path, files = Path(folder, "scene.json"), []
-        for problem in (scenes.maze(), scenes.tangle(), team):
-            scenes.save(problem, path)
-            files += [path.read_bytes()]
-    return files
+    return _written(scenes.save, (scenes.maze(), scenes.tangle(), team))
 
 
 def _solution_files() -> list[bytes]:
     problem = scenes.single_door()
-    solved = plr_jax.bl_plan(problem)
-    unsolved = plr_jax.bl_plan(problem, options=plr_jax.BLOptions(max_expansions=1))
-    with tempfile.TemporaryDirectory() as folder:
-        path, files = Path(folder, "solution.json"), []
-        for solution in (solved, unsolved):
-            solution.save(path)
-            files += [path.read_bytes()]
-    return files
+    limits = (plr_jax.BLOptions(), plr_jax.BLOptions(max_expansions=1))
+    return _written(plr_jax.Solution.save, (plr_jax.bl_plan(problem, options=each) for each in limits))
 
 
 def _plr_files() -> list[bytes]:
@@ -154,11 +151,11 @@ def _plr_files() -> list[bytes]:
 
 def _pairs_files() -> list[bytes]:
     pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
-    data, many = pairs.to_bytes(), _many_corners(8192)
+    data, many = pairs.to_bytes(), corridor(8192)
     return [data, *(data[:mark] for mark in pairs.file_marks), *(many[:mark] for mark in Header.read(many).marks)]
 
 
-def _many_corners(count: int) -> bytes:
+def corridor(count: int) -> bytes:
     """Pairs of a corridor with so many corners in a byte or so each, whose tables take a gigabyte."""
     x = np.arange(count // 2)
     points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
@@ -170,12 +167,14 @@ def _many_corners(count: int) -> bytes:
 def _picture_files() -> list[bytes]:
     gray = np.full((12, 16), 255, np.uint8)
     gray[3:5, 4:] = gray[8:, 6] = 0
-    files = []
-    for mode, kind in (("L", "PNG"), ("RGBA", "PNG"), ("P", "GIF"), ("1", "PPM"), ("L", "PPM"), ("RGB", "BMP")):
+    modes = {"PNG": ("L", "RGBA"), "GIF": ("P",), "PPM": ("1", "L"), "BMP": ("RGB",), "TIFF": ("L",)}
+
+    def written(kind: str, mode: str) -> bytes:
         buffer = io.BytesIO()
         Image.fromarray(gray).convert(mode).save(buffer, format=kind)
-        files.append(buffer.getvalue())
-    return files
+        return buffer.getvalue()
+
+    return [written(kind, mode) for kind in modes for mode in modes[kind]]
 
 
 def _with_checksums(data: bytes) -> bytes:
@@ -349,7 +348,7 @@ def hostile(reader: Reader, valid: list[bytes], seed: int, number: int) -> bytes
 
 
 MOST_SECONDS, MOST_GROWTH = 1.0, 100e6
-_HANGS = 60.0  # seconds after which a reader is ended
+_HANGS = 60  # seconds after which a reader is interrupted
 _ADDRESS_SPACE = 8 * 2**30  # beyond what is in use: the net under a reader that asks for all there is
 
 
@@ -394,80 +393,26 @@ def _peak() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
 
 
-def _judged(outcome: Outcome) -> Outcome:
-    for kind, over in (("too slow", outcome.seconds > MOST_SECONDS), ("too large", outcome.growth > MOST_GROWTH)):
-        if over and not outcome.failed:
-            return Outcome(kind, outcome.message, outcome.seconds, outcome.growth)
-    return outcome
+_valid = cache(lambda name: READERS[name].valid())
 
 
-def _work(results: Connection, folder: Path, trials: list[tuple[str, int]], seed: int) -> None:
-    """Read the files of all trials one after the other, until one has made the process too large to go on with."""
-    valid = {name: READERS[name].valid() for name in dict.fromkeys(name for name, _ in trials)}
-    for name, files in valid.items():  # so that what is loaded but once is there
-        for data in files:
-            if (outcome := _attempt(name, data, folder, "valid")).kind != "read":
-                raise RuntimeError(f"A valid file of {name} is not read: {outcome.message}")
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
-    results.send(None)
-    for name, number in trials:
-        outcome = _judged(_attempt(name, hostile(READERS[name], valid[name], seed, number), folder, str(number)))
-        results.send(outcome)
-        if outcome.growth > MOST_GROWTH:
-            return
-
-
-def _attempt(name: str, data: bytes, folder: Path, stem: str) -> Outcome:
+def trial(name: str, number: int, folder: Path, seed: int) -> Outcome:
+    """What becomes of a mutated file, which is kept if its reader fails."""
     reader = READERS[name]
-    path = folder / f"{name}_{stem}{reader.suffix}"
-    path.write_bytes(data)
+    path = folder / f"{name}_{number}{reader.suffix}"
+    path.write_bytes(hostile(reader, _valid(name), seed, number))
+    signal.alarm(_HANGS)
     outcome = attempt(reader, path)
-    if not _judged(outcome).failed:
+    signal.alarm(0)
+    for kind, over in (("too slow", outcome.seconds > MOST_SECONDS), ("too large", outcome.growth > MOST_GROWTH)):
+        outcome = replace(outcome, kind=kind) if over and not outcome.failed else outcome
+    if not outcome.failed:
         path.unlink()
     return outcome
 
 
-def outcomes(folder: Path, trials: list[tuple[str, int]], seed: int) -> Iterator[tuple[str, int, Outcome]]:
-    """What becomes of each trial's file, in a process of its own that is replaced where a reader ends it or hangs."""
-    context = multiprocessing.get_context("spawn")
-    while trials:
-        ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=_work, args=(theirs, folder, trials, seed))
-        process.start()
-        theirs.close()
-        ours.recv()  # ready
-        done = 0
-        try:
-            while done < len(trials):
-                outcome = ours.recv() if ours.poll(_HANGS) else Outcome("hangs")
-                yield *trials[done], outcome
-                done += 1
-                if outcome.kind == "hangs":
-                    break
-        except EOFError:
-            process.join()
-            if process.exitcode:
-                yield *trials[done], Outcome(f"ends the process ({process.exitcode})")
-                done += 1
-        process.kill()
-        process.join()
-        trials = trials[done:]
-
-
-def compute(seed: int, num_mutations: int, folder: Path) -> dict[str, Any]:
-    trials = [(name, number) for name in READERS for number in range(num_mutations)]
-    rows: dict[str, dict[str, Any]] = {
-        name: {"outcomes": Counter(), "most_seconds": 0.0, "most_growth": 0.0, "failures": []} for name in READERS
-    }
-    for name, number, outcome in outcomes(folder, trials, seed):
-        row = rows[name]
-        row["outcomes"][outcome.kind] += 1
-        row["most_seconds"] = max(row["most_seconds"], outcome.seconds)
-        row["most_growth"] = max(row["most_growth"], outcome.growth)
-        if outcome.failed:
-            row["failures"].append({"number": number, "kind": outcome.kind, "message": outcome.message})
-    return {"mutations": num_mutations, "readers": rows}
+def _give_up(*_: Any) -> None:
+    raise RuntimeError("hangs")
 
 
 def main() -> None:
@@ -476,10 +421,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
-    for name, row in compute(arguments.seed, arguments.mutations, kept)["readers"].items():
-        seconds, growth = row["most_seconds"], row["most_growth"] / 1e6
-        print(f"{name}: {dict(row['outcomes'])}, at most {seconds:.2f} s and {growth:.0f} MB; {row['failures']}")
-    print(f"files that a reader failed at are in {kept}")
+    print(f"files that a reader fails at are in {kept}", flush=True)
+    signal.signal(signal.SIGALRM, _give_up)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
+    for name in READERS:
+        found = [trial(name, number, kept, arguments.seed) for number in range(arguments.mutations)]
+        seconds, growth = max(each.seconds for each in found), max(each.growth for each in found) / 1e6
+        failures = {number: outcome for number, outcome in enumerate(found) if outcome.failed}
+        kinds = dict(Counter(each.kind for each in found))
+        print(f"{name}: {kinds}, at most {seconds:.2f} s and {growth:.0f} MB; {failures}")
 
 
 if __name__ == "__main__":

@@ -19,14 +19,18 @@ def maze():
     return problem, oracle, plr
 
 
+def bounded(space, lo=0.0, hi=1.0):
+    bounds = base.RealVectorBounds(2)
+    bounds.setLow(lo)
+    bounds.setHigh(hi)
+    space.setBounds(bounds)
+    return space
+
+
 @pytest.fixture
 def setup(maze):
     problem, _, _ = maze
-    space = base.RealVectorStateSpace(2)
-    bounds = base.RealVectorBounds(2)
-    bounds.setLow(0.0)
-    bounds.setHigh(1.0)
-    space.setBounds(bounds)
+    space = bounded(base.RealVectorStateSpace(2))
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(lambda state: bool(problem.workspace.is_free([[state[0], state[1]]])[0]))
     setup.getSpaceInformation().setStateValidityCheckingResolution(0.002)
@@ -90,11 +94,7 @@ def test_a_plr_of_which_nothing_is_proven_is_refused(setup):
 
 
 def test_outside_the_domain_it_is_the_distance(maze):
-    space = base.RealVectorStateSpace(2)
-    bounds = base.RealVectorBounds(2)
-    bounds.setLow(-5.0)
-    bounds.setHigh(5.0)
-    space.setBounds(bounds)
+    space = bounded(base.RealVectorStateSpace(2), -5.0, 5.0)
     objective = ompl_objective(base.SpaceInformation(space), maze[2])
     inside, outside = state_at(space, maze[0].starts[0]), state_at(space, (-3, 0.5))
     for pair in ((inside, outside), (outside, inside), (outside, outside)):
@@ -102,13 +102,8 @@ def test_outside_the_domain_it_is_the_distance(maze):
 
 
 def test_headings(maze):
-    space = base.SE2StateSpace()
-    bounds = base.RealVectorBounds(2)
-    bounds.setLow(0.0)
-    bounds.setHigh(1.0)
-    space.setBounds(bounds)
-    information = base.SpaceInformation(space)
-    objective = ompl_objective(information, maze[2])
+    space = bounded(base.SE2StateSpace())
+    objective = ompl_objective(base.SpaceInformation(space), maze[2])
     states = [space.allocState(), space.allocState()]
     for state, (x, y) in zip(states, (maze[0].starts[0][:2], maze[0].goals[0][:2]), strict=True):
         state.setX(float(x))

@@ -1,14 +1,43 @@
+import json
+
 import pytest
-from cli_helpers import built
+from cli_helpers import run
+
+from plr_jax import scenes
 
 
-@pytest.fixture(scope="module", params=["plane", "continuous", "smooth"])
+def built(leaf, folder):
+    path = folder / f"{leaf}.plr"
+    result = run("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", leaf)
+    assert result.exit_code == 0, result.output
+    return path
+
+
+@pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
 def maze(request, tmp_path_factory):
     """A file of each kind."""
     return built(request.param, tmp_path_factory.mktemp("maze"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def plane(tmp_path_factory):
     """A file, where its kind makes no difference."""
     return built("plane", tmp_path_factory.mktemp("plane"))
+
+
+@pytest.fixture(scope="session")
+def maps(tmp_path_factory):
+    """A folder of maps of every kind, which no test changes."""
+    folder = tmp_path_factory.mktemp("maps")
+    (folder / "grid.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
+    (folder / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
+    (folder / "bow.json").write_text(json.dumps({"outer": [[0, 0], [1, 1], [1, 0], [0, 1]]}))
+    (folder / "broken.yaml").write_text("a: [1\nb: 2")
+    (folder / "team.yaml").write_text(
+        "environment: {min: [0, 0], max: [4, 4], obstacles: [{type: box, center: [2, 1], size: [0.5, 2]}]}\n"
+        "robots: [{type: unicycle_first_order_0_sphere, start: [1, 1, 0], goal: [3, 1, 0]}]\n"
+    )
+    scenes.save(scenes.maze(), folder / "maze.json")
+    scenes.save(scenes.four_rooms(2), folder / "team.json")
+    scenes.save(scenes.tangle(), folder / "tangle.json")
+    return folder

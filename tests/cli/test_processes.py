@@ -32,21 +32,25 @@ def test_an_interrupt_while_the_command_loads_is_no_traceback(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "Interrupted.\n")
 
 
-@pytest.mark.parametrize(("end", "code", "said"), [(INTERRUPT, 130, "Interrupted.\n"), (TERMINATE, 143, "")])
-@pytest.mark.parametrize("swallow", ["try: {}\nexcept BaseException: pass", "gc.callbacks.append(lambda *_: {})"])
+@pytest.mark.parametrize(
+    ("swallow", "end", "code", "said"),
+    [
+        ("try: {}\nexcept BaseException: pass", INTERRUPT, 130, "Interrupted.\n"),
+        ("gc.callbacks.append(lambda *_: {})", TERMINATE, 143, ""),
+    ],
+)
 def test_no_import_within_a_command_swallows_a_signal(tmp_path, swallow, end, code, said):
     library = with_module(tmp_path, "library", swallow.format(end) + "\ngc.collect()\n")
     done = script(IN_FRONT + "cli.load_app = lambda: lambda: __import__('library')\ncli.main()", **library)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", said)
 
 
-@pytest.mark.parametrize(("end", "code"), [(INTERRUPT, 130), (TERMINATE, 143)])
-def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost(end, code):
+def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost():
     command = f"""
 import gc, time
 def callback(*_):
     gc.callbacks.remove(callback)
-    {end}
+    {INTERRUPT}
 def command():
     gc.callbacks.append(callback)
     gc.collect()
@@ -54,7 +58,7 @@ def command():
 cli.load_app = lambda: command
 """
     done = script(IN_FRONT + command + "cli.main()")
-    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 def test_an_interrupt_after_all_imports_is_an_exception():
@@ -76,17 +80,6 @@ cli.main()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_help_loads_nothing_heavy():
-    code = (
-        "import sys; from plr_jax.cli import load_app\n"
-        "try: load_app()(['--help'])\n"
-        "except SystemExit: pass\n"
-        "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
-    )
-    done = script(code)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.fixture(scope="module")
 def maze(tmp_path_factory):
     problem = scenes.maze()
@@ -96,28 +89,24 @@ def maze(tmp_path_factory):
     return path
 
 
-def test_query_imports_no_heavy_library(maze, tmp_path):
+COMMAND = """
+import sys
+from plr_jax.cli import load_app
+try: load_app()(sys.argv[1:])
+except SystemExit as end: assert not end.code
+print(*{'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules), file=sys.stderr)
+"""
+
+
+def test_no_command_imports_what_it_does_not_need_and_build_writes_what_construct_gives(maze, tmp_path):
+    assert script(COMMAND, "--help").stderr == "\n"
     (tmp_path / "points.csv").write_text("0.1,0.2\n")
-    code = (
-        "import sys; from plr_jax.cli import load_app\n"
-        "try: load_app()(['query', *sys.argv[1:], '--bounds'])\n"
-        "except SystemExit: pass\n"
-        "sys.exit(' '.join({'jax', 'scipy', 'shapely', 'matplotlib', 'networkx'} & set(sys.modules)) or 0)"
-    )
-    done = script(code, maze, tmp_path / "points.csv")
-    assert done.returncode == 0 and len(done.stdout.split(",")) == 3, done.stderr
-
-
-def test_build_writes_what_construct_gives_and_does_not_import_jax(maze, tmp_path):
-    code = (
-        "import sys; from plr_jax.cli import load_app\n"
-        "try: load_app()(['build', 'maze', '--leaf', 'cone', '--max-bytes', sys.argv[1], '-o', sys.argv[2]])\n"
-        "except SystemExit as end: assert not end.code\n"
-        "sys.exit('jax' in sys.modules)"
-    )
-    done = script(code, 300 + len("maze --goal=0.06,0.07") + 4, tmp_path / "built.plr")  # room for the label
-    assert done.returncode == 0, done.stderr
-    built = load(tmp_path / "built.plr")
+    done = script(COMMAND, "query", maze, tmp_path / "points.csv", "--bounds")
+    assert done.stderr == "\n" and len(done.stdout.split(",")) == 3
+    max_bytes, path = 300 + len("maze --goal=0.06,0.07") + 4, tmp_path / "built.plr"  # room for the label
+    done = script(COMMAND, "build", "maze", "--leaf", "cone", "--max-bytes", max_bytes, "-o", path)
+    assert "jax" not in done.stderr.split() and done.returncode == 0, done.stderr
+    built = load(path)
     assert built.label == "maze --goal=0.06,0.07" and built.with_label("").to_bytes() == maze.read_bytes()
 
 
@@ -135,34 +124,36 @@ def test_a_reader_that_has_seen_enough_ends_query_quietly(maze):
 
 
 @pytest.mark.parametrize(
-    ("closed", "message"), [(">&-", "Standard output is closed"), ("<&-", "Standard input is closed")]
+    ("redirected", "message"),
+    [
+        (">&-", "Standard output is closed"),
+        ("<&-", "Standard input is closed"),
+        pytest.param(
+            "> /dev/full",
+            "No space left on device\n",
+            marks=pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full"),
+        ),
+    ],
 )
-def test_what_is_closed_is_told(maze, closed, message):
-    command = f'"{sys.executable}" -m plr_jax query "{maze}" {closed}'
+def test_what_is_closed_or_full_is_told(maze, redirected, message):
+    command = f'echo 0.1,0.2 | "{sys.executable}" -m plr_jax query "{maze}" {redirected}'
     done = subprocess.run(["sh", "-c", command], check=False, capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.startswith(f"Error: {message}") and done.stderr.count("\n") == 1
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only where there is a device that is full")
-def test_what_cannot_be_written_is_told(maze):
-    command = f'echo 0.1,0.2 | "{sys.executable}" -m plr_jax query "{maze}" > /dev/full'
-    done = subprocess.run(["sh", "-c", command], check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (2, "Error: No space left on device\n")
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read as Linux tells it")
 def test_query_takes_little_memory_whatever_the_table(maze, tmp_path):
-    code = """
-import pathlib, re, sys
-from plr_jax.cli import load_app
-try: load_app()(['query', *sys.argv[1:]])
-except SystemExit: pass
+    code = (
+        COMMAND
+        + """
+import pathlib, re
 print(re.search(r"VmHWM:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1], file=sys.stderr)
 """
+    )
     taken = []
     for rows in (1_000, 500_000):
         (tmp_path / "points.csv").write_text("0.123456,0.654321\n" * rows)
-        done = script(code, maze, tmp_path / "points.csv")
+        done = script(code, "query", maze, tmp_path / "points.csv")
         assert done.stdout.count("\n") == rows
         taken.append(int(done.stderr) / 1024)
     assert taken[1] < min(taken[0] + 40, 200)

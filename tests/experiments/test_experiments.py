@@ -5,7 +5,6 @@ import runpy
 import sys
 from importlib import import_module
 from pathlib import Path
-from unittest import mock
 
 import pytest
 
@@ -21,8 +20,8 @@ FAMILIES = {
     "fig1": (),
     "trace": (),
     "benchmark": ("--only", "oracle"),
-    "proofs": ("--only", "sizes"),
-    "solve": ("--only", "cars"),
+    "proofs": ("--only", "astar"),
+    "solve": ("--only", "speed_map"),
     "compare_summaries": ("--only", "maze_straight_line", "maze_polygon"),
     "teams": ("--only", "unseen"),
     "wire": ("--only", "sizes"),
@@ -30,14 +29,19 @@ FAMILIES = {
 }
 
 
-def run_script(name, *options):
+@pytest.fixture
+def run_script(monkeypatch):
     """Run an experiment's script as from the command line, but in this process, where most is compiled already."""
-    with mock.patch.object(sys, "argv", [name, *map(str, options)]):
+
+    def run(name, *options):
+        monkeypatch.setattr(sys, "argv", [name, *map(str, options)])
         runpy.run_module(f"experiments.{name}", run_name="__main__")
+
+    return run
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_an_experiment_of_each_family_runs_at_its_smallest(name, tmp_path):
+def test_an_experiment_of_each_family_runs_at_its_smallest(name, run_script, tmp_path):
     run_script(name, "--smoke", "--output", tmp_path, *FAMILIES[name])
     record = json.loads((tmp_path / f"{name}.json").read_text())
     assert record["smoke"] and record["experiment"] == name
@@ -45,7 +49,7 @@ def test_an_experiment_of_each_family_runs_at_its_smallest(name, tmp_path):
     assert set(FAMILIES[name][1:]) <= record["results"].keys() and all(record["results"].values())
 
 
-def test_a_section_measured_again_leaves_the_others_as_they_are(tmp_path):
+def test_a_section_measured_again_leaves_the_others_as_they_are(run_script, tmp_path):
     old = json.loads((RESULTS / "compare_summaries.json").read_text())
     (tmp_path / "compare_summaries.json").write_text(json.dumps(old))
     run_script("compare_summaries", "--smoke", "--output", tmp_path, "--only", "maze_straight_line")
@@ -54,45 +58,35 @@ def test_a_section_measured_again_leaves_the_others_as_they_are(tmp_path):
     assert [name for name in new if new[name] != old["results"][name]] == ["maze_straight_line"]
 
 
-@pytest.mark.parametrize("name", ["fig1", "proofs"])
-def test_pictures_are_drawn_from_committed_results(name, tmp_path):
-    (tmp_path / f"{name}.json").write_text((RESULTS / f"{name}.json").read_text())
-    run_script(name, "--draw", "--output", tmp_path)
+def test_pictures_are_drawn_from_committed_results(run_script, tmp_path):
+    (tmp_path / "fig1.json").write_text((RESULTS / "fig1.json").read_text())
+    run_script("fig1", "--draw", "--output", tmp_path)
     (picture,) = tmp_path.glob("*.png")
     assert (RESULTS / picture.name).exists() and picture.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_every_script_has_results_of_a_full_run(name):
-    record = json.loads((RESULTS / f"{name}.json").read_text())
-    assert record["experiment"] == name and not record["smoke"]
-    script = import_module(f"experiments.{name}")
-    assert hasattr(script, "SECTIONS") == (name in SECTIONED)
-    if name in SECTIONED:
-        assert record["results"].keys() <= script.SECTIONS.keys()
-
-
-def test_every_results_file_has_its_script_or_is_a_picture_of_a_readme():
+def test_every_script_has_results_of_a_full_run_and_every_results_file_its_script_or_its_place_in_the_readme():
+    for name in SCRIPTS:
+        record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
+        assert record["experiment"] == name and not record["smoke"]
+        assert hasattr(script, "SECTIONS") == (name in SECTIONED)
+        assert name not in SECTIONED or record["results"].keys() <= script.SECTIONS.keys()
     page = (ROOT / "experiments" / "README.md").read_text()
     for path in RESULTS.iterdir():
         assert path.stem in SCRIPTS if path.suffix == ".json" else f"](results/{path.name})" in page, path.name
 
 
-def test_the_readmes_hold_the_committed_results(monkeypatch):
+def test_the_readmes_hold_the_committed_results_and_one_that_is_out_of_date_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
     readme_tables.main()
     pages = readme_tables.README.read_text() + readme_tables.ALL_RESULTS.read_text()
     assert all(f"<!-- table:{name} -->" in pages for name in readme_tables.TABLES)
-
-
-def test_a_readme_that_is_out_of_date_is_refused(tmp_path, monkeypatch):
-    readme = tmp_path / "README.md"
-    readme.write_text("<!-- table:refinement -->\nold\n<!-- /table -->\n")
-    monkeypatch.setattr(readme_tables, "README", readme)
-    monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
+    old = tmp_path / "README.md"
+    old.write_text("<!-- table:refinement -->\nold\n<!-- /table -->\n")
+    monkeypatch.setattr(readme_tables, "README", old)
     with pytest.raises(SystemExit, match="out of date"):
         readme_tables.main()
-    assert "old" in readme.read_text()
+    assert "old" in old.read_text()
 
 
 def test_results_with_a_path_that_is_not_valid_are_refused():
@@ -112,9 +106,9 @@ def test_runs_of_teams_that_found_no_path_are_counted():
     assert none["valid"] is None and none["ratio"] is None
 
 
-@pytest.mark.parametrize("scene, size", [("door", 4), ("crowd", 6), ("four_rooms", 2)])
-def test_two_teams_share_a_workspace_but_no_starts_and_goals(scene, size):
-    known, problem = teams.two_teams(scene, size, 0)
-    assert known.workspace is problem.workspace and known.robots == problem.robots
-    for ours, theirs in ((problem.starts, known.starts), (problem.goals, known.goals)):
-        assert not (ours == theirs).all(axis=1).any()
+def test_two_teams_share_a_workspace_but_no_starts_and_goals():
+    for scene, size in (("door", 4), ("crowd", 6), ("four_rooms", 2)):
+        known, problem = teams.two_teams(scene, size, 0)
+        assert known.workspace is problem.workspace and known.robots == problem.robots
+        for ours, theirs in ((problem.starts, known.starts), (problem.goals, known.goals)):
+            assert not (ours == theirs).all(axis=1).any()

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 import shapely
 
-from experiments.baselines._brute_distance import MAZE, THIN_MAZE, BruteDistance
+from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.proving import _astar, _bounds, _sizes
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
 
-@pytest.mark.parametrize(("scene", "walls"), [("maze", MAZE), ("thin_maze", THIN_MAZE)])
-def test_brute_force_agrees_with_the_oracle(scene, walls):
-    problem = getattr(scenes, scene)()
+def test_brute_force_agrees_with_the_oracle():
+    problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
-    brute, oracle = BruteDistance(walls, goal), VisibilityGraph(workspace, goal)
-    x = workspace.sample_free(20_000, 3)
+    brute, oracle = BruteDistance(MAZE, goal), VisibilityGraph(workspace, goal)
+    x = workspace.sample_free(2_000, 3)
     np.testing.assert_allclose(brute(x), oracle(x), rtol=0, atol=1e-9)
     grid = workspace.bounds.grid(97).reshape(-1, 2)
     assert (np.isinf(brute(grid)) == np.isinf(oracle(grid))).all()
@@ -74,18 +73,6 @@ def test_hard_points_are_free_and_near_walls():
     assert workspace.is_free(x).all()
     clearance = np.abs(workspace.clearance(x))
     assert ((clearance > 0) & (clearance < 1e-6)).mean() > 0.05
-
-
-def test_random_maps_have_slivers_and_come_back():
-    narrowest = []
-    for number in range(8):
-        workspace, goal = _bounds.random_workspace(np.random.default_rng([5, number]))
-        again, _ = _bounds.random_workspace(np.random.default_rng([5, number]))
-        assert workspace.free_space.equals_exact(again.free_space)
-        assert workspace.is_free(goal[None])[0]
-        edges = np.linalg.norm(np.diff(workspace.boundary.segments, axis=1), axis=2)
-        narrowest.append(edges.min() / workspace.bounds.width.max())
-    assert min(narrowest) < 1e-3
 
 
 def test_a_star_crosses_an_open_grid_as_by_hand():

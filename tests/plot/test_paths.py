@@ -7,12 +7,9 @@ from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from plr_jax import plot, scenes
-from plr_jax._problem import Problem
-from plr_jax.geometry.workspace import Workspace
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, plot, scenes
 from plr_jax.plot._paths import ROBOT_COLORS, ink_on
 from plr_jax.robots.robot import footprint
-from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
 
 # Robots of every kind and of different sizes; the headings of the round ones mean nothing.
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]
@@ -46,7 +43,7 @@ def numbers(ax):
     return sorted(text.get_text() for text in ax.texts)
 
 
-def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals():
+def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals_in_the_size_and_heading_of_the_robots():
     ax = plot.plot_problem(TEAM)
     solid, dashed = polygons(ax, True), polygons(ax, None)
     np.testing.assert_allclose(centers(solid), np.array(STARTS)[:, :2], atol=1e-12)
@@ -54,11 +51,7 @@ def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals():
     assert colors(dashed) == list(ROBOT_COLORS[:3])
     assert all(same_color(body.get_facecolor(), color) for body, color in zip(solid, ROBOT_COLORS, strict=False))
     assert numbers(ax) == ["0", "0", "1", "1", "2", "2"]
-
-
-def test_bodies_have_the_size_and_heading_of_the_robots():
-    ax = plot.plot_problem(TEAM)
-    disc, rectangle, point = (shapely.Polygon(patch.get_xy()) for patch in polygons(ax, None))
+    disc, rectangle, point = (shapely.Polygon(patch.get_xy()) for patch in dashed)
     assert disc.area == pytest.approx(np.pi * 0.5**2, rel=0.003)
     assert rectangle.equals_exact(footprint(ROBOTS[1], np.array(GOALS[1])), 1e-12)
     assert 0 < point.area < 0.1
@@ -75,8 +68,8 @@ def test_a_bar_shows_where_a_rectangle_heads():
 
 @pytest.mark.parametrize(
     "problem",
-    [TEAM, scenes.tangle(), scenes.maze(), *(scenes.four_rooms(n) for n in (2, 4, 8)), scenes.cross(3)],
-    ids=["team", "tangle", "maze", "four_rooms_2", "four_rooms_4", "four_rooms_8", "cross_3"],
+    [TEAM, scenes.tangle(), scenes.maze(), scenes.four_rooms(8), scenes.cross(3)],
+    ids=["team", "tangle", "maze", "four_rooms_8", "cross_3"],
 )
 def test_numbers_overlap_nothing_that_would_hide_them(problem):
     ax = plot.plot_problem(problem)
@@ -123,11 +116,8 @@ def test_a_part_of_a_path_ends_where_the_next_begins():
     np.testing.assert_allclose(second.lines[0].get_xydata(), [(3, 1), (4, 1), (4, 2)])
     np.testing.assert_allclose(centers(polygons(first, True)), [(3, 1)], atol=1e-12)
     np.testing.assert_allclose(centers(polygons(second, False))[0], (3, 1), atol=1e-12)
-
-
-def test_a_path_of_one_step_is_its_bodies():
-    ax = plot.plot_path(CORNER, CORNER_PATH[:1])
-    np.testing.assert_allclose(centers(polygons(ax, True)), [(1, 1)], atol=1e-12)
+    alone = plot.plot_path(CORNER, CORNER_PATH[:1])  # one step: bodies
+    np.testing.assert_allclose(centers(polygons(alone, True)), [(1, 1)], atol=1e-12)
 
 
 def test_samples_are_points_in_the_colors_of_the_robots():
@@ -138,14 +128,6 @@ def test_samples_are_points_in_the_colors_of_the_robots():
     assert [mpl.colors.to_hex(c).upper() for c in points.get_facecolors()] == list(ROBOT_COLORS[:3]) * 3
     assert len(polygons(ax, True)) == len(polygons(ax, None)) == 3
     assert len(plot.plot_samples(TEAM, samples[:0]).collections[0].get_offsets()) == 0
-
-
-def test_published_trajectories_can_be_drawn(data_dir):
-    folder = data_dir / "dbcbs"
-    problem = scenes.read_dbcbs(folder / "classic.yaml")
-    path = scenes.read_trajectories(folder / "solutions" / "classic_solution.yaml")[..., : problem.dof]
-    ax = plot.plot_path(problem, path)
-    np.testing.assert_allclose(centers(polygons(ax, True)), path[-1, :, :2], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,14 @@ from dataclasses import dataclass, field
 import matplotlib as mpl
 import numpy as np
 import pytest
+import shapely
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.patches import PathPatch
 
-from plr_jax import plot
-from plr_jax.geometry.box import Box
-from plr_jax.geometry.workspace import Workspace
+from plr_jax import Box, Workspace, construct, plot
 from plr_jax.plot._plane import _pieces
-from plr_jax.plr import construct
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WORKSPACE = Workspace(
@@ -135,32 +134,18 @@ def test_a_picture_of_no_error_at_all_is_refused():
         plot.plot_error(np.ma.masked_less([[0.1, 0.2]], 0.15), WORKSPACE)
 
 
-def test_surface_pieces_lie_in_the_planes_of_their_leaves():
-    pieces = _pieces(ThreeCells(), None)
-    assert len(pieces) == 2
-    np.testing.assert_allclose(pieces[0], [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
-    np.testing.assert_allclose(pieces[1][:, 2], 3.0)
-
-
-def test_surface_is_cut_to_free_space():
-    pieces = _pieces(ThreeCells(), WORKSPACE)
-    area = 0.0
-    for x, y, _ in (piece.T for piece in pieces):
-        area += abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+def test_surface_pieces_lie_in_the_planes_of_their_leaves_cut_to_free_space():
+    first, second = _pieces(ThreeCells(), None)
+    np.testing.assert_allclose(first, [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
+    np.testing.assert_allclose(second[:, 2], 3.0)
+    area = sum(shapely.Polygon(piece[:, :2]).area for piece in _pieces(ThreeCells(), WORKSPACE))
     # The left cell less the hole and half the wall; the lower right one less the other half.
     assert area == pytest.approx((1 - 0.09 - 0.05) + (0.5 - 0.05))
-
-
-def test_leaves_inside_an_obstacle_have_no_surface():
     left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
     (piece,) = _pieces(ThreeCells(), left_blocked)
     np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
-
-
-def test_surface_draws_every_piece_once():
     for workspace in (None, WORKSPACE):
-        ax = plot.plot_surface(ThreeCells(), workspace=workspace)
-        (surface,) = ax.collections
+        (surface,) = plot.plot_surface(ThreeCells(), workspace=workspace).collections
         assert len(surface.get_facecolor()) == len(_pieces(ThreeCells(), workspace))
 
 
@@ -186,19 +171,18 @@ def test_more_than_two_dimensions_need_a_slice(draw, message):
         draw(ThreeCells(domain=Box((0, 0, 0), (1, 1, 1))))
 
 
-def all_pictures():
+@pytest.fixture(scope="module")
+def pictures():
+    before = dict(mpl.rcParams)
     errors = np.array([[0.0, 0.00123], [0.00254, 0.00377]])
-    return {
+    pictures = {
         "contours": plot.plot_contours(ThreeCells(), workspace=WORKSPACE),
         "cells": plot.plot_cells(ThreeCells(), workspace=WORKSPACE),
         "error": plot.plot_error(errors, WORKSPACE),
         "surface": plot.plot_surface(ThreeCells(), workspace=WORKSPACE),
     }
-
-
-@pytest.fixture(scope="module")
-def pictures():
-    return all_pictures()
+    assert dict(mpl.rcParams) == before
+    return pictures
 
 
 def test_axes_and_color_bars_are_labeled_with_units(pictures):
@@ -211,22 +195,14 @@ def test_axes_and_color_bars_are_labeled_with_units(pictures):
             assert ax.get_aspect() == 1.0
 
 
-def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it(pictures, tmp_path):
+def test_pictures_have_an_opaque_page_and_ink_that_contrasts_with_it_and_nothing_is_cut_off(pictures, tmp_path):
     """Legible on a dark page means: the page is ours, not the reader's."""
-    from matplotlib.image import imread
-
     for name, ax in pictures.items():
-        path = tmp_path / f"{name}.png"
-        plot.save(ax, path)
-        pixels = imread(path)
+        plot.save(ax, tmp_path / "picture.png")
+        pixels = imread(tmp_path / "picture.png")
         assert pixels.shape[2] == 3 or (pixels[..., 3] == 1.0).all()
         assert (pixels[0, 0, :3] == 1.0).all()
         assert pixels[..., :3].min() < 0.25
-
-
-def test_nothing_is_cut_off_at_the_edge_of_the_picture(pictures, tmp_path):
-    for name, ax in pictures.items():
-        plot.save(ax, tmp_path / "picture.png")
         page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
         assert content.x0 >= page.x0 and content.y0 >= page.y0, name
         assert content.x1 <= page.x1 and content.y1 <= page.y1, name
@@ -245,9 +221,6 @@ def test_given_axes_are_drawn_on():
     assert plot.plot_workspace(WORKSPACE, ax) is ax
 
 
-def test_global_state_stays_as_it_is():
-    before = dict(mpl.rcParams)
-    all_pictures()
-    assert dict(mpl.rcParams) == before
+def test_pyplot_is_not_imported():
     code = "import sys, plr_jax.plot; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

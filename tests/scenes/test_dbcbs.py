@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import scenes
-from plr_jax.robots.shapes import DiscRobot, RectangleRobot
+from plr_jax import DiscRobot, RectangleRobot, scenes
 
 DATA = os.environ.get("PLR_JAX_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party problems are absent")
@@ -23,28 +22,25 @@ robots:
 """
 
 
-def write(tmp_path, text):
-    path = tmp_path / "problem.yaml"
-    path.write_text(text)
-    return path
+@pytest.fixture
+def write(tmp_path):
+    def write(text):
+        (tmp_path / "problem.yaml").write_text(text)
+        return tmp_path / "problem.yaml"
+
+    return write
 
 
-def test_discs_lose_their_headings(tmp_path):
-    problem = scenes.read_dbcbs(write(tmp_path, PROBLEM))
+def test_discs_lose_their_headings_and_in_a_mixed_team_rectangles_keep_theirs(write):
+    problem = scenes.read_dbcbs(write(PROBLEM))
     assert problem.robots == (DiscRobot(0.4),) * 2
     np.testing.assert_array_equal(problem.starts, [[1, 1], [5, 3]])
     np.testing.assert_array_equal(problem.goals, [[5, 1], [1, 3]])
     free = shapely.box(0, 0, 6, 4.5) - shapely.box(2.5, 0, 3.5, 2)
     assert shapely.symmetric_difference(problem.workspace.free_space, free).area < 1e-9
-
-
-def test_in_a_mixed_team_rectangles_keep_theirs(tmp_path):
-    text = PROBLEM.replace(
-        "type: unicycle_first_order_0_sphere, start: [5", "type: unicycle_first_order_0, start: [5"
-    )
-    problem = scenes.read_dbcbs(write(tmp_path, text))
-    assert problem.robots == (DiscRobot(0.4), RectangleRobot(0.5, 0.25))
-    np.testing.assert_array_equal(problem.starts, [[1, 1, 0], [5, 3, 3.14]])
+    mixed = scenes.read_dbcbs(write(PROBLEM.replace("_sphere, start: [5", ", start: [5")))
+    assert mixed.robots == (DiscRobot(0.4), RectangleRobot(0.5, 0.25))
+    np.testing.assert_array_equal(mixed.starts, [[1, 1, 0], [5, 3, 3.14]])
 
 
 @pytest.mark.parametrize(
@@ -71,13 +67,13 @@ def test_in_a_mixed_team_rectangles_keep_theirs(tmp_path):
         (PROBLEM.replace("start: [1, 1, 0.5]", "start: [2.2, 1, 0]"), r"Robot 0 starts in collision with obstacle 0"),
     ],
 )
-def test_broken_problems_are_refused(text, message, tmp_path):
+def test_broken_problems_are_refused(text, message, write):
     with pytest.raises(ValueError, match=rf"problem\.yaml: .*{message}"):
-        scenes.read_dbcbs(write(tmp_path, text))
+        scenes.read_dbcbs(write(text))
 
 
-def test_trajectories_of_different_length_wait_at_their_end(tmp_path):
-    path = write(tmp_path, "result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
+def test_trajectories_of_different_length_wait_at_their_end(write):
+    path = write("result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
     np.testing.assert_array_equal(scenes.read_trajectories(path), [[[0, 1, 2], [6, 7, 8]], [[3, 4, 5], [6, 7, 8]]])
 
 
@@ -89,15 +85,15 @@ def test_trajectories_of_different_length_wait_at_their_end(tmp_path):
         *(f"states: [[0, 0, 0], [1, {number}, 0]]" for number in (".nan", ".inf", "-.inf", "1.0e+999")),
     ],
 )
-def test_what_holds_no_trajectories_is_refused(text, tmp_path):
+def test_what_holds_no_trajectories_is_refused(text, write):
     with pytest.raises(ValueError, match=r'problem\.yaml: expected (trajectories|"result" to be a list)'):
-        scenes.read_trajectories(write(tmp_path, text))
+        scenes.read_trajectories(write(text))
 
 
-def test_a_small_file_cannot_mean_a_huge_path(tmp_path):
+def test_a_small_file_cannot_mean_a_huge_path(write):
     long = "- states: [" + "[0, 0, 0], " * 4000 + "]\n"
     with pytest.raises(ValueError, match=r"problem\.yaml: expected .* at most 10,000,000 .*, got 4001 x 4000"):
-        scenes.read_trajectories(write(tmp_path, "result:\n" + long + "- states: [[0, 0, 0]]\n" * 4000))
+        scenes.read_trajectories(write("result:\n" + long + "- states: [[0, 0, 0]]\n" * 4000))
 
 
 @needs_data

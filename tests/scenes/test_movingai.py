@@ -20,60 +20,53 @@ PAIRS = [
 ]
 
 
-def write_map(path, rows, header=None):
-    header = header or f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap\n"
-    path.write_text(header + "\n".join(rows) + "\n")
-    return path
+def read(path, *rows, **options):
+    path.write_text(f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap\n" + "\n".join(rows) + "\n")
+    return scenes.read_map(path, **options)
 
 
 def test_letters_become_unit_squares_with_lattice_corners(tmp_path):
-    path = write_map(tmp_path / "small.map", ["@....", "T.@..", "OWSG@"])
-    workspace = scenes.read_map(path)
+    workspace = read(tmp_path / "small.map", "@....", "T.@..", "OWSG@")
     passable = {(1, 0), (2, 0), (3, 0), (4, 0), (1, 1), (3, 1), (4, 1), (2, 2), (3, 2)}
-    centers = np.array([(x + 0.5, y + 0.5) for x in range(5) for y in range(3)])
-    expected = [(x, y) in passable for x in range(5) for y in range(3)]
+    cells = [(x, y) for x in range(1, 5) for y in range(3)]
     # The cell (2, 2) touches (1, 1) in a corner only, and (3, 2) along a side.
-    np.testing.assert_array_equal(workspace.is_free(centers[workspace.bounds.contains(centers)]),
-                                  np.array(expected)[workspace.bounds.contains(centers)])  # fmt: skip
+    np.testing.assert_array_equal(workspace.is_free(np.array(cells) + 0.5), [cell in passable for cell in cells])
     assert workspace.free_space.area == len(passable)
-    np.testing.assert_array_equal(workspace.bounds.lo, [1, 0])
-    np.testing.assert_array_equal(workspace.bounds.hi, [5, 3])
+    np.testing.assert_array_equal([workspace.bounds.lo, workspace.bounds.hi], [(1, 0), (5, 3)])
 
 
-def test_boundaries_of_blocked_cells_are_free(tmp_path):
-    workspace = scenes.read_map(write_map(tmp_path / "ring.map", ["...", ".@.", "..."]))
-    assert workspace.is_free(np.array([(1.0, 1.0), (1.5, 1.0), (2.0, 1.7)])).all()
-    assert not workspace.is_free(np.array([(1.5, 1.5)])).any()
+def test_boundaries_of_blocked_cells_are_free_and_straight_walls_have_no_points_between_their_corners(tmp_path):
+    ring = read(tmp_path / "ring.map", "...", ".@.", "...")
+    assert ring.is_free(np.array([(1.0, 1.0), (1.5, 1.0), (2.0, 1.7)])).all()
+    assert not ring.is_free(np.array([(1.5, 1.5)])).any()
+    hole = read(tmp_path / "hole.map", *["." * 9] * 4, *["...@@@..."] * 3, *["." * 9] * 4)
+    assert shapely.get_num_coordinates(hole.free_space) <= 2 * (5 + 1)
+    for squeeze in (True, False):
+        assert read(tmp_path / "touch.map", ".@", "@.", squeeze=squeeze).squeeze == squeeze
 
 
-def test_straight_walls_have_no_points_between_their_corners(tmp_path):
-    rows = ["." * 9] * 4 + ["..." + "@@@" + "..."] * 3 + ["." * 9] * 4
-    workspace = scenes.read_map(write_map(tmp_path / "hole.map", rows))
-    assert shapely.get_num_coordinates(workspace.free_space) <= 2 * (5 + 1)
+BROKEN = [
+    ("map", "", "not a Moving AI map"),
+    ("map", "type octile\nheight 2\nwidth x\nmap\n..\n..\n", "not a Moving AI map"),
+    ("map", "type octile\nheight 0\nwidth 2\nmap\n", "not a Moving AI map"),
+    ("map", "type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "cut short: its header promises 3 rows, it has 2"),
+    ("map", "type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
+    ("map", "type octile\nheight 1\nwidth 2\nmap\n@T\n", "no passable cell"),
+    ("scen", "", "not a Moving AI scenario"),
+    ("scen", "0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "not a Moving AI scenario"),
+    ("scen", "version 1\n", "no queries"),
+    ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\n", "line 2: expected bucket"),
+    ("scen", "version 1\n0\ta\t9\t9\t1\t2\t3\t4\t1\n0\ta\t9\t9\t1\t2\t3\tfour\t1\n", "line 3: expected bucket"),
+    ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\tnan\t1\n", "line 2: expected bucket"),
+]
 
 
-def test_the_squeeze_choice_reaches_the_workspace(tmp_path):
-    path = write_map(tmp_path / "touch.map", [".@", "@."])
-    assert scenes.read_map(path, squeeze=True).squeeze
-    assert not scenes.read_map(path).squeeze
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "not a Moving AI map"),
-        ("type octile\nheight 2\nwidth x\nmap\n..\n..\n", "not a Moving AI map"),
-        ("type octile\nheight 0\nwidth 2\nmap\n", "not a Moving AI map"),
-        ("type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "cut short: its header promises 3 rows, it has 2"),
-        ("type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
-        ("type octile\nheight 1\nwidth 2\nmap\n@T\n", "no passable cell"),
-    ],
-)
-def test_broken_maps_are_refused(text, message, tmp_path):
-    path = tmp_path / "broken.map"
+@pytest.mark.parametrize(("kind", "text", "message"), BROKEN)
+def test_broken_files_are_refused(kind, text, message, tmp_path):
+    path = tmp_path / f"broken.{kind}"
     path.write_text(text)
-    with pytest.raises(ValueError, match=rf"broken\.map.*{message}"):
-        scenes.read_map(path)
+    with pytest.raises(ValueError, match=rf"broken\.{kind}.*{message}"):
+        (scenes.read_map if kind == "map" else scenes.read_scen)(path)
 
 
 @needs_data
@@ -96,27 +89,6 @@ def test_scenarios_are_read_row_by_row(tmp_path):
     np.testing.assert_array_equal(scenario.starts, [[1, 2], [5, 6]])
     np.testing.assert_array_equal(scenario.goals, [[3, 4], [5, 8]])
     np.testing.assert_array_equal(scenario.octile_lengths, [2.82843, 2])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "not a Moving AI scenario"),
-        ("0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "not a Moving AI scenario"),
-        ("version 1\n", "no queries"),
-        ("version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\n", "line 2: expected bucket"),
-        (
-            "version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\t1\n0\ta.map\t9\t9\t1\t2\t3\tfour\t1\n",
-            "line 3: expected bucket",
-        ),
-        ("version 1\n0\ta.map\t9\t9\t1\t2\t3\tnan\t1\n", "line 2: expected bucket"),
-    ],
-)
-def test_broken_scenarios_are_refused(text, message, tmp_path):
-    path = tmp_path / "broken.scen"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=rf"broken\.scen.*{message}"):
-        scenes.read_scen(path)
 
 
 @needs_data

@@ -163,11 +163,7 @@ def test_tiff_of_other_numbers_is_refused(data, tmp_path):
     [
         ("a.png", b"", "expected a picture"),
         ("a.png", b"no picture", "expected a picture"),
-        (
-            "a.png",
-            b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n",
-            "expected a picture",
-        ),  # would run Ghostscript
+        ("a.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "expected a picture"),  # by Ghostscript
         ("a.png", png(4, 4, bytes(20))[:40], "damaged|expected a picture"),
         ("a.png", png(4, 4, bytes(3)), "damaged"),
         ("a.png", png(10**9, 1), "expected a picture"),
@@ -196,23 +192,3 @@ def test_floating_point_pictures_are_refused(tmp_path):
 def test_a_missing_file_is_an_error_of_the_system(tmp_path):
     with pytest.raises(FileNotFoundError):
         scenes.read_image(tmp_path / "none.png")
-
-
-def test_damaged_pictures_are_read_or_refused_and_nothing_else(tmp_path):
-    """Bytes of valid pictures flipped, cut out and cut off."""
-    rng, path = np.random.default_rng(0), tmp_path / "a.png"
-    outcomes = set()
-    for kind in ("PNG", "PPM", "GIF", "BMP", "TIFF"):
-        Image.fromarray(WALL).save(path, format=kind)
-        valid = np.frombuffer(path.read_bytes(), np.uint8)
-        for _ in range(60):
-            data = valid.copy()
-            data[rng.integers(len(data), size=rng.integers(1, 4))] ^= np.uint8(1 << rng.integers(8))
-            data = data[: rng.integers(len(data))] if rng.random() < 0.3 else data
-            path.write_bytes(data.tobytes())
-            try:
-                outcomes.add(type(scenes.read_image(path)))
-            except ValueError as error:
-                assert str(error).startswith(str(path))
-                outcomes.add(ValueError)
-    assert outcomes == {Workspace, ValueError}

@@ -4,18 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import scenes
-from plr_jax.robots.shapes import DiscRobot, PointRobot, RectangleRobot
-
-
-@pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])
-def test_start_goal_and_bounds(scene):
-    problem = scene()
-    assert len(problem.robots) == 1
-    np.testing.assert_array_equal(problem.starts, [[0.93, 0.95]])
-    np.testing.assert_array_equal(problem.goals, [[0.06, 0.07]])
-    np.testing.assert_array_equal(problem.workspace.bounds.lo, [0, 0])
-    np.testing.assert_array_equal(problem.workspace.bounds.hi, [1, 1])
+from plr_jax import DiscRobot, PointRobot, RectangleRobot, scenes
 
 
 def test_maze_walls_by_area_and_by_points():
@@ -37,7 +26,10 @@ def test_thin_maze_walls_by_area_and_by_points():
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])
 def test_free_space_is_one_piece_and_walls_that_touch_are_joined(scene):
-    free = scene().workspace.free_space
+    problem = scene()
+    assert problem.starts.tolist() == [[0.93, 0.95]] and problem.goals.tolist() == [[0.06, 0.07]]
+    np.testing.assert_array_equal([problem.workspace.bounds.lo, problem.workspace.bounds.hi], [(0, 0), (1, 1)])
+    free = problem.workspace.free_space
     assert free.geom_type == "Polygon"
     blocked = shapely.difference(shapely.box(0, 0, 1, 1), free)
     assert shapely.get_num_geometries(blocked) == 4  # six walls, two of them joined to another
@@ -175,8 +167,72 @@ def test_floor_plan():
     assert len(shapely.get_coordinates(problem.workspace.free_space)) > 200
 
 
-@pytest.mark.parametrize("num_robots", [0, 1, 5, -3])
-def test_there_is_no_scene_of_another_number_of_robots(num_robots):
-    for scene, choices in ((scenes.four_rooms, "2, 3, 4, 8"), (scenes.cross, "2, 3")):
-        with pytest.raises(ValueError, match=f"has {choices} robots"):
-            scene(num_robots)
+@pytest.mark.parametrize("num_robots", [2, 10, 50])
+def test_door(num_robots):
+    half = num_robots // 2
+    left = [(1 + 1.7 * (k % 5), 2 + 3.9 * (k // 5)) for k in range(half)]
+    starts = np.array(left + [(21 - x, y) for x, y in left])
+    free = boxes_union([(0, 0, 10, 20), (11, 0, 21, 20), (10, 9.4, 11, 10.6)])
+    problem = scenes.door(num_robots)
+    np.testing.assert_allclose(problem.starts, starts)
+    np.testing.assert_allclose(problem.goals, np.roll(starts, half, axis=0))
+    check(problem, free, [DiscRobot(0.4)] * num_robots, list(zip(problem.starts, problem.goals, strict=True)))
+
+
+@pytest.mark.parametrize(("num_robots", "seed"), [(2, 0), (25, 0), (300, 2)])
+def test_crowd(num_robots, seed):
+    problem = scenes.crowd(num_robots, seed)
+    (side, height), covered = problem.workspace.bounds.width, num_robots * np.pi * 0.16
+    assert side == height and covered / side**2 == pytest.approx(0.15) and not problem.workspace.obstacles
+    for places in (problem.starts, problem.goals):
+        away = np.hypot(*(places[:, None] - places).T)[~np.eye(num_robots, dtype=bool)]
+        assert away.min() >= 0.85 and places.min() >= 0.45 and places.max() <= side - 0.45
+    again, other = scenes.crowd(num_robots, seed), scenes.crowd(num_robots, seed + 1)
+    np.testing.assert_array_equal(problem.starts, again.starts)
+    assert (problem.starts != other.starts).any()
+    # Uniform: the mean of the places is the middle, to a few standard errors.
+    if num_robots >= 100:
+        assert np.abs(np.concatenate([problem.starts, problem.goals]).mean(axis=0) / side - 0.5).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    "make",
+    [scenes.single_door, lambda: scenes.four_rooms(8), lambda: scenes.cross(3), scenes.tangle, scenes.maze],
+)
+def test_starts_and_goals_move_a_little_and_nothing_else_does(make):
+    problem = make()
+    distance = 0.02 if problem.workspace.bounds.width.max() == 1 else 0.1
+    variants = [scenes.perturbed(problem, seed, distance) for seed in (0, 1, 2, 2)]
+    for variant in variants:
+        assert (variant.workspace, variant.robots) == (problem.workspace, problem.robots)
+        assert variant.rotation_weight == problem.rotation_weight
+        for name in ("starts", "goals"):
+            moved = getattr(variant, name) - getattr(problem, name)
+            away = np.linalg.norm(moved[:, :2], axis=1)
+            assert ((away > 0) & (away <= distance)).all()
+            if problem.dof == 3:
+                turns = np.abs(moved[:, 2])
+                assert ((turns > 0) & (turns <= distance / problem.robots[0].circumscribed_radius)).all()
+    assert len({(variant.starts.tobytes(), variant.goals.tobytes()) for variant in variants}) == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (scenes.door, [(number,) for number in (0, 1, 3, 52, 2.0, True, "2")], "num_robots must be an"),
+        (scenes.crowd, [(number,) for number in (0, -1, 2.5, True)], "num_robots must be an integer"),
+        (scenes.crowd, [(3, seed) for seed in (-1, 1.5, "a")], "seed must be an integer"),
+        (scenes.four_rooms, [(0,), (1,), (5,), (-3,)], "has 2, 3, 4, 8 robots"),
+        (scenes.cross, [(0,), (1,), (5,), (-3,)], "has 2, 3 robots"),
+        (
+            scenes.perturbed,
+            [(scenes.cross(2), 0, distance) for distance in (0, -1.0, np.nan, np.inf)],
+            "distance must be a positive finite number",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("unchecked_types")
+def test_there_is_no_other_scene(make, arguments, message):
+    for each in arguments:
+        with pytest.raises(ValueError, match=message):
+            make(*each)

@@ -1,0 +1,138 @@
+"""What the benchmark's sections count and sum up, and the rivals that are of our own making."""
+
+import sys
+
+import jax
+import numpy as np
+import pytest
+import shapely
+
+from experiments.benchmarks import _accuracy, _gradient, _growth, _oracle, _query
+from experiments.benchmarks._numba_loop import numba_loop
+from experiments.benchmarks._rivals import (
+    Rival,
+    filled_grid,
+    make_all,
+    map_coordinates,
+    scipy_grid,
+    sixteen_bit_grid,
+    triangles,
+)
+from plr_jax import VisibilityGraph, Workspace, construct, scenes
+
+WALL = Workspace(((0, 0), (1, 1)), [[(0.45, 0), (0.55, 0), (0.55, 0.8), (0.45, 0.8)]])
+EXACT = VisibilityGraph(WALL, (0.2, 0.3))
+
+
+@pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 300, False), (5, 2_000, True)])
+def test_numba_loop_answers_what_the_plr_answers(dim, limit, two_levels):
+    pytest.importorskip("numba")
+    tip = np.linspace(-1.3, 2.1, dim)
+    domain = (np.full(dim, -3.0), np.linspace(2, 5, dim))
+    plr = construct(lambda x: np.linalg.norm(x - tip, axis=1) ** 0.5, domain, num_samples=32, max_leaves=limit)
+    assert (plr.tables.blocks is not None) == two_levels
+    x = np.random.default_rng(0).uniform(-4, 5.5, (20_000, dim)).astype(np.float32)
+    expected = np.asarray(plr(x))
+    answered = np.isfinite(expected)
+    assert answered.any() and np.isinf(expected).any()
+    answers = numba_loop(plr, False)(x)
+    assert np.array_equal(np.isinf(answers), np.isinf(expected))
+    # A point on a cell's face, to within rounding, may be given to either side.
+    assert np.mean(np.abs(answers[answered] - expected[answered]) > 1e-5) < 1e-3
+
+
+def test_grids_fill_their_bytes_agree_and_are_filled_in_obstacles_by_the_nearest_free_node():
+    grid, short = filled_grid(WALL, EXACT, 2_000), sixteen_bit_grid(WALL, EXACT, 2_000)
+    assert grid.num_bytes == 4 * grid.values.size <= 2_000 and np.isfinite(grid.values).all()
+    assert short.num_bytes == 2 * short.values.size <= 2_000 and short.values.size > 1.8 * grid.values.size
+    x = WALL.sample_free(500, 1)
+    assert np.allclose(scipy_grid(grid).on_host(x), map_coordinates(grid).on_host(x), atol=1e-5)
+    full = filled_grid(WALL, EXACT, 4_000)
+    assert np.abs(short.values - full.values).max() <= np.ptp(full.values) / 2**16
+    _, values, _ = filled_grid(WALL, EXACT, 4 * 21 * 21)
+    inside = values[9:12, 4]  # x = 0.45, 0.5, 0.55 at y = 0.2: the wall's sides are free
+    assert inside[0] == np.float32(np.hypot(0.25, 0.1)) and inside[1] in (inside[0], inside[2])
+
+
+def test_triangles_and_linear_trees_count_their_bytes():
+    pytest.importorskip("lightgbm")
+    from experiments.benchmarks._rivals import linear_trees
+
+    x = WALL.sample_free(2_000, 0)
+    rival = triangles(WALL, 1_200, x, EXACT(x))
+    assert rival.num_bytes == 1_200 == 12 * len(rival.answer.points)
+    assert np.isfinite(rival.on_host(WALL.sample_free(1_000, 1))).all()
+    assert linear_trees(x, EXACT(x), 20, 2, 0).num_bytes == 13 + 17 * 40
+
+
+def test_central_differences_are_gradients():
+    x = np.random.default_rng(0).random((100, 2))
+    values, slopes = _gradient.central_differences(lambda x: x[:, 0] ** 2 + 3 * x[:, 1], x, 1e-3)
+    assert np.allclose(values, x[:, 0] ** 2 + 3 * x[:, 1])
+    assert np.allclose(slopes, np.stack([2 * x[:, 0], np.full(100, 3.0)], axis=1))
+
+
+def test_summaries_count_what_is_not_answered_and_what_is_compiled():
+    summary = _accuracy.summary(np.array([1.0, np.nan, 3.0, np.inf]))
+    assert (summary["mean"], summary["max"], summary["points"], summary["unanswered"]) == (2, 3, 4, 2)
+    assert _accuracy.summary(np.array([np.nan]))["mean"] is None
+    function, x = jax.jit(lambda x: x * 3 + 1), np.ones(7)
+    for count in (1, 0):
+        with _query.compilations() as compiled:
+            function(x).block_until_ready()
+        assert len(compiled) == count
+    on_device = Rival(0, jax.jit(lambda x: x[:, 0]), True).on_host(np.array([[0.1, 0.2]]))
+    assert on_device.dtype == np.float64 and np.allclose(on_device, 0.1)
+
+
+def test_what_is_not_installed_is_skipped_with_a_reason():
+    def absent():
+        import no_such_package_as_this  # noqa: F401  # type: ignore[reportMissingImports]
+
+    made, skipped = make_all({"one": lambda: 1, "other": absent})
+    assert made == {"one": 1}
+    assert skipped == {"other": "no_such_package_as_this is not installed: pip install '.[baselines]'"}
+
+
+@pytest.mark.parametrize(
+    ("python", "too_slow", "reason"),
+    [
+        (None, None, "names no Python"),
+        ("/no/such/python", None, "cannot be run"),
+        ("/no/such/python", "a smaller map", "over the limit"),
+        ("exec sleep 60", None, "over the limit"),
+        (f'exec "{sys.executable}" -Sc "raise KeyError(7)"', None, "failed: KeyError"),
+    ],
+)
+def test_it_is_said_why_a_rival_is_absent(python, too_slow, reason, monkeypatch, tmp_path):
+    if python and python.startswith("exec"):
+        (tmp_path / "python").write_text(f"#!/bin/sh\n{python}\n")
+        (tmp_path / "python").chmod(0o755)
+        python = str(tmp_path / "python")
+    monkeypatch.delenv(_oracle.RIVALS_PYTHON, raising=False)
+    if python:
+        monkeypatch.setenv(_oracle.RIVALS_PYTHON, python)
+    monkeypatch.setattr(_oracle, "RIVAL_LIMIT", 1.0)
+    oracle = VisibilityGraph(*_oracle.polygon_field(16, 0))
+    assert reason in _oracle._rival("pyvisgraph", oracle, 0, too_slow)["skipped"]
+
+
+def test_rivals_get_the_same_free_space_and_obstacles_that_overlap_where_ours_touch():
+    for workspace in (scenes.maze().workspace, _oracle.polygon_field(40, 0)[0]):
+        obstacles = _oracle._obstacles(workspace.free_space, 1.0)
+        assert all(not obstacle.interiors for obstacle in obstacles)
+        within = shapely.difference(shapely.box(*workspace.free_space.bounds), shapely.union_all(obstacles))
+        assert shapely.symmetric_difference(within, workspace.free_space).area < 1e-6
+    squares = [[(1, 1), (2, 1), (2, 2), (1, 2)], [(2, 2), (3, 2), (3, 3), (2, 3)]]
+    touching, apart = (
+        _oracle._polygons(Workspace(((0, 0), (4, 4)), squares[:n]), np.array([0.5, 0.5]))["holes"] for n in (2, 1)
+    )
+    assert len(touching) == 1
+    assert sorted(map(tuple, apart[0])) == sorted(map(tuple, np.array(squares[0], float).tolist()))
+
+
+def test_the_exponent_is_that_of_the_upper_half():
+    sizes = [1, 10, 100, 1_000, 10_000]
+    power = _growth.fit(sizes, [5.0, 5.0, *(0.5 * n**1.5 for n in sizes[2:])])
+    assert power == pytest.approx((1.5, 0.5, 100))
+    assert _growth.fit([2, 3, 4, 8], [9, 3, 16, 64])[:2] == pytest.approx((2, 1))
