@@ -11,7 +11,7 @@ from plr_jax import Box, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import construct, from_bytes
 from plr_jax.plr._location import leaf_of
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.cone import model
+from plr_jax.plr.leaves.cone import best
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def test_where_nothing_is_reached_and_for_too_few_bytes_the_construction_says_so
 @pytest.mark.parametrize("max_bytes", [261, 661])
 def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
     x, plrs = maze.workspace.sample_free(20_000, seed=0), []
-    for choose in (model.sources_in_sight, lambda tree, options, fits: tree.source):
-        monkeypatch.setattr(model, "sources_in_sight", choose)
+    for choose in (best.sources_in_sight, lambda tree, options, fits: tree.source):
+        monkeypatch.setattr(best, "sources_in_sight", choose)
         plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=max_bytes, certified=True))
     plr, before = plrs
     assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
@@ -134,7 +134,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
 
 
 def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maze, monkeypatch):
-    changes, choose = [], model.sources_in_sight
+    changes, choose = [], best.sources_in_sight
 
     def with_few(tree, options, fits):
         for most in (0, 3, 10**9):
@@ -142,7 +142,7 @@ def test_only_as_many_changes_are_made_as_fit_and_none_where_all_is_in_sight(maz
             changes.append(np.where(source != tree.source, source, -1))
         return source
 
-    monkeypatch.setattr(model, "sources_in_sight", with_few)
+    monkeypatch.setattr(best, "sources_in_sight", with_few)
     construct(maze, UNIT, leaf="cone", max_leaves=200)
     none, few, many = changes
     assert [(each >= 0).sum() for each in (none, few)] == [0, 3] and (many >= 0).sum() > 5
