@@ -54,6 +54,20 @@ def test_straight_around_and_along(wall, x, distance, path, direction):
         np.testing.assert_allclose(wall.directions([x]), [direction], atol=1e-12)
 
 
+def test_along_a_wall_nothing_is_seen_past_its_end():
+    """On a wall behind a contact, or behind a thin obstacle, of which the view along the wall tells little."""
+    contact = Workspace(((0, 0), (1, 1)), [[(0.5161, 1.0), (0.0496, 0.1129), (0.3428, 0.0154)]])
+    thin = Workspace(
+        ((0, 0), (1, 1)), [box(0.2, 0.3, 0.6, 0.5), [(0.6, 0.5), (0.6001, 0.5), (0.6001, 0.9), (0.6, 0.9)]]
+    )
+    for workspace, x, y in (
+        (contact, (0.516, 1.0), (0.66, 0.999999)),
+        (thin, (0.3, 0.5 + 1e-9), (0.8, 0.5 + 1e-9)),
+    ):
+        there, back = (VisibilityGraph(workspace, goal)([start])[0] for start, goal in ((x, y), (y, x)))
+        assert there == pytest.approx(back, abs=1e-7) and there > 1.5 * math.dist(x, y)
+
+
 @pytest.mark.parametrize(
     ("goal", "from_left", "from_right"),
     [

@@ -81,13 +81,13 @@ def test_every_test_of_motions_knows_the_deadline():
     level, budget = level_of(scenes.crowd(25), 0.5), search_budget()
     budget.deadline = LONG_AGO
     late = searches.Searches(level, None, 2.0, BLOptions(), budget)
-    assert late.lacam
+    assert "lacam" in late.running
     with pytest.raises(TimeoutError):
         best_first.heuristic_table(level.joint, late.tables, 2.0, None, LONG_AGO)
     with pytest.raises(TimeoutError):
         Conflicts(level.kinds, 1e-9, late.held).of(0, np.arange(5), 0)
     with pytest.raises(TimeoutError):
-        late.lacam.moves(np.arange(25))
+        late.running["lacam"].moves(np.arange(25))
 
 
 def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):

@@ -170,6 +170,25 @@ def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
     check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf))
 
 
+def test_pieces_that_are_all_but_a_line_far_away_keep_their_sources():
+    """The map is a billion widths from the origin, its tolerance a hundredth of its height."""
+    lo, rings = (
+        np.array([111709251386914.27, 693979188554698.4]),
+        [
+            [(100_000, 146.4), (100_000, 696.6), (95_000, 696.6), (95_000, 146.4)],
+            [(92_892.29, 254.2), (88_615.81, 1_038.1), (100_000, 146.4)],
+            [(37_500, 0), (44_779.4, 254.7), (51_115.23, 476.5), (58_220.76, 725.1), (62_500, 875), (37_500, 125)],
+        ],
+    )
+    workspace = Workspace((lo, lo + np.array([1e5, 1e3])), [lo + ring for ring in rings])
+    x = workspace.sample_free(300, seed=1)
+    oracle = VisibilityGraph(workspace, x[0])
+    plr = construct(oracle, workspace.bounds, leaf="cone", max_leaves=32, certified=True)
+    lower, upper = plr.bounds(x)
+    slack = 4 * workspace.tolerance
+    assert (lower <= oracle(x) + slack).all() and (oracle(x) <= upper + slack).all()
+
+
 def test_an_interrupted_proof_leaves_the_plr_without_one(maze, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
