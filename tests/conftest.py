@@ -27,6 +27,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
+# Checked shapes and types take a fifth of the time: see CONTRIBUTING.md. CI checks them.
+CHECKS_SHAPES = os.environ.get("PLR_JAX_CHECK_SHAPES") == "1"
+if CHECKS_SHAPES:
+    jaxtyping.install_import_hook("plr_jax", "shape_checks.in_first_calls")
+
 # How long an example takes is no defect, on a busy machine least of all.
 hypothesis.settings.register_profile("without deadlines", deadline=None)
 hypothesis.settings.load_profile("without deadlines")
