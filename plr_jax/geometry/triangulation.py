@@ -97,9 +97,8 @@ class Triangulation:
     @cached_property
     def locator(self) -> Locator:
         """Which triangle holds a point."""
-        # A grid over triangles, which stand counterclockwise, of about as many cells.
-        #
-        # A triangle also counts for the cells that it meets but for the tolerance.
+        # A grid of about as many cells as triangles, each of which is listed in all cells that it meets, to the
+        # tolerance.
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -145,6 +144,9 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
 
     Raises:
         ValueError: If walls cross one another.
+
+    References:
+        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
     """
     # Four vertices beyond them all, so that those of the region have triangles all around.
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
@@ -153,10 +155,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     triangles = _delaunay(vertices)
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
-        # The triangulation after edges are put in one by one.
-        #
-        # References:
-        # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
+        # Walls that it lacks are put in one by one, decided in integers.
         offset = vertices - vertices.min(axis=0)
         unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
         mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)

@@ -302,9 +302,8 @@ class Dubins(_Car):
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # from a circle to itself: any
         yield Word("LSL", _turns_around(angle, distance, _forward(heading, _SLACK)))
 
-        half = np.pi - np.arcsin(
-            distance / 4
-        )  # of the turn in the middle: the shorter one is never on a shortest path
+        # Half of the turn in the middle, of which the shorter one is never on a shortest path.
+        half = np.pi - np.arcsin(distance / 4)
         yield Word("LRL", (_forward(angle + half), 2 * half, _forward(heading - angle + half)))
 
         x, y = to_right

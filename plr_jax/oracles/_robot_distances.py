@@ -13,7 +13,7 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
-_AT_ONCE = 1e-9  # seconds
+_LEAST_TIME = 1e-9  # seconds
 _SLACK = 4  # tolerances
 
 
@@ -51,9 +51,9 @@ def robot_distance_fns(
         if radius in first:
             distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
             continue
-        time_left = max(_AT_ONCE, deadline - time.perf_counter())
+        time_left = max(_LEAST_TIME, deadline - time.perf_counter())
         workspace = problem.workspace.inflate(radius, time_limit=time_left) if radius > 0 else problem.workspace
-        time_left = max(_AT_ONCE, deadline - time.perf_counter())
+        time_left = max(_LEAST_TIME, deadline - time.perf_counter())
         first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace), time_limit=time_left)
         distance_fns.append(first[radius])
     return distance_fns

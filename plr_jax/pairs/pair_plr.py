@@ -338,11 +338,8 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     x, y, shape, answer = _checked(tables, x, y)
     x, y = jax.lax.stop_gradient((x, y))
-    # The largest coordinate of the domain.
-    relative, absolute = (
-        _ROUNDINGS * jnp.finfo(jnp.float32).eps,
-        _ROUNDINGS * jnp.finfo(jnp.float32).eps * (jnp.abs(tables.middle[0]) + tables.half).max(),
-    )
+    relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
+    absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
     least = shortest_ways(tables, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point nearer to a wall may pass behind those that are moved into free space.

@@ -7,9 +7,9 @@ all that one goal needs:
     the outline of free space (see ``outline.py``)
     which of its points are corners, a set
 
-Where a file was cut off behind it, corners are joined as they are in the outline's free space (see ``joined.py``);
-the error is that of distances which follow from this. The second one saves finding that out, and knows of the true
-walls what the lattice rounds:
+Where a file was cut off behind it, corners are joined as they are in the outline's free space (see
+:func:`derived_edges`); the error is that of distances which follow from this. The second one saves finding that out,
+and knows of the true walls what the lattice rounds:
 
     the largest error of a distance, again, by the pairs that follow
     which pairs of corners are joined, a set of the pairs in order of the later corner

@@ -57,10 +57,14 @@ class BLOptions:
             that is one, such as the exact distances.
         lower_bound: A cost below which there is no path, in workspace units. It counts where it exceeds the bound of
             straight lines and what the heuristic proves.
-        time_limit: Seconds. A call of Shapely or of the heuristic, and a search of a lattice for costs-to-go, are not
-            cut short.
+        time_limit: Seconds, positive or ``inf``. A call of Shapely or of the heuristic, and a search of a lattice for
+            costs-to-go, are not cut short.
         max_expansions: Most expansions; deterministic, unlike the time limit.
         max_memory: Most bytes of the lattices and of the search's nodes.
+
+    Raises:
+        ValueError: If an option is out of its range, ``searchers`` names none or an unknown one, or ``primitives``
+            are not 1 to 254 distinct offsets other than (0, 0, 0).
     """
 
     searchers: Sequence[str] = SEARCHERS
@@ -86,7 +90,9 @@ class BLOptions:
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:
             expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
-            as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT)
+            vars(self)["heuristic_weight"] = as_number(
+                "heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT
+            )
         for name in ("batch", "branching", "width"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:

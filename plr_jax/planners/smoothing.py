@@ -1,8 +1,8 @@
-"""Shorten a path robot by robot: the best set of straight shortcuts for one while the others keep their motions.
+"""Paths made cheaper off the lattices, robot by robot while the others keep their motions.
 
-A shortcut collides in many of the path's motions or in none, as a rule: a few motions far from one another are tested
-first, and the rest of those that are free in them. A robot that gained nothing is left alone until one that stood in
-its way has moved.
+By the best set of straight shortcuts of each, and within narrow corridors about what robots do. A shortcut collides
+in many of the path's motions or in none, as a rule: a few motions far from one another are tested first, and the rest
+of those that are free in them. A robot that gained nothing is left alone until one that stood in its way has moved.
 """
 
 from collections.abc import Iterator

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, require_integer, shortened
 from plr_jax.plr._assembly import plr_of_leaves, with_certificate
@@ -20,7 +20,8 @@ from plr_jax.plr.file.container import layered
 from plr_jax.plr.file.held import held
 from plr_jax.plr.growth.limits import BudgetTooSmall
 from plr_jax.plr.leaves.base import UNIT
-from plr_jax.plr.partition.cells import Cells, Tree, tree_of_levels
+from plr_jax.plr.partition.cells import Cells, tree_of_levels
+from plr_jax.plr.partition.faces import overlapping_leaves
 
 # Files that are PLRs wherever they are cut off at a mark.
 
@@ -52,49 +53,6 @@ def progressive(plrs: Sequence[PLR]) -> PLR:
             raise ValueError(f"plrs must be PLRs, got {shortened(plr)}.")
     whole = layered([plr.container for plr in plrs])
     return replace(plrs[-1], file=held(whole.to_bytes()))
-
-
-# Two partitions of one domain laid over each other.
-
-
-def leaves_that_meet(one: Tree, other: Tree) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Cells]:
-    """All pairs of a leaf of one partition and a leaf of the other that have inner points in common, and those cells.
-
-    Leaves are numbered in the order of the trees' traversals.
-    """
-    a = b = np.zeros(1, np.int64)
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-    while len(a):
-        is_inner = one.child[a] >= 0
-        done = ~is_inner & (other.child[b] < 0)
-        parts.append((a[done], b[done]))
-        # Of a pair of nodes the one whose cell is the larger is halved, or that which is no leaf.
-        by_size = one.cells.depth[a].sum(axis=1) <= other.cells.depth[b].sum(axis=1)
-        halves_one = is_inner & (by_size | (other.child[b] < 0))
-        halves_other = ~halves_one & ~done
-        a, b = (
-            np.concatenate([_children(one, a[halves_one]), np.repeat(a[halves_other], 2)]),
-            np.concatenate([np.repeat(b[halves_one], 2), _children(other, b[halves_other])]),
-        )
-        meets = _meet(one.cells[a], other.cells[b])
-        a, b = a[meets], b[meets]
-    a, b = (np.concatenate(nodes) for nodes in zip(*parts, strict=True))
-    first, second = one.cells[a], other.cells[b]
-    is_deeper = first.depth >= second.depth
-    common = Cells(
-        np.where(is_deeper, first.depth, second.depth), np.where(is_deeper, first.position, second.position)
-    )
-    return one.leaf_of_node[a], other.leaf_of_node[b], common
-
-
-def _children(tree: Tree, node: Int[np.ndarray, "n"]) -> Int[np.ndarray, "children"]:
-    return (tree.child[node][:, None] + np.arange(2)).ravel()
-
-
-def _meet(one: Cells, other: Cells) -> np.ndarray:
-    """Whether cells have inner points in common: along every axis one holds the other."""
-    below = one.depth - other.depth
-    return (one.position >> np.maximum(below, 0) == other.position >> np.maximum(-below, 0)).all(axis=1)
 
 
 _PAIRS_AT_ONCE = 1 << 12
@@ -169,7 +127,12 @@ def _certificate(coarse: Contents, fine: Contents, proof: Proof) -> Certificate:
     below, above = _band(fine) + fine_rounding * np.array([[-1.0], [1.0]])
     if np.isinf(above).any():
         proof = Proof.OPEN_LEAVES
-    own, other, common = leaves_that_meet(*trees)
+    own, other = overlapping_leaves(*trees)
+    first, second = trees[0].leaves[own], trees[1].leaves[other]
+    is_deeper = first.depth >= second.depth  # along each axis, where one holds the other
+    common = Cells(
+        np.where(is_deeper, first.depth, second.depth), np.where(is_deeper, first.position, second.position)
+    )
     answers = ~np.isinf(of_fine[2][other, 0])
     if (answers & np.isinf(of_coarse[2][own, 0])).any():
         raise ValueError("A coarser PLR of so few bytes would answer inf where this one does not; give it more.")

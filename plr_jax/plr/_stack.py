@@ -18,7 +18,7 @@ from plr_jax.plr.partition.cells import Cells
 from plr_jax.plr.query.frame import Outside, as_outside, in_parts, is_far, require_resolved, unresolved_types
 from plr_jax.plr.query.lookup import evaluate_tables
 from plr_jax.plr.query.points import as_array
-from plr_jax.plr.query.primitives import Picked
+from plr_jax.plr.query.reads import Picked
 from plr_jax.plr.query.tables import Tables, laid_out
 from plr_jax.plr.query.trie import Trie, build_trie, can_be_in_trie, trie_levels
 

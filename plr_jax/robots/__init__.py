@@ -1,1 +1,1 @@
-"""The shapes that move, a shape a file, and motions between their configurations."""
+"""Robots: what a body is to the rest of the library, its motions (`robot`), and the shapes there are (`shapes`)."""

@@ -1,7 +1,7 @@
 """Costs of motions that differ from place to place or with the way they go, and how they are bounded over boxes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -39,7 +39,7 @@ class Climbing:
     steepest: float
 
     def __post_init__(self):
-        _check_fields(self)
+        _check_numbers(self, "gradient_fn", "rate", "lipschitz", "steepest")
 
     def __call__(self, q: ArrayLike) -> Rates:
         """What a motion of length 1 straight uphill costs.
@@ -53,7 +53,9 @@ class Climbing:
         Raises:
             ValueError: If the function returns another shape, or a gradient above ``steepest``.
         """
-        return 1 + self.rate * np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1)
+        return 1 + self.rate * np.linalg.norm(
+            _vectors("gradient_fn", self.gradient_fn, self.steepest, np.asarray(q, np.float64)), axis=1
+        )
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the cost of a motion of length 1 over boxes: the least is that of going down.
@@ -78,7 +80,7 @@ class Climbing:
         Returns:
             Zeros, the gradients times the rate, and 1 less and more what that may change within the box.
         """
-        uphill = self.rate * _vectors(self, (lo + hi) / 2)
+        uphill = self.rate * _vectors("gradient_fn", self.gradient_fn, self.steepest, (lo + hi) / 2)
         spread = self.rate * self.lipschitz * _radii(lo, hi)
         return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
@@ -110,7 +112,7 @@ class Current:
     fastest: float
 
     def __post_init__(self):
-        _check_fields(self, "speed")
+        _check_numbers(self, "velocity_fn", "speed", "lipschitz", "fastest", positive="speed")
         if self.fastest >= self.speed:
             raise ValueError(f"fastest must be below speed, {self.speed:g}, got {self.fastest:g}.")
 
@@ -126,7 +128,12 @@ class Current:
         Raises:
             ValueError: If the function returns another shape, or a velocity above ``fastest``.
         """
-        return 1 / (self.speed - np.linalg.norm(_vectors(self, np.asarray(q, np.float64)), axis=1))
+        return 1 / (
+            self.speed
+            - np.linalg.norm(
+                _vectors("velocity_fn", self.velocity_fn, self.fastest, np.asarray(q, np.float64)), axis=1
+            )
+        )
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Bounds of the time of a motion of length 1 over boxes: with the current, and against it.
@@ -164,15 +171,13 @@ class Current:
 
     def _within(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Vectors]:
         """Speed of the current at centers of boxes, how far from its velocity there any is, and that velocity."""
-        velocity = _vectors(self, (lo + hi) / 2)
+        velocity = _vectors("velocity_fn", self.velocity_fn, self.fastest, (lo + hi) / 2)
         return np.linalg.norm(velocity, axis=1), self.lipschitz * _radii(lo, hi), velocity
 
 
-def _vectors(cost: Any, q: Vectors) -> Vectors:
-    """What the function of a cost, its first field, returns: vectors that are no longer than its last field says."""
-    name, *_, last = (field.name for field in fields(cost))
-    longest, returned = getattr(cost, last), getattr(cost, name)(q)
-    vectors = as_numbers(f"{name}'s answer", returned, f"real numbers of shape {q.shape}")
+def _vectors(name: str, vector_fn: Callable[[np.ndarray], ArrayLike], longest: float, q: Vectors) -> Vectors:
+    """What a function of configurations returns: a vector each, none longer than was said."""
+    vectors = as_numbers(f"{name}'s answer", vector_fn(q), f"real numbers of shape {q.shape}")
     if vectors.shape != q.shape:
         raise ValueError(f"{name} must return vectors of shape {q.shape}, got {vectors.shape}.")
     expected = f"{name} must return vectors of at most {longest:g}"
@@ -180,12 +185,11 @@ def _vectors(cost: Any, q: Vectors) -> Vectors:
     return vectors
 
 
-def _check_fields(cost: Any, positive: str = "") -> None:
-    """Refuse a cost whose first field is no function or whose others are no numbers, one positive, the rest not less.
+def _check_numbers(cost: Any, fn: str, *numbers: str, positive: str = "") -> None:
+    """Refuse a cost whose ``fn`` is no function, or one of whose numbers is negative, or the positive one 0.
 
     The numbers are kept as floats.
     """
-    fn, *numbers = (field.name for field in fields(cost))
     if not callable(getattr(cost, fn)):
         raise ValueError(f"{fn} must be a function of configurations, got {shortened(getattr(cost, fn))}.")
     for name in numbers:
@@ -270,7 +274,7 @@ class LipschitzCost:
     least: float
 
     def __post_init__(self):
-        _check_fields(self, "least")
+        _check_numbers(self, "cost_fn", "lipschitz", "least", positive="least")
 
     def __call__(self, q: ArrayLike) -> Rates:
         """The factor at configurations.

@@ -141,7 +141,7 @@ class PlaneSpace(BodySpace):
         robot: A PointRobot or a DiscRobot.
 
     Raises:
-        ValueError: If the robot is another, or nothing is free for it.
+        ValueError: If the workspace is none, the robot is another, or nothing is free for it.
     """
 
     robot: Robot = field(default_factory=PointRobot)

@@ -40,7 +40,7 @@ class RigidBodySpace(BodySpace):
             radius, as for a Problem.
 
     Raises:
-        ValueError: If the robot has no heading, or the weight is not positive and finite.
+        ValueError: If the workspace is none, the robot has no heading, or the weight is not positive and finite.
     """
 
     rotation_weight: float | int | None = None

@@ -5,15 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plr_helpers import UNIT, cone, points, random_contents, random_partition
+from plr_helpers import UNIT, cone, points, random_contents
 
 import plr_jax
 from plr_jax.plr._assembly import plr_of_leaves
-from plr_jax.plr._coarsen import leaves_that_meet
 from plr_jax.plr._file import decode_cells
 from plr_jax.plr.file.container import MOST_LAYERS
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.partition.cells import tree_of
 
 SCENE = plr_jax.scenes.maze()
 ORACLE = plr_jax.VisibilityGraph(SCENE.workspace, SCENE.goals[0])
@@ -105,21 +103,6 @@ def test_what_cannot_be_coarsened_is_refused_and_a_budget_that_is_too_small_with
     assert coarse.num_bytes <= least and coarse.label == label and coarse.max_error is not None
     with pytest.raises(ValueError, match="is too small"):
         plr_jax.coarsen(plr, least - 2)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_pairs_that_meet_are_those_whose_boxes_overlap(seed):
-    dim = 1 + seed % 3
-    one, other = (tree_of(random_partition(seed + shift, dim, 25 * (1 + seed % 2))) for shift in (0, 100))
-    domain = plr_jax.Box([0.0] * dim, [1.0] * dim)
-    (lo, hi), (other_lo, other_hi) = one.leaves.boxes(domain), other.leaves.boxes(domain)
-    first, second, common = leaves_that_meet(one, other)
-    low, high = np.maximum(lo[:, None], other_lo), np.minimum(hi[:, None], other_hi)
-    found = np.zeros((len(lo), len(other_lo)), int)
-    np.add.at(found, (first, second), 1)
-    np.testing.assert_array_equal(found, (low < high).all(axis=2))
-    np.testing.assert_array_equal(common.boxes(domain), [low[first, second], high[first, second]])
-    np.testing.assert_array_equal(*leaves_that_meet(one, one)[:2])
 
 
 @pytest.fixture(scope="module")

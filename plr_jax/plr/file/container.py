@@ -1,6 +1,6 @@
 r"""The container of a PLR file: a header, layers of bits that each begin with a tree, and checksums.
 
-Layout of version 5, with numbers as in ``fields.py``:
+Layout of version 5, with numbers as in ``domain.py`` (:func:`varint`):
 
     2s      magic, b"P\xb5"
     u8      low four bits: version; high four: number of axes, 0 for more than 15
@@ -17,9 +17,9 @@ Layout of version 5, with numbers as in ``fields.py``:
     ...     layers. Each but the last one begins with
       u8      the code of its leaf model, and four bits left of it, what it keeps of a proof
             and all have a bit stream, least significant bit first, the last byte filled up with zeros:
-              the tree over the leaves, whose boxes follow from the splits (see ``tree.py``)
-              what the leaf model keeps of the leaves (see its ``codec.py``), in the order of the tree's traversal,
-                lower half first
+              the tree over the leaves, whose boxes follow from the splits (see ``write_tree`` in ``bits.py``)
+              what the leaf model keeps of the leaves (see ``leaves/plane.py`` and the ``codec.py`` of the
+                others), in the order of the tree's traversal, lower half first
               what it keeps of a proof
       u32     CRC-32 of all bytes before from the start of the file, but for other checksums, little-endian
 

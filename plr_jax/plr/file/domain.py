@@ -1,6 +1,6 @@
 """The domain and its folding as a file keeps them: multiples of a power of ten, or 64-bit floats.
 
-Most maps have corners of few decimals. As bytes, with numbers as in ``fields.py``:
+Most maps have corners of few decimals. As bytes, with numbers as :func:`varint` and :func:`signed_varint` write them:
 
     of decimals  u8      how many: a number is an integer divided by 10 to their power, rounded as floats are
                  ...     signed numbers, those integers: the lower corner, one an axis, then the upper corner

@@ -181,9 +181,9 @@ def grow_best_first(
     """
 
     def split_some(nodes: Nodes) -> Nodes | None:
-        # Leaves to split next: the better half of those that would be split if no better ones came up.
-        #
-        # Of the last few all: some are sampled in vain, but a round of a few takes as long as one of many.
+        """The nodes after a round; None if no leaf is to be split."""
+        # The better half of those that would be split if no better ones came up; of the last few all, as a round of a
+        # few takes as long as one of many.
         order = split_order(nodes)
         allowed = limits.max_leaves - 1
         if np.isfinite(limits.max_bytes):  # then at most about as many as the bytes a leaf takes so far allow

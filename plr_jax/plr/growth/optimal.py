@@ -63,8 +63,8 @@ class PricedTree:
 
     Attributes:
         leaves: Which boxes of each level are leaves.
-        splits: Its levels.
-        order: Of the traversal of the leaves.
+        splits: The levels of the tree, as a file stores them.
+        order: The leaves, which stand level by level, in the order of the tree's traversal.
         price: The price.
         num_bytes: Of the file.
         is_final: Whether the search is over.
@@ -153,7 +153,7 @@ class PriceSearch:
         limits, price = self._limits, np.full(len(self.levels[0].key), np.inf)
         for member, (of_member, _) in aims.items():
             price[self._roots[member]] = min(price[self._roots[member]], of_member)
-        # What more than a member alone would look at is found for others, it does not use.
+        # One look serves all: a member uses no box that it would not have looked at alone.
         least_share = max(share for _, share in aims.values())
         share = self._least / min(limits.max_leaves, limits.max_bytes * 8 / self._bits_a_leaf)
         expand(self.levels, price, least_share, limits, self._thrift.margin, share)

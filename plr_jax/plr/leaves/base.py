@@ -57,7 +57,8 @@ class LeafModel:
 
     A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
     value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
-    gives back. Below a model finds first what it has to say, then what follows from that, unless it knows better.
+    gives back. Methods that raise ``NotImplementedError`` are what every model has to define; the others have
+    defaults that it may override.
 
     Attributes:
         name: What ``construct(leaf=...)`` calls it.
@@ -214,7 +215,10 @@ class LinearLeafModel(LeafModel):
         raise NotImplementedError
 
     def raised(self, stored: Any, shift: float) -> Any:
-        """The leaves with all values higher by a number, or by a little less, where none such can be stored."""
+        """The leaves with all values higher by a number, or by a little less, where none such can be stored.
+
+        What is stored is to be a dataclass whose ``offset`` is added to all values, or this is to be overridden.
+        """
         return replace(stored, offset=float(rounded_down(np.array(stored.offset + shift))))
 
     def values(

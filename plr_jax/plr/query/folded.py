@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from plr_jax.plr.folding.folding import Folding
 from plr_jax.plr.query.frame import folding_numbers, frame_of, mirrored_axes
-from plr_jax.plr.query.primitives import Picked, rounded
+from plr_jax.plr.query.reads import Picked, rounded
 
 
 @jax.tree_util.register_dataclass

@@ -12,14 +12,13 @@ from jaxtyping import Array, Bool, Float, Num, UInt32
 from plr_jax.plr.query.folded import FoldedWindow, radius
 from plr_jax.plr.query.frame import Frame, Outside, require_resolved
 from plr_jax.plr.query.pages import index_in_block
-from plr_jax.plr.query.primitives import Picked, gather, rounded, shift_right
+from plr_jax.plr.query.reads import Picked, gather, rounded, shift_right
 from plr_jax.plr.query.tables import Tables
 from plr_jax.plr.query.trie import Trie
 
 _EXPONENT = np.uint32(0xFF800000)  # and sign, of a 32-bit float
-_ENDS_IN_DOUBLE = (
-    2.0**-44
-)  # how well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly
+_ENDS_IN_DOUBLE = 2.0**-44
+"""How well, in shares of themselves, the tables know ends of the domain; in 32 bits exactly."""
 
 
 def evaluate_tables(tables: Tables, x: Num[Array, "*batch dim"], outside: Outside = "inf") -> Float[Array, "*batch"]:

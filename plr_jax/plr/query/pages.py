@@ -30,7 +30,7 @@ from plr_jax.plr.query.grid import (
     slots_in_blocks,
     spread_bits,
 )
-from plr_jax.plr.query.primitives import Picked, gather, shift_right
+from plr_jax.plr.query.reads import Picked, gather, shift_right
 
 # Two-level tables of any size: each coarse block has a little table of its own, just as fine as its leaves need.
 

@@ -52,7 +52,7 @@ from plr_jax.plr.query.pages import (
     leaves_of_slots,
     pack_blocks,
 )
-from plr_jax.plr.query.primitives import Picked
+from plr_jax.plr.query.reads import Picked
 from plr_jax.plr.query.trie import Trie
 
 _PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
@@ -78,7 +78,7 @@ class Tables:
             row a number, which takes the least arithmetic, and so have pages, as most of their slots are hardly ever
             read. Large ones are one array in which a leaf's numbers stand side by side, so that a query waits for a
             cache line or two and not for one a number.
-        leaf: The leaf model, whose ``evaluate`` makes a value of them.
+        leaf: The leaf model, whose ``value`` makes a value of them.
         periodic: The periodic axes, around which points are wrapped.
         radial: Axes of which the length of a point's coordinates is added to the leaf's value.
         folding: How points are folded before all this; None if they are not.

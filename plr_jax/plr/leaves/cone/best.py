@@ -34,16 +34,19 @@ def best_cones(
     Args:
         levels: Boxes to start with.
         roots: The box of the first level that each member starts at.
-        sources: Those of each member, in the order of viewpoints: corners, and its own goal, whatever that one's.
+        sources: Of each member, numbered as its viewpoints are: of one goal the goal, then the corners; of a family
+            the corners, then the member's goal.
         domain: What the leaves cover.
         limits: The limits of each.
         pattern: Samples of a cell, by which sources in sight are chosen.
-        run: Takes steps from first trees, until there is none.
+        run: Calls a step on the trees again and again until it gives None, and gives the last ones: :func:`grow`, or
+            a plain loop.
         thrift: What the search leaves out.
     """
     files = [ConeFiles(each, domain) for each in sources]
 
     def views(member: int, view: Int[np.ndarray, "leaves"]) -> Int[np.ndarray, "leaves"]:
+        # In a family all goals follow the corners by number; a member's table has its own alone, the last.
         return np.minimum(view, len(sources[member].points) - 1)
 
     def size(member: int, tree: PricedTree) -> int:

@@ -103,9 +103,9 @@ def write_values(body: BitWriter, stored: StoredValues) -> None:
     body.write_floats(np.array([stored.offset, stored.step]))
     body.write_set(partition.unreachable)
     body.write_set(~partition.tied[partition.between_reachable()])
-    surprise = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
+    surplus = stored.code - np.rint(space.prediction @ stored.code).astype(np.int64)
     for level in _level_slices(space.level):
-        body.write_signed(surprise[level])
+        body.write_signed(surplus[level])
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
@@ -126,8 +126,8 @@ def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) 
     space = partition.space
     code = np.zeros(len(space.masters), np.int64)
     for level in _level_slices(space.level):
-        surprise = body.read_signed(level.stop - level.start)
-        code[level] = surprise + np.rint(space.prediction[level] @ code).astype(np.int64)
+        surplus = body.read_signed(level.stop - level.start)
+        code[level] = surplus + np.rint(space.prediction[level] @ code).astype(np.int64)
     return StoredValues(partition, offset, step, code)
 
 

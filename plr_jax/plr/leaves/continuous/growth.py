@@ -144,8 +144,8 @@ def fit_values(
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     squares = weighted_squares(numbers, (weight @ products).reshape(-1, terms, terms))
     is_predicted = np.diff(space.prediction.indptr) > 0
-    surprise = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
-    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surprise.T @ surprise)
+    surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = ((weight * (fit.value - mean)) @ functions).ravel()
     solve = solve_sparse if fit.cells.dim <= _MOST_DIM_OF_FACTORS else solve_by_descent

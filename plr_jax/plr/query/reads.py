@@ -1,4 +1,4 @@
-"""What queries compute with: reads of tables, also of many PLRs one behind the other; shifts; products that stay."""
+"""Reads of tables in JAX, also of many PLRs one behind the other, and arithmetic that no compiler fuses."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
