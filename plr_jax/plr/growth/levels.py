@@ -4,7 +4,7 @@ Every box that a tree may hold is looked at once, whichever splits lead to it, u
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -18,56 +18,26 @@ AT_ONCE = 1 << 14  # boxes
 UNKNOWN, POOR = -1, -2
 
 
-class Boxes(Protocol):
-    """Boxes in the plane, and what leaves there would be like."""
-
-    @property
-    def cells(self) -> Cells:
-        """The boxes."""
-        ...
-
-    @property
-    def error(self) -> Float[np.ndarray, "boxes"]:
-        """The largest error of each as a leaf, 0 if it does not matter."""
-        ...
-
-    @property
-    def integral(self) -> Float[np.ndarray, "boxes"]:
-        """The integral of each one's error over its share of the domain."""
-        ...
-
-    def append(self, *others: Any) -> Any:
-        """These boxes followed by others."""
-        ...
-
-    def new_halves(
-        self,
-        parent: Int[np.ndarray, "halves"],
-        axis: Int[np.ndarray, "halves"],
-        is_upper: Bool[np.ndarray, "halves"],
-        known: UInt64[np.ndarray, "known"],
-    ) -> tuple[Any, UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Those halves of some of the boxes whose keys are not known yet, each once; their keys; and all keys."""
-        ...
-
-
 @dataclass(eq=False)
 class BoxLevel:
     """The distinct boxes of one number of splits that were looked at.
 
     Attributes:
-        boxes: The boxes, and what leaves there would be like.
+        boxes: Any in the plane, and what leaves there would be like: ``cells``; the largest ``error`` of each as a
+            leaf, 0 if it does not matter; the ``integral`` of its error over its share of the domain;
+            ``append(others)``; and ``new_halves(parent, axis, is_upper, known)``, those halves of some of the boxes
+            whose keys are not known yet, each once, their keys, and all keys.
         key: By which boxes are told apart.
         child: Where the halves of each stand in the next level, along each axis; -1 where they were not looked at, -2
             where they are not worth it.
     """
 
-    boxes: Boxes
+    boxes: Any
     key: UInt64[np.ndarray, "boxes"]
     child: Int[np.ndarray, "2 2 boxes"]
 
     @staticmethod
-    def of(boxes: Boxes, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
+    def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
         """That of boxes that were not halved yet."""
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
