@@ -23,6 +23,7 @@ from plr_jax.geometry.vectors import cross_product
 
 LARGEST_COORDINATE = 1e100
 """Areas, and products of two of them, are finite below; and of sides above its inverse they are not 0."""
+_COARSEST = 0.1  # tolerance of a workspace, as a share of its shorter side
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
@@ -156,6 +157,11 @@ def as_bounds(value: Box | ArrayLike) -> Box:
     if bounds.width.max() < 1 / LARGEST_COORDINATE:
         raise ValueError(
             f"A workspace's longer side is at least {1 / LARGEST_COORDINATE:g}, got {bounds}: choose a smaller unit."
+        )
+    if (tolerance := 1e3 * rounding_of(bounds)) > _COARSEST * bounds.width.min():
+        raise ValueError(
+            f"A workspace's shorter side is at least {1 / _COARSEST:g} times what coordinates there resolve, "
+            f"{tolerance:g}, got {bounds}: choose an origin that is near."
         )
     return bounds
 

@@ -67,7 +67,8 @@ class Workspace:
 
     Raises:
         ValueError: If the bounds are not a 2-D box or have a periodic axis, an obstacle is not a simple polygon of
-            finite coordinates and positive area, nothing is free, or walls or gaps are too thin to be told apart.
+            finite coordinates and positive area, nothing is free, walls or gaps are too thin to be told apart, or the
+            bounds are so far from the origin that ``tolerance`` is a tenth of their shorter side.
     """
 
     bounds: Box

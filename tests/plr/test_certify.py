@@ -171,16 +171,15 @@ def test_walls_far_smaller_than_cells_count(wall, goal, leaf):
 
 
 def test_pieces_that_are_all_but_a_line_far_away_keep_their_sources():
-    """The map is a billion widths from the origin, its tolerance a hundredth of its height."""
-    lo, rings = (
-        np.array([111709251386914.27, 693979188554698.4]),
-        [
-            [(100_000, 146.4), (100_000, 696.6), (95_000, 696.6), (95_000, 146.4)],
-            [(92_892.29, 254.2), (88_615.81, 1_038.1), (100_000, 146.4)],
-            [(37_500, 0), (44_779.4, 254.7), (51_115.23, 476.5), (58_220.76, 725.1), (62_500, 875), (37_500, 125)],
-        ],
-    )
-    workspace = Workspace((lo, lo + np.array([1e5, 1e3])), [lo + ring for ring in rings])
+    """The map is a million widths from the origin."""
+    lo = np.array([-1712.312822890455, 1126.3337144117268])
+    rings = [
+        [(6.250045, 3.750004), (6.24999948, 3.75000045), (6.2500332, 3.74999997)],
+        [(-1.3533e-2, 6.23885898), (-8.94838e-3, 6.234926), (5.57863e-4, 6.232479), (1.859924e-3, 6.232569)],
+        [(6.0036777, 0), (6.4046463, 0), (6.4046463, 0.5), (6.0036777, 0.5)],
+        [(0, 1.25), (3.6574094, 7.8238205), (3.6574096, 7.8238204)],
+    ]
+    workspace = Workspace((lo, lo + 1e-3), [lo + 1e-4 * np.array(ring) for ring in rings])
     x = workspace.sample_free(300, seed=1)
     oracle = VisibilityGraph(workspace, x[0])
     plr = construct(oracle, workspace.bounds, leaf="cone", max_leaves=32, certified=True)
