@@ -86,12 +86,14 @@ def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
         target = Path(folder) / mutation.path.relative_to(ROOT)
         source = target.read_bytes()
         target.write_bytes(source[: mutation.begin] + mutation.text.encode() + source[mutation.end :])
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+        command = [sys.executable, "-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
-            run = subprocess.run(command, check=False, cwd=folder, capture_output=True, timeout=SECONDS)
+            run = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True, timeout=SECONDS)
         except subprocess.TimeoutExpired:
             return True
-        return run.returncode == 1
+        if run.returncode not in (0, 1, 4):  # passed, failed, or not even to be imported
+            raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
+        return run.returncode != 0
 
 
 def main() -> None:
