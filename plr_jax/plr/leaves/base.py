@@ -1,5 +1,6 @@
 """What a leaf model is: the functions that leaves hold, how they are fitted, stored and evaluated."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
@@ -52,13 +53,12 @@ class Parameters:
         return len(self.values) == len(self.row) and np.array_equal(self.row, self.column)
 
 
-class LeafModel:
+class LeafModel(ABC):
     """A kind of leaf. Its instances are immutable and hashable: compiled queries are told apart by them.
 
     A leaf's function follows from its box and its *coefficients*; where the first of them is ``inf``, so is the
     value. What is *stored* is the model's own affair: an object that its ``write`` puts into a file and its ``read``
-    gives back. Methods that raise ``NotImplementedError`` are what every model has to define; the others have
-    defaults that it may override.
+    gives back. What is abstract every model has to define; the others are defaults that it may override.
 
     Attributes:
         name: What ``construct(leaf=...)`` calls it.
@@ -77,30 +77,36 @@ class LeafModel:
 
     # How it is fitted.
 
+    @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Cells, Any]:
         """Grow a partition: its leaves in the order of the tree's traversal, and what is stored of them."""
-        raise NotImplementedError
+        ...
 
     # How it is stored.
 
+    @abstractmethod
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
         """Append what a file keeps of the leaves."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
         """What :meth:`write` appended; raises ``ValueError`` saying what is wrong with it."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def unreachable(self, stored: Any) -> Bool[np.ndarray, "leaves"]:
         """Which leaves have no function of their own, as nothing of them reaches the goal."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients of every leaf's function, finite."""
-        raise NotImplementedError
+        ...
 
     # How it is evaluated.
 
+    @abstractmethod
     def values(
         self,
         lo: Float[np.ndarray, "n dim"],
@@ -109,14 +115,16 @@ class LeafModel:
         x: Float[np.ndarray, "n dim"],
     ) -> Float[np.ndarray, "n"]:
         """Values at points of the functions of leaves, which have boxes and finite coefficients, one a point."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def numbers(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
         """What a query reads of every leaf; where the first coefficient is ``inf``, so is the value, of slope 0."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def value(self, numbers: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """The value at a place, by operations whose order is part of the format: see ``plr/portable``.
 
@@ -126,10 +134,11 @@ class LeafModel:
                 domain's rounded lower corner.
             root: The square root.
         """
-        raise NotImplementedError
+        ...
 
     # How well that is known, for proofs.
 
+    @abstractmethod
     def below_cones(
         self,
         lo: Float[np.ndarray, "n 2"],
@@ -140,19 +149,21 @@ class LeafModel:
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of cones ``offset + |x - apex|`` minus functions of leaves, over convex pieces, in the plane."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def differences(
         self, lo: Float[np.ndarray, "n dim"], hi: Float[np.ndarray, "n dim"], leaves: Functions, others: Functions
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Bounds of functions of leaves minus those of others, over boxes, one each."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def rounding(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
     ) -> Float[np.ndarray, "leaves"]:
         """Bound of how far a query in 32 bits, of a point of any precision, may be from each leaf's function."""
-        raise NotImplementedError
+        ...
 
     # What follows.
 
@@ -160,7 +171,7 @@ class LeafModel:
         """How many :attr:`numbers` a query reads of a leaf: as of a value and one more along each axis."""
         return 1 + dim
 
-    def check_dim(self, dim: int) -> None:
+    def check_dim(self, dim: int) -> None:  # noqa: B027
         """Raise ``ValueError`` if the model is not for so many axes; it is for any."""
 
     def least_samples(self, dim: int) -> int:
@@ -196,23 +207,27 @@ class LinearLeafModel(LeafModel):
     ``basis(u) @ coefficients``.
     """
 
+    @abstractmethod
     def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
         """What the coefficients multiply at local coordinates ``u``."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
         """Coefficients with which leaves hold planes, of given values at the center and half-differences."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def parameters(self, cells: Cells, stored: Any) -> Parameters:
         """The free numbers of the leaves' functions, which a refinement may change."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def restored(self, stored: Any, values: Float[np.ndarray, "parameters"]) -> Iterator[Any]:
         """The leaves with other parameters, stored as before, and then with fewer and fewer bits."""
-        raise NotImplementedError
+        ...
 
     def raised(self, stored: Any, shift: float) -> Any:
         """The leaves with all values higher by a number, or by a little less, where none such can be stored.
@@ -241,6 +256,7 @@ class LinearLeafModel(LeafModel):
 class CornerLeafModel(LinearLeafModel):
     """Leaves that hold values at their corners, tied across faces."""
 
+    @abstractmethod
     def of_corners(
         self,
         tree: Tree,
@@ -251,25 +267,28 @@ class CornerLeafModel(LinearLeafModel):
         step: float,
     ) -> Any:
         """What is stored of leaves with these values, to multiples of a step; hanging corners follow from others."""
-        raise NotImplementedError
+        ...
 
 
 class SourcedLeafModel(LeafModel):
     """Leaves that name a source each: paths to the goal go straight there, and on from source to source."""
 
+    @abstractmethod
     def sources(self, stored: Any) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
         """All sources, with their parents, and the index of every leaf's own."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def of_sources(
         self, domain: Box, cells: Cells, source: Int[np.ndarray, "leaves"], sources: Sources
     ) -> tuple[Cells, Any]:
         """Leaves of given sources, -1 for none, in the order of the tree, and what is stored of them."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def source_of(self, numbers: Sequence[Any]) -> Sequence[Any]:
         """Of a leaf's numbers those that say how far its source is from the domain's rounded lower corner."""
-        raise NotImplementedError
+        ...
 
 
 MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
@@ -279,11 +298,12 @@ MemberLeaves: TypeAlias = tuple[list[Level], Cells, Any]
 class FamilyLeafModel(SourcedLeafModel):
     """A leaf model whose leaves are found for many distance functions of a family at once."""
 
+    @abstractmethod
     def family_task(
         self, first: FamilyFn, domain: Box, limits: Limits, seed: int
     ) -> Callable[[Sequence[FamilyFn]], list[MemberLeaves]]:
         """What gives the leaves of some of the family of a function, with what all share."""
-        raise NotImplementedError
+        ...
 
 
 def as_linear(leaf: LeafModel) -> LinearLeafModel:
