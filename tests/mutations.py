@@ -1,25 +1,36 @@
 """How much the suite notices: random single changes of the package, and the share of them that tests fail on.
 
-``python tests/mutations.py --number 200 --seed 0`` draws places of operators, comparisons and constants in
-``plr_jax``, changes one at a time in a copy, and runs the tests of its room there, then, if these pass and with
-``--whole``, all tests. A change that is not noticed is printed: it is equivalent to the original, or asks for a test.
+``python tests/mutations.py --number 200 --seed 0 --lines FOLDER`` runs each file of tests by itself, once, and keeps
+in the folder which lines of the package it ran and for how long. Then it draws places of operators, comparisons and
+constants in ``plr_jax``, changes one at a time in a copy, and runs there the files that ran the changed line: those
+that mirror its room first, then the quicker ones. A change that is not noticed is printed: it is equivalent to the
+original, or asks for a test.
 """
 
 import argparse
 import ast
+import json
+import os
 import random
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
+
+import coverage
 
 ROOT = Path(__file__).parent.parent
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Pow: "*"}
 COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
-SECONDS = 900  # a change after which tests never end is noticed
+PYTEST = ["-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider"]
+SECONDS = 120  # of tests, as they took unchanged; more are not run for one change
+LONGEST = 900  # a change after which tests never end is noticed
 
 
 class Mutation(NamedTuple):
@@ -65,19 +76,85 @@ def mutations_of(path: Path) -> Iterator[Mutation]:
     yield from visit(ast.parse(source))
 
 
-def tests_of(path: Path) -> list[str]:
-    """The tests of the room that a file belongs to: the deepest folder of tests that mirrors its own."""
-    parts = path.relative_to(ROOT / "plr_jax").with_suffix("").parts
-    for depth in range(len(parts), 0, -1):
-        folder = ROOT / "tests" / Path(*parts[:depth])
-        if folder.is_dir():
-            return [str(folder.relative_to(ROOT))]
-    file = ROOT / "tests" / f"test_{parts[0].strip('_')}.py"
-    return [str(file.relative_to(ROOT))] if file.exists() else ["tests"]
+class TestFile(NamedTuple):
+    """A file of tests: where it is, how many seconds it takes, and the lines of each file of the package it runs."""
+
+    name: str
+    seconds: float
+    lines: dict[str, list[int]]
+
+
+def test_files(folder: Path) -> list[TestFile]:
+    """All files of tests; those that the folder does not hold yet are run."""
+    folder.mkdir(exist_ok=True)
+    names = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").rglob("test_*.py"))]
+    result = []
+    for name in names:
+        kept = folder / (name.replace("/", "_") + ".json")
+        if not kept.exists():
+            data, begin = folder / "data", time.monotonic()
+            command = [
+                sys.executable,
+                "-m",
+                "coverage",
+                "run",
+                "--source=plr_jax",
+                f"--data-file={data}",
+                *PYTEST,
+                name,
+            ]
+            run = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
+            if run.returncode != 0:
+                raise RuntimeError(f"{name} fails without any change: {run.stdout[-2000:]}{run.stderr[-2000:]}")
+            ran = coverage.CoverageData(str(data))
+            ran.read()
+            lines = {str(Path(file).relative_to(ROOT)): ran.lines(file) for file in ran.measured_files()}
+            kept.write_text(json.dumps(TestFile(name, time.monotonic() - begin, lines)))
+            print(f"{name}: {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
+        result.append(TestFile(*json.loads(kept.read_text())))
+    return result
+
+
+@cache
+def lines_in_functions(path: Path) -> set[int]:
+    """Lines that run when something is called, not when the module is imported."""
+    functions = [n for n in ast.walk(ast.parse(path.read_bytes())) if isinstance(n, ast.FunctionDef | ast.Lambda)]
+    return {
+        line
+        for function in functions
+        for body in (function.body if isinstance(function.body, list) else [function.body])
+        for line in range(body.lineno, body.end_lineno + 1)
+    }
+
+
+def line_of(mutation: Mutation) -> int:
+    return mutation.path.read_bytes()[: mutation.begin].count(b"\n") + 1
+
+
+def tests_of(mutation: Mutation, files: list[TestFile]) -> list[str]:
+    """The files that ran the line or, if imports alone do, anything in its module; as many as the seconds allow."""
+    name = str(mutation.path.relative_to(ROOT))
+    called = lines_in_functions(mutation.path)
+    asked = {line_of(mutation)} if line_of(mutation) in called else called
+    room = Path(name).with_suffix("").parts[1:]
+
+    def rooms_apart(file: TestFile) -> int:
+        mirrored = Path(file.name.replace("test_", "")).with_suffix("").parts[1:]
+        return -sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(room, mirrored, strict=False)))
+
+    ran = [file for file in files if asked & set(file.lines.get(name, ()))]
+    chosen, left = [], float(SECONDS)
+    for file in sorted(ran, key=lambda file: (rooms_apart(file), file.seconds)):
+        if not chosen or file.seconds <= left:
+            chosen.append(file.name)
+            left -= file.seconds
+    return chosen
 
 
 def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
     """Whether tests fail, or take too long, on a copy that is changed."""
+    if not tests:
+        return False
     with tempfile.TemporaryDirectory() as folder:
         for name in ("plr_jax", "tests", "experiments", "notebooks"):
             shutil.copytree(ROOT / name, Path(folder) / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -86,12 +163,17 @@ def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
         target = Path(folder) / mutation.path.relative_to(ROOT)
         source = target.read_bytes()
         target.write_bytes(source[: mutation.begin] + mutation.text.encode() + source[mutation.end :])
-        command = [sys.executable, "-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", *tests]
+        command, environment = [sys.executable, *PYTEST, *tests], {**os.environ, "PYTHONPATH": folder}
         try:
-            run = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True, timeout=SECONDS)
+            run = subprocess.run(
+                command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
+            )
         except subprocess.TimeoutExpired:
             return True
-        if run.returncode not in (0, 1, 4):  # passed, failed, or not even to be imported
+        if run.returncode in (
+            3,
+            5,
+        ):  # pytest itself failed, or found no tests; where the process died, that is noticed
             raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
         return run.returncode != 0
 
@@ -101,18 +183,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--whole", action="store_true", help="run all tests on what the room's own do not notice")
+    parser.add_argument("--lines", type=Path, required=True, help="folder that keeps which lines tests run")
     arguments = parser.parse_args()
+    files = test_files(arguments.lines)
     everything = [mutation for path in sorted((ROOT / "plr_jax").rglob("*.py")) for mutation in mutations_of(path)]
     noticed = 0
     for i, mutation in enumerate(random.Random(arguments.seed).sample(everything, arguments.number)):
-        found = is_noticed(mutation, tests_of(mutation.path)) or (arguments.whole and is_noticed(mutation, ["tests"]))
+        tests = tests_of(mutation, files)
+        found = is_noticed(mutation, tests)
         noticed += found
         if not found:
-            source = mutation.path.read_bytes()
-            line = source[: mutation.begin].count(b"\n") + 1
-            was = source[mutation.begin : mutation.end].decode().strip()
-            print(f"{mutation.path.relative_to(ROOT)}:{line}: {was} -> {mutation.text.strip()}", flush=True)
+            was = mutation.path.read_bytes()[mutation.begin : mutation.end].decode().strip()
+            where = f"{mutation.path.relative_to(ROOT)}:{line_of(mutation)}"
+            print(f"{where}: {was} -> {mutation.text.strip()} ({len(tests)} files ran it)", flush=True)
         print(f"{noticed} of {i + 1} noticed", file=sys.stderr, flush=True)
 
 
