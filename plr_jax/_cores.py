@@ -10,9 +10,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Shaped
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded
 
-_PARTS = 8  # at the least, where there are enough rows
+_PARTS = 8  # at most, of few rows
 
 
 def num_cores() -> int:
@@ -35,8 +35,8 @@ def answered_in_parts(
 
     Args:
         answer: From ``n`` rows of each array, ``(n, width)``, to arrays ``(n,)``; compiled for each ``n``.
-        sizes: The fewest and the most rows of a part, powers of two. A part has as many rows as a power of two
-            between them, so that few sizes are compiled; the last part is filled up with zeros.
+        sizes: How many rows a part of few has, and of many: all sizes that are compiled. The last part is filled up
+            with zeros.
         *rows: The arrays, ``(*batch, width)``, whose batches broadcast; the widths may differ.
 
     Returns:
@@ -44,7 +44,8 @@ def answered_in_parts(
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
     count = prod(batch)
-    size = min(max(padded_size(count) // _PARTS, sizes[0]), sizes[1])
+    few, many = sizes
+    size = few if count <= _PARTS * few else many
     whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
     results: list[np.ndarray] = []
 

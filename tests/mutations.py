@@ -173,7 +173,7 @@ def is_noticed(mutation: Mutation, tests: list[str]) -> bool:
         if run.returncode in (
             3,
             5,
-        ):  # pytest itself failed, or found no tests; where the process died, that is noticed
+        ):  # pytest failed or found no tests; a process that died is noticed
             raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
         return run.returncode != 0
 

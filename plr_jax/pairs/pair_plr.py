@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, Int, UInt8
 
-from plr_jax._arrays import as_finite_point, padded, padded_size, run_members
+from plr_jax._arrays import as_finite_point, run_members
 from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
@@ -40,7 +40,6 @@ _HALVINGS = 4  # of the leaves of the pairs, where one corner does not serve all
 _DEPTH = 13  # to which few leaves are halved, such as the one of a file that was cut off before its lists
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # mean error of a cell, in widths of the domain
-_LEAST_BATCH = 2**12
 _ROUNDING = 1e-6  # of a distance and the domain's width: more than a query of pairs rounds
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
@@ -81,7 +80,7 @@ def _sources(stored: Stored, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sou
     ``inf``, so that no leaf names it.
     """
     points = np.concatenate([goal[None], stored.points])
-    distances = np.append(0.0, _in_batches(pairs, stored.points, goal))
+    distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
     slack = _ROUNDING * (distances + stored.domain.width.max())
     parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)
     start, end = 1 + np.concatenate([stored.edges, stored.edges[:, ::-1]]).T
@@ -104,7 +103,7 @@ def _best_sources(
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
-    distance[is_free] = _in_batches(pairs, x[is_free], sources.points[0])
+    distance[is_free] = pairs(x[is_free], sources.points[0])
     entries, cell = run_members(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), owner)
     cell = np.concatenate([np.arange(len(cells)), cell])
     source = np.concatenate([np.zeros(len(cells), np.int64), 1 + stored.listed[entries]])
@@ -115,12 +114,6 @@ def _best_sources(
     best = order[np.searchsorted(cell[order], np.arange(len(cells)))]
     reaches = np.isfinite(distance).any(axis=1) & np.isfinite(sources.distances[source[best]])
     return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
-
-
-def _in_batches(pairs: PairFn, x: Float[np.ndarray, "n 2"], goal: Float[np.ndarray, "2"]) -> Float[np.ndarray, "n"]:
-    """Distances to the goal, of batches of few sizes."""
-    batch = padded(x, padded_size(max(len(x), _LEAST_BATCH)), goal)
-    return np.asarray(pairs(batch, goal), np.float64)[: len(x)]
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
@@ -137,7 +130,7 @@ def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[n
     return tree.cells[kept], of_node[kept]
 
 
-_FEWEST, _MOST = 2**8, 2**16  # pairs that are answered at once, of many
+_FEW, _MANY = 2**10, 2**14  # pairs that are answered at once, of few and of many
 _ROUNDINGS = 16
 _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are told
 
@@ -255,7 +248,7 @@ class PairPLR(HeldFile):
             return answer(self.tables, x, y)
         with np.errstate(over="ignore"):  # far outside
             points = [np.asarray(p, np.float32) for p in (x, y)]
-        answers = answered_in_parts(partial(answer, self.tables), (_FEWEST, _MOST), *points)
+        answers = answered_in_parts(partial(answer, self.tables), (_FEW, _MANY), *points)
         return tuple(map(jnp.asarray, answers))
 
     def _placed(self, x: ArrayLike, y: ArrayLike) -> tuple[ArrayLike, ...]:

@@ -6,11 +6,12 @@ have, are looked into in that order, and then the way by one is the shortest by 
 a wall hides from its point is struck off the list it is on. So the bounds that are left never exceed the distance.
 
 Legs are tested against the walls near the leaf's box and the corner, which are few; straight lines against all walls.
-Most pairs need one round or two. While many are open, each round gathers the open ones into groups of one size; when
-few are left, these are gathered for good.
+Most pairs need one round or two. Each round is of the first pairs that are open: of many together while there are
+many, and then of few.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,7 @@ from plr_jax.pairs.tables import PairTables, last_bits_of
 from plr_jax.plr.query.lookup import lookup
 
 _AT_ONCE = 2**14
-_GROUP = 2**11  # pairs that are looked at together while many are open
-_FEWER, _FEWEST = 8, 2**8
+_MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then
 _LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
@@ -113,14 +113,11 @@ def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n
 
 def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     size = x.shape[0]
-    if is_symbolic_dim(size) or size <= _GROUP:
+    if is_symbolic_dim(size) or size <= _AT_ONCE:
         return _ways(tables, x, y)
-    at_once = min(_AT_ONCE, -(-size // _GROUP) * _GROUP)
-    parts = -(-size // at_once)
-    x, y = (jnp.pad(p, ((0, parts * at_once - size), (0, 0))) for p in (x, y))
-    if parts == 1:
-        return jax.tree.map(lambda a: a[:size], _ways(tables, x, y))
-    pairs = x.reshape(parts, at_once, 2), y.reshape(parts, at_once, 2)
+    parts = -(-size // _AT_ONCE)
+    x, y = (jnp.pad(p, ((0, parts * _AT_ONCE - size), (0, 0))) for p in (x, y))
+    pairs = x.reshape(parts, _AT_ONCE, 2), y.reshape(parts, _AT_ONCE, 2)
     columns = jax.lax.map(lambda pair: jax.tree.leaves(_ways(tables, *pair)), pairs)
     return Ways(*(each.reshape(-1, *each.shape[2:])[:size] for each in columns))
 
@@ -138,56 +135,34 @@ def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) ->
 
 
 def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
-    """The search after all rounds: the last ones are of the few pairs that are left open, side by side.
+    """The search after all rounds.
 
     It ends, as each round strikes a corner off one of an open pair's two lists.
     """
-    size = 0 if is_symbolic_dim(at_least.shape[0]) else len(at_least)  # of a batch of any size, all are looked at
-    few = size // _FEWER if size > _FEWEST else 0
-    one = _round_of_all if size <= _GROUP else _round_of_open
+    size = at_least.shape[0]
 
-    def more(search: Search) -> Bool[Array, ""]:
-        return search.is_open.sum() > few
+    def round_of_all(search: Search) -> Search:
+        return _after_look(search, _looked_into(tables, at_least, search))
 
-    search = jax.lax.while_loop(more, lambda search: one(tables, at_least, search), search)
-    if not few:
-        return search
+    def round_of_first(count: int, search: Search) -> Search:
+        number = jnp.cumsum(search.is_open)  # of each open pair, from 1
+        lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
+        first = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
+        first = _after_look(first, _looked_into(tables, _at(at_least, lanes, "clip"), first))
+        return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
+
+    if is_symbolic_dim(size) or size <= _FEW:
+        return jax.lax.while_loop(lambda search: search.is_open.any(), round_of_all, search)
+    if size > _MANY:
+        search = jax.lax.while_loop(
+            lambda search: search.is_open.sum() > _MANY, partial(round_of_first, _MANY), search
+        )
+    return jax.lax.while_loop(lambda search: search.is_open.any(), partial(round_of_first, _FEW), search)
+
+
+def _after_look(search: Search, look: _Look) -> Search:
+    """The search after a look for each pair, if it is open."""
     is_open = search.is_open
-    number = jnp.cumsum(is_open)
-    lanes = jnp.searchsorted(number, 1 + jnp.arange(few))
-    left = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
-    left = _searched(tables, _at(at_least, lanes, "clip"), left)
-    return _where(is_open, jax.tree.map(lambda a: _at(a, number - 1, "clip"), left), search)
-
-
-def _where(is_so: Bool[Array, "n"], one: Search, other: Search) -> Search:
-    return jax.tree.map(lambda a, b: jnp.where(is_so.reshape(-1, *(1,) * (a.ndim - 1)), a, b), one, other)
-
-
-def _round_of_all(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
-    """A round of all pairs, done for the open ones."""
-    return _after_look(search, _looked_into(tables, at_least, search), search.is_open)
-
-
-def _round_of_open(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
-    """A round of the open pairs, group by group."""
-    is_open = search.is_open
-    number = jnp.cumsum(is_open)  # of each open pair, from 1
-
-    def of_group(which, looks):
-        first = which * _GROUP
-        lane = jnp.searchsorted(number, first + 1 + jnp.arange(_GROUP))
-        group = jax.tree.map(lambda a: _at(a, lane, "clip"), search)
-        look = _looked_into(tables, _at(at_least, lane, "clip"), group)
-        return jax.tree.map(lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, first, 0), looks, look)
-
-    looks = _Look(search.length, search.from_x, search.from_y, search.least, search.done_x, search.done_y)
-    looks = jax.lax.fori_loop(0, (number[-1] + _GROUP - 1) // _GROUP, of_group, looks)
-    return _after_look(search, jax.tree.map(lambda a: _at(a, number - 1, "clip"), looks), is_open)
-
-
-def _after_look(search: Search, look: _Look, is_open: Bool[Array, "n"]) -> Search:
-    """The search after a look for each open pair."""
     better = is_open & (look.length < search.length)
     return replace(
         search,

@@ -6,7 +6,7 @@ shares that fall off exponentially by a temperature. As that goes to 0 the soft 
 """
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded
 from plr_jax.geometry.workspace import Workspace
 
-_SIZES = (2**10, 2**12, 2**14, 2**16, 2**18)  # of batches of pairs, each compiled once
+_NEAR = 16  # facilities among which a demand point looks for its nearest while these move a little
+_AT_ONCE = 2**14  # pairs: of one size, so that the distance is compiled once
 
 
 class PlacementObjective(enum.StrEnum):
@@ -64,6 +65,13 @@ class LocationProblem(NamedTuple):
         """Distances of facilities and all demand points."""
         return pair_distances(self.distance, x[..., None, :], self.points)
 
+    def near(self, x: Float[np.ndarray, "*batch k 2"]) -> Int[np.ndarray, "*batch n near"]:
+        """The nearest facilities of each demand point, or all where they are few, in order of their numbers."""
+        k, distances = x.shape[-2], np.swapaxes(self.distances(x), -1, -2)
+        if k <= _NEAR:
+            return np.broadcast_to(np.arange(k), distances.shape)
+        return np.sort(np.argpartition(distances, _NEAR - 1, axis=-1)[..., :_NEAR], axis=-1)
+
     def cost(self, nearest: Float[np.ndarray, "*batch n"]) -> Any:
         """Costs ``(*batch,)`` of the distances of all demand points to their facilities."""
         return self.objective.over(self.weights * nearest)
@@ -73,7 +81,7 @@ def pair_distances(distance: Any, x: Float[np.ndarray, "..."], y: Float[np.ndarr
     """Distances of points ``(..., 2)`` that broadcast; raises ``ValueError`` for NaN and below 0."""
     shape = np.broadcast_shapes(x.shape, y.shape)
     x, y = (np.broadcast_to(points, shape).reshape(-1, 2) for points in (x, y))
-    found = np.concatenate([np.empty(0), *_in_parts(distance, x, y)])
+    found = np.concatenate([np.empty(0), *_in_parts(partial(_distances, distance), x, y)])
     bad = np.flatnonzero(~(found >= 0))
     if bad.size:
         ends = f"{x[bad[0]].tolist()} and {y[bad[0]].tolist()}"
@@ -81,12 +89,14 @@ def pair_distances(distance: Any, x: Float[np.ndarray, "..."], y: Float[np.ndarr
     return found.reshape(shape[:-1])
 
 
-def _in_parts(distance: Any, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Iterable[np.ndarray]:
-    for begin in range(0, len(x), _SIZES[-1]):
-        parts = [points[begin : begin + _SIZES[-1]] for points in (x, y)]
-        size = padded_size(len(parts[0]), _SIZES)
-        found = _distances(distance, *(jnp.asarray(padded(part, size, part[0])) for part in parts))
-        yield np.asarray(found, np.float64)[: len(parts[0])]
+def _in_parts(
+    answer: Callable[[Array, Array], Any], x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]
+) -> Iterator[Any]:
+    """What a function of points answers, as pytrees of arrays, of as many pairs at once as it is compiled for."""
+    for begin in range(0, len(x), _AT_ONCE):
+        parts = [points[begin : begin + _AT_ONCE] for points in (x, y)]
+        found = answer(*(jnp.asarray(padded(part, _AT_ONCE, part[0])) for part in parts))
+        yield jax.tree.map(lambda each, part=parts[0]: np.asarray(each, np.float64)[: len(part)], found)
 
 
 @jax.jit
@@ -98,9 +108,7 @@ def slopes_at(
     distance: Any, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
     """Distances of pairs, and their gradients in the first point; 0 where there is none."""
-    size = padded_size(len(x), _SIZES)
-    found = _slopes(distance, *(jnp.asarray(padded(each, size, each[0])) for each in (x, y)))
-    distances, slopes = (np.asarray(each, np.float64)[: len(x)] for each in found)
+    distances, slopes = map(np.concatenate, zip(*_in_parts(partial(_slopes, distance), x, y), strict=True))
     return distances, np.where(np.isfinite(slopes), slopes, 0.0)
 
 
@@ -119,22 +127,23 @@ def nearest_and_pulls(
     points: Float[Array, "n 2"],
     weights: Float[Array, "n"],
     x: Float[Array, "restarts k 2"],
+    near: Int[Array, "restarts n near"],
     temperature: Float[Array, ""],
 ) -> tuple[Float[Array, "restarts n"], Float[Array, "restarts k 2"]]:
-    """Distances of demand points to their nearest facilities, and gradients of soft costs, shares held as they are.
+    """Distances of demand points to the nearest of some facilities, and gradients of soft costs, shares held.
 
     Weights are at most 1: costs are compared by the temperature, too.
     """
-    shape = (*x.shape[:2], len(points), 2)
-    y = jnp.broadcast_to(points, shape).reshape(-1, 2)
+    restart = jnp.arange(len(x))[:, None, None]
+    y = jnp.broadcast_to(points[:, None], (*near.shape, 2)).reshape(-1, 2)
     # Each pair has a facility of its own: one that has no gradient, such as a point and itself, spoils no other.
-    of_pairs = jnp.broadcast_to(x[:, :, None], shape)
-    d, pull_back = jax.vjp(lambda x: distance(x.reshape(-1, 2), y).reshape(shape[:-1]), of_pairs)
-    share = jax.nn.softmax(-d / temperature, axis=1)
+    of_pairs = x[restart, near]
+    d, pull_back = jax.vjp(lambda x: distance(x.reshape(-1, 2), y).reshape(near.shape), of_pairs)
+    share = jax.nn.softmax(-d / temperature, axis=2)
     if objective is PlacementObjective.SUM:
-        share *= weights
+        share *= weights[:, None]
     else:
-        soft = weights * jnp.where(share > 0, share * d, 0.0).sum(axis=1)
-        share *= (weights * jax.nn.softmax(soft / temperature, axis=1))[:, None]
+        soft = weights * jnp.where(share > 0, share * d, 0.0).sum(axis=2)
+        share *= (weights * jax.nn.softmax(soft / temperature, axis=1))[..., None]
     (pulls,) = pull_back(share)
-    return d.min(axis=1), jnp.where(jnp.isfinite(pulls), pulls, 0.0).sum(axis=2)
+    return d.min(axis=2), jnp.zeros_like(x).at[restart, near].add(jnp.where(jnp.isfinite(pulls), pulls, 0.0))

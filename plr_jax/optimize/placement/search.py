@@ -2,8 +2,8 @@
 
 Draws are those of k-means++, by distances and not their squares: a point is drawn with a probability in proportion to
 what it costs under the points drawn before, or, for the largest cost, is the costliest. Then one facility at a time
-is exchanged for the point by which the cost falls most (Teitz and Bart, 1968), until it falls no more. Of many demand
-points only some are sites, at which facilities may start.
+is exchanged for a point by which the cost falls (Teitz and Bart, 1968), until it falls no more. Of many demand points
+only some are sites, at which facilities may start.
 """
 
 from typing import Any
@@ -67,9 +67,15 @@ Facilities = Float[np.ndarray, "k 2"]
 Radii = Float[np.ndarray, "k"]
 
 
-def searched(problem: LocationProblem, x: Facilities, radius: Radii, turn: int) -> tuple[Facilities, Radii]:
-    """Every facility at the best place around, or else with a smaller circle to be searched next."""
-    nearest, facility = problem.distances(x).argmin(axis=0), np.arange(len(x))
+def searched(
+    problem: LocationProblem, x: Facilities, radius: Radii, near: Int[np.ndarray, "n near"], turn: int
+) -> tuple[Facilities, Radii]:
+    """Every facility at the best place around, or else with a smaller circle to be searched next.
+
+    Demand points are served by the nearest of the facilities that are near.
+    """
+    to_near = pair_distances(problem.distance, x[near], problem.points[:, None])
+    nearest, facility = near[np.arange(len(near)), to_near.argmin(axis=1)], np.arange(len(x))
     places = _places(problem, x, radius, nearest, turn)
     distances = pair_distances(problem.distance, places[nearest], problem.points[:, None])
     costs = problem.objective.over_groups(problem.weights[:, None] * distances, nearest, len(x))
@@ -226,29 +232,32 @@ def _terms(problem: LocationProblem, distances: Float[np.ndarray, "sites n"]) ->
 
 
 def _exchanged(terms: Float[np.ndarray, "sites n"], chosen: Int[np.ndarray, "k"]) -> Int[np.ndarray, "k"]:
-    """Sites after exchanges, one at a time and each time the best, by which the sum falls."""
-    chosen = chosen.copy()
-    total = terms[chosen].min(axis=0).sum()
-    while True:
-        totals = _totals_after_exchange(terms, chosen)
-        site, place = np.unravel_index(np.argmin(totals), totals.shape)
-        if not totals[site, place] < (1 - _LEAST_EXCHANGE_GAIN) * total:
-            return chosen
-        chosen[place], total = site, totals[site, place]
+    """Sites after exchanges by which the sum falls: each site takes the place of that which is missed least.
 
-
-def _totals_after_exchange(
-    terms: Float[np.ndarray, "sites n"], chosen: Int[np.ndarray, "k"]
-) -> Float[np.ndarray, "sites k"]:
-    """The sum with a site instead of a chosen one, for each of both.
-
-    Points that have lost their nearest facility go to the second nearest, or the new one.
+    As in FasterPAM (Schubert and Rousseeuw, "Fast and eager k-medoids clustering", Information Systems 101, 2021):
+    an exchange is made as soon as it gains, until no site gains any more.
     """
-    k, order = len(chosen), np.argsort(terms[chosen], axis=0, kind="stable")
-    ranked = np.take_along_axis(terms[chosen], order[:2], axis=0)
-    second = ranked[1] if k > 1 else np.inf
-    kept, lost = (
-        PlacementObjective.SUM.over_groups(np.minimum(terms, left).T, order[0], k).T for left in (ranked[0], second)
-    )
-    is_exchanged = np.eye(k, dtype=bool)
-    return np.where(is_exchanged, lost[:, None], kept[:, None]).sum(axis=-1)
+    # What is not reached costs more than anything that reaches all.
+    terms = np.where(np.isfinite(terms), terms, 10 * terms.shape[1] * terms[np.isfinite(terms)].max(initial=1e-300))
+    chosen, k, idle, site = chosen.copy(), len(chosen), 0, 0
+    first, nearest, second = _two_nearest(terms[chosen])
+    while idle < len(terms):
+        kept, lost = np.minimum(nearest, terms[site]), np.minimum(second, terms[site])
+        totals = kept.sum() + np.bincount(first, lost - kept, k)
+        place = int(totals.argmin())
+        if totals[place] < (1 - _LEAST_EXCHANGE_GAIN) * nearest.sum():
+            chosen[place], idle = site, 0
+            first, nearest, second = _two_nearest(terms[chosen])
+        site, idle = (site + 1) % len(terms), idle + 1
+    return chosen
+
+
+def _two_nearest(
+    terms: Float[np.ndarray, "k n"],
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The chosen site that costs each point least, what it costs, and what the next one does; ``inf`` if none is."""
+    if len(terms) == 1:
+        return np.zeros(terms.shape[1], int), terms[0], np.full(terms.shape[1], np.inf)
+    point = np.arange(terms.shape[1])
+    first, second = np.argpartition(terms, 1, axis=0)[:2]
+    return first, terms[first, point], terms[second, point]

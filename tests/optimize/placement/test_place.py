@@ -75,17 +75,18 @@ def test_starts_differ_and_the_cheapest_is_first(objective, n, k, count):
 
 
 @either_objective
-def test_pulls_become_the_slopes_of_the_cost(objective):
+@pytest.mark.parametrize("k", [3, 20])
+def test_pulls_become_the_slopes_of_the_cost(objective, k):
     problem = problem_of(objective, n=30)
-    weights, x = problem.weights / problem.weights.max(), np.random.default_rng(1).random((2, 3, 2))
-    given = (jnp.asarray(each) for each in (problem.points, weights, x, 1e-5))
+    weights, x = problem.weights / problem.weights.max(), np.random.default_rng(1).random((2, k, 2))
+    given = (jnp.asarray(each) for each in (problem.points, weights, x, problem.near(x), 1e-5))
     nearest, pulls = nearest_and_pulls(problem.objective, problem.distance, *given)
 
     def cost(x):
         return COSTS[objective](weights * problem.distances(x).min(axis=1), axis=-1)
 
     np.testing.assert_allclose(COSTS[objective](weights * np.asarray(nearest, float), axis=-1), cost(x), rtol=1e-6)
-    for change in 1e-4 * np.eye(6).reshape(6, 3, 2):  # all costs are linear up to the next kink
+    for change in 1e-4 * np.eye(2 * k).reshape(2 * k, k, 2):  # all costs are linear up to the next kink
         slope = (cost(x + change) - cost(x - change)) / 2e-4
         np.testing.assert_allclose(np.asarray(pulls)[:, change != 0][:, 0], slope, atol=0.02)
 
