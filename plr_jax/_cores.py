@@ -47,6 +47,8 @@ def answered_in_parts(
     size = min(max(padded_size(count) // _PARTS, sizes[0]), sizes[1])
     whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
     results: list[np.ndarray] = []
+    has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+    enable_x64 = jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64
 
     def of_part(first: int) -> None:
         last = min(first + size, count)
@@ -56,7 +58,8 @@ def answered_in_parts(
             else each[np.unravel_index(np.arange(first, last), batch)]
             for each in whole
         ]
-        answers = answer(*(padded(each, size) for each in part))
+        with enable_x64(has_doubles):  # which may hold of the calling thread alone
+            answers = answer(*(padded(each, size) for each in part))
         if not results:
             results.extend(np.empty(count, each.dtype) for each in answers)
         for result, each in zip(results, answers, strict=True):

@@ -3,6 +3,7 @@
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -294,7 +295,8 @@ def export(
         raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
     text = plr.c_header(output.stem if name is None else name)
     write_atomically(output, text.encode())
-    typer.echo(f"wrote {output}: {len(text):,} bytes")
+    (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
+    typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
 
 
 def _to_goal(pairs: "PairPLR | GridPairs", file: Path, goal: str | None) -> Any:
