@@ -12,6 +12,11 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded, padded_size
 
+try:
+    from jax import enable_x64
+except ImportError:  # before JAX 0.8
+    from jax.experimental import enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
 _PARTS = 8  # at the least, where there are enough rows
 
 
@@ -48,7 +53,6 @@ def answered_in_parts(
     whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
     results: list[np.ndarray] = []
     has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
-    enable_x64 = jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64
 
     def of_part(first: int) -> None:
         last = min(first + size, count)
