@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -68,9 +69,11 @@ def run(
         else:
             yield measured(arguments.seed, arguments.smoke)
 
+    began = time.perf_counter()
     if not arguments.draw:
         for results in results_so_far():
             record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
+            record["minutes"] = round((time.perf_counter() - began) / 60, 1)
             print(f"wrote {write(output, name, {**record, 'results': results})}")
     results = read(output, name)["results"]
     print(as_text(results, name))

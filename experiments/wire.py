@@ -164,7 +164,7 @@ def _read(data: bytes) -> PairPLR:
     with TemporaryDirectory() as folder:
         path = Path(folder, "prefix")
         path.write_bytes(data)
-        return plr_jax.load_pairs(path)
+        return plr_jax.load(path)
 
 
 def _judged(pairs: PairPLR, some: Pairs) -> dict[str, Any]:

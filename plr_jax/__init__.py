@@ -1,14 +1,71 @@
 """Distance functions over configuration spaces, compressed into kilobytes of planes.
 
-Discover distance (``VisibilityGraph``, ``Roadmap``, ``ReedsShepp`` or any function of a batch of points), store it
-(``construct``, ``save``, ``load``), use it (``plr(x)`` under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; or as the
-heuristic of ``bl_plan``, which plans for several robots at once). ``descend`` follows a distance function to its
-goal, and ``optimize_paths`` shortens paths.
+A `DistanceFn` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
+be reached; a `HeuristicFn` one of joint configurations ``(n, robots, dof)`` that answers costs-to-go ``(n,)``.
 
-A ``DistanceFn`` is any function of points ``(n, dim)`` that answers distances ``(n,)``, ``inf`` where the goal cannot
-be reached; a ``HeuristicFn`` one of joint configurations ``(n, robots, dof)`` that answers costs-to-go ``(n,)``.
+# Discover: how far is it?
 
-The public names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and
+```python
+import plr_jax
+
+workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4, 4), (3, 4)]])
+oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
+```
+
+- Where: `Workspace` and `FreeSpace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
+  `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
+- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`;
+  `robot_distance_fns`, one for each robot.
+- Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `RigidBodySpace`, `PlanarArm`, or your own, a
+  `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which tells a `CellState`; what a motion costs there is a
+  `MotionCost`: `CostMap`, `Climbing`, `Current`, or your own `DirectionalCost` or `LipschitzCost`.
+
+# Store: the answer in kilobytes
+
+```python
+field = plr_jax.construct(oracle, workspace.bounds, max_bytes=1024, certified=True)
+plr_jax.save(field, "field.plr")
+field = plr_jax.load("field.plr")
+```
+
+- A `PLR` of one goal: `construct`, with many goals `construct_many`; proofs: `certify`; other losses: `refine`, which
+  tells a `Refinement`. Smaller: `coarsen`; files that begin with coarser ones: `progressive`.
+- Pairs, of any two points: `construct_pairs` makes a `PairPLR`, `construct_grid_pairs` `GridPairs`,
+  `construct_metric_pairs` `MetricPairs`; more in `pairs`.
+- Files: `save` and `load`, `from_bytes`; from a web server `open_url`; without JAX `load_numpy`, a `NumpyPLR`.
+- How cells are fitted and split, for `construct`: a `CellFit`, `least_squares`, `midrange`; `largest_error`,
+  `center_error`, `maximum_depth`; `best_axis`, `cyclic_axis`. Cut short, they warn: `ConstructionInterrupted`,
+  `RefinementInterrupted`. Formats and arithmetic are in `plr`.
+
+# Use: in a batch, under a gradient, in a planner
+
+```python
+import jax
+import numpy as np
+
+x = workspace.sample_free(1000, seed=0)
+distance, slope = field(x), jax.vmap(jax.grad(field))(x)
+lower, upper = field.bounds(x)
+```
+
+- A PLR is called, which is `evaluate`; several at once: `stack` makes a `PLRStack`. `trace` reads paths from cones,
+  `Traces` with a `TraceStatus`.
+- `descend` follows a field to its goal (`Descent`, `DescentStatus`), `optimize_paths` shortens a team's path
+  (`OptimizedPaths`, `OptimizationInterrupted`), `place` finds the best sites (`Placement`).
+- `bl_plan` plans for a team, with `BLOptions`, led by `zero`, `straight_line` or `sum_of_distances`; it returns a
+  `Solution`, with `Status` and `Stats`. `sba_star_plan` samples; `ompl_objective` leads planners of OMPL.
+
+# Look: is it right?
+
+```python
+print(plr_jax.metrics.error_map(field, oracle, x))
+plr_jax.plot.plot_contours(field, workspace=workspace, goal=(9, 1))
+```
+
+- `metrics` measures errors, gradients and jumps, `plot` draws; `validate` checks a path by geometry of its own, a
+  `ValidationReport`; `path_cost` and `makespan` say what it costs and takes.
+
+The names are listed in ``__init__.pyi`` and loaded when they are first used: a program that only loads and
 queries a PLR imports neither Shapely nor NetworkX nor Matplotlib, nor the slow parts of SciPy.
 """
 

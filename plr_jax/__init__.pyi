@@ -6,7 +6,6 @@ from . import plot as plot
 from . import plr as plr
 from . import scenes as scenes
 from ._io import load as load
-from ._io import load_pairs as load_pairs
 from ._io import save as save
 from ._problem import Problem as Problem
 from ._problem import makespan as makespan

@@ -12,6 +12,11 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded
 
+try:
+    from jax import enable_x64
+except ImportError:  # before JAX 0.8
+    from jax.experimental import enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
 _PARTS = 8  # at most, of few rows
 
 
@@ -48,6 +53,7 @@ def answered_in_parts(
     size = few if count <= _PARTS * few else many
     whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
     results: list[np.ndarray] = []
+    has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
     def of_part(first: int) -> None:
         last = min(first + size, count)
@@ -57,7 +63,8 @@ def answered_in_parts(
             else each[np.unravel_index(np.arange(first, last), batch)]
             for each in whole
         ]
-        answers = answer(*(padded(each, size) for each in part))
+        with enable_x64(has_doubles):  # which may hold of the calling thread alone
+            answers = answer(*(padded(each, size) for each in part))
         if not results:
             results.extend(np.empty(count, each.dtype) for each in answers)
         for result, each in zip(results, answers, strict=True):

@@ -266,7 +266,7 @@ READERS = {
     "map_server": Reader(_read_map_server, ".yaml", lambda: [_MAP_SERVER.encode()]),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
-    "pairs": Reader(plr_jax.load_pairs, ".plr", _pairs_files, _with_checksum),
+    "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
     "HTTP": Reader(_read_answer, ".http", _answer_files),
 }
 

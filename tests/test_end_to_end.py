@@ -1,5 +1,7 @@
 """From a map to a file of kilobytes that answers: what the package promises as a whole."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -66,3 +68,66 @@ def test_a_roadmap_is_summarized_with_less_error_than_its_own():
     own, ours = np.abs(roadmap(x) - exact(x)), np.abs(np.asarray(plr(x)) - exact(x))
     assert ours.max() < own.max() and ours.max() <= 0.134
     assert ours.mean() <= 1.05 * own.mean()
+
+
+def queries_of(workspace, goal):
+    """What answers distances to the goal, from NumPy's points and, but for oracles, from JAX's."""
+    oracle, bounds, to = plr_jax.VisibilityGraph(workspace, goal), workspace.bounds, {"max_bytes": 300}
+    pairs = plr_jax.construct_pairs(workspace)
+    metric = plr_jax.construct_metric_pairs(lambda x, y: np.linalg.norm(x - y, axis=1), bounds, max_leaves=8)
+    plrs = [plr_jax.construct(oracle, bounds, leaf=leaf, **to) for leaf in ("plane", "continuous", "cone")]
+    stack = plr_jax.stack(plrs[:1])
+    oracles = {
+        "visibility": oracle,
+        "between": lambda x: oracle.between(x, np.tile(goal, (len(x), 1))),
+        "roadmap": plr_jax.Roadmap.from_workspace(workspace, goal, num_samples=30),
+        "field": plr_jax.GridField(np.ones((3, 4)), bounds),
+        "descend": lambda x: plr_jax.descend(plrs[2], workspace, x, goal).lengths,
+    }
+    compiled = {
+        **{plr.leaf.name: plr for plr in plrs},
+        "pairs": lambda x: pairs(x, goal.astype(np.float32)) + pairs(goal.astype(np.float32), x),
+        "pairs, lower": lambda x: pairs.bounds(x, goal.astype(np.float32))[0],
+        "pairs, to": pairs.to(goal),
+        # In a domain far from the origin a stack counts points from a corner, which 32-bit points may be outside of.
+        **({} if bounds.lo[0] > 20 else {"stack": lambda x: stack(np.zeros(len(x), int), x)}),
+        "metric": lambda x: metric(
+            x, jnp.asarray(goal, x.dtype) if isinstance(x, jax.Array) else goal.astype(x.dtype)
+        ),
+    }
+    return oracles, compiled
+
+
+@pytest.mark.parametrize("corner", [(0.0, -0.3), (1000.1, 30.3)])
+def test_what_is_free_is_answered_finitely_by_everything(corner):
+    """Also where rounding, or a tolerance, decides whether a point is on the bounds or outside."""
+    lo, hi = np.array(corner), np.add(corner, (10.0, 7.0))
+    wall, goal = np.add([(3, 0), (4, 0), (4, 4), (3, 4)], corner), np.add(corner, (9.1, 1.3))
+    workspace = plr_jax.Workspace((lo, hi), [wall])
+    oracles, compiled = queries_of(workspace, goal)
+    steps = np.array([-1e-5, -5e-6, -1e-6, -1e-9, -1e-16, 0, 1e-16, 1e-9])[:, None, None] * (hi - lo)
+    ends = np.concatenate([lo + steps, hi - steps]).reshape(-1, 2)
+    inside = np.random.default_rng(0).uniform(lo, hi, ends.shape)
+    on_faces = np.concatenate([ends, np.where([1, 0], ends, inside), np.where([0, 1], ends, inside)])
+    single = on_faces.astype(np.float32)
+    single = np.concatenate([single, *(np.nextafter(single, np.float32(to)) for to in (-np.inf, np.inf))])
+    free = {}
+    with jax.enable_x64(True):
+        doubles = jnp.asarray(on_faces)
+        doubles = doubles[workspace.is_free(doubles)]
+        for name, fn in compiled.items():
+            assert np.isfinite(fn(doubles)).all(), name
+    for x in (on_faces, single):
+        free[x.dtype.name] = x = x[workspace.is_free(x)]
+        for name, fn in {**oracles, **compiled}.items():
+            assert np.isfinite(fn(x)).all(), name
+    traced = jnp.asarray(single)[workspace.is_free(jnp.asarray(single))]
+    for name, fn in compiled.items():
+        assert np.isfinite(jax.jit(fn)(traced)).all(), name
+    # What is clipped to the bounds, in 64 or 32 bits, is free.
+    clipped = np.clip(on_faces, lo, hi)
+    away = (clipped[:, 0] < lo[0] + 2.9) | (clipped[:, 0] > lo[0] + 4.1) | (clipped[:, 1] > lo[1] + 4.1)
+    assert workspace.is_free(clipped[away]).all() and workspace.is_free(clipped[away].astype(np.float32)).all()
+    assert workspace.is_free(jnp.asarray(clipped[away], jnp.float32)).all()
+    assert len(doubles) > 15 and len(traced) > 50 and all(len(x) > 15 for x in free.values())
+    assert not workspace.is_free(jnp.asarray(lo - 1e-5 * (hi - lo), jnp.float32)[None]).any()

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,19 @@ def test_every_public_name_is_there():
     for name in plr_jax.__all__:
         assert getattr(plr_jax, name) is not None
     assert set(plr_jax.__all__) <= set(dir(plr_jax))
+
+
+def test_the_page_has_every_name_in_its_group_and_examples_that_run(tmp_path, monkeypatch):
+    page = plr_jax.__doc__
+    assert [line.split(":")[0] for line in page.split("\n") if line.startswith("# ")] == [
+        "# Discover",
+        "# Store",
+        "# Use",
+        "# Look",
+    ]
+    assert set(plr_jax.__all__) - set(re.findall(r"`(\w+)`", page)) == set()
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), {})
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -48,7 +48,7 @@ def refined(**options):
         (lambda: plot.animate(scenes.maze(), [], frames_per_second="x"), "frames_per_second must be above 0"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
         (lambda: construct(cone, ([-1e308], [1e308])), "The domain must be within 1e"),
-        (lambda: save(5, "no.plr"), "Only a PLR or a PairPLR can be saved, got 5"),
+        (lambda: save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
         (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; of a file's name use load_numpy"),
         (lambda: NumpyPLR(built()), r"data must be the bytes of a PLR file, got PLR\(.*, of a PLR plr.numpy\(\)"),

@@ -21,7 +21,6 @@ app = typer.Typer(
     help="Distance functions over maps, compressed into kilobytes of planes, and plans for several robots.",
     epilog="Start with: plr-jax demo",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from plr_jax.cli._inputs import BEST
+
 if TYPE_CHECKING:
     from plr_jax._types import ArrayLike, Distances
     from plr_jax.geometry.box import Box
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from plr_jax.plr._file import Contents
     from plr_jax.plr.file.container import Container
 
-BEST = "best"
 _EXTENSION_BYTES, _MARK_BYTES = 4, 4
 """Of a header with a label, and at the most of each mark."""
 _CROWDED, _BYTES_A_SOURCE = 4, 7

@@ -3,9 +3,12 @@
 Heavy libraries are imported inside the commands, so that ``plr-jax --help`` answers at once.
 """
 
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import StrEnum
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,8 +17,8 @@ import typer
 
 from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command, printable, saying, warn
-from plr_jax.cli._build import BEST, build_file, prepared_oracle
-from plr_jax.cli._inputs import DEFAULT_BYTES, PICTURES, require_writable
+from plr_jax.cli._build import build_file, prepared_oracle
+from plr_jax.cli._inputs import BEST, DEFAULT_BYTES, LEAVES, PICTURES, parse_goal, require_writable
 from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
@@ -23,14 +26,16 @@ from plr_jax.cli._options import (
     GoalOption,
     MapArgument,
     PolygonsOption,
+    RadiusOption,
     ResolutionOption,
     ThresholdOption,
+    one_of,
 )
 from plr_jax.cli._rows import PointTable, open_table, print_answers, require_standard_output
 
 if TYPE_CHECKING:
     from plr_jax.geometry.box import Box
-    from plr_jax.plr import PLR
+    from plr_jax.pairs import GridPairs, PairPLR
 
 _ERROR_POINTS = 20_000
 _SAME = 1e-6  # in shares of their width boxes that are called the same may differ
@@ -41,6 +46,7 @@ _SAME = 1e-6  # in shares of their width boxes that are called the same may diff
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build arena.map --goal 10.5,30 --oracle arena.npz",
     "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4",
+    "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --radius 0.3",
     "plr-jax build floor_plan --max-bytes 65536 --prefix 1024 --prefix 8192",
 )
 def build(
@@ -69,7 +75,8 @@ def build(
             help="What a cell holds: a 'plane'; 'continuous', a function that does not jump where one can walk; "
             "'smooth', one whose gradient does not either; 'cone', the distance to the next corner. 'best' is cones "
             "where the file has room for all corners and leaves are not limited; else it builds all of them (cones "
-            "if a quarter of the corners has room), and keeps that of the least proven error."
+            "if a quarter of the corners has room), and keeps that of the least proven error.",
+            **one_of(LEAVES),
         ),
     ] = BEST,
     leaf_bounds: Annotated[
@@ -90,6 +97,7 @@ def build(
     threshold: ThresholdOption = None,
     drop_specks: DropSpecksOption = None,
     polygons: PolygonsOption = None,
+    radius: RadiusOption = None,
     prefix: Annotated[
         list[int] | None,
         typer.Option(
@@ -113,7 +121,7 @@ def build(
         leaf_model(leaf)
     require_writable(output, inputs=(map, oracle))
     require_writable(oracle, inputs=(map,))
-    named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons)
+    named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons, radius)
     with saying(f"reading {map}"):
         workspace, goal_point = named.read()
     if goal_point is None:
@@ -162,11 +170,15 @@ def build(
     "plr-jax query maze.plr points.csv",
     "plr-jax query maze.plr points.csv --bounds",
     "echo 0.93,0.95 | plr-jax query maze.plr",
+    "echo 0.93,0.95,0.1,0.2 | plr-jax query maze.pairs",
 )
 def query(
     file: FileArgument,
     points: Annotated[
-        str, typer.Argument(metavar="[POINTS.csv | -]", help="Points, one x,y a line; - is stdin.")
+        str,
+        typer.Argument(
+            metavar="[POINTS.csv | -]", help="Points, one x,y a line; of pairs both ends, x,y,x,y; - is stdin."
+        ),
     ] = "-",
     gradient: Annotated[
         bool, typer.Option("--gradient", help="Print distance,dx,dy: the gradient beside the distance.")
@@ -181,14 +193,16 @@ def query(
     Rows that are none are told on standard error. A first line of names is taken as a header. Tables of any length
     are answered in little memory.
     """
-    from plr_jax.plr import load_numpy
+    from plr_jax.plr import NumpyPLR, load_numpy
 
     require_standard_output()
-    plr = load_numpy(file)
+    plr = _PairsOfRows(_loaded(file)) if (is_of_pairs := _holds_pairs(file)) else load_numpy(file)
     columns: list[Callable[[np.ndarray], Any]] = [plr]
+    if gradient and is_of_pairs:
+        raise ValueError(f"--gradient is for PLRs, and {file} holds pairs.")
     if gradient:
         columns.append(_gradients(file))
-    if bounds and plr.max_error is None:
+    if bounds and isinstance(plr, NumpyPLR) and plr.max_error is None:
         raise ValueError(f"Nothing is proven of {file}: files that plr-jax build writes have a proof.")
     if bounds:
         columns.append(lambda x: np.column_stack(plr.bounds(x)))
@@ -196,6 +210,40 @@ def query(
     with table:
         chunks = PointTable(name, plr.dim, strict).chunks(table)
         print_answers(np.column_stack([column(x) for column in columns]) for x in chunks)
+
+
+def _holds_pairs(file: Path) -> bool:
+    from plr_jax.plr.file.container import holds_pairs, read_bytes
+
+    try:
+        return holds_pairs(read_bytes(file))
+    except ValueError:  # which whoever reads it tells better
+        return False
+
+
+def _loaded(file: Path) -> Any:
+    from plr_jax._io import load  # and with it JAX, which PLRs are answered without
+
+    return load(file)
+
+
+@dataclass(frozen=True)
+class _PairsOfRows:
+    """Pairs that answer rows of both ends side by side, compiled for few sizes."""
+
+    pairs: "PairPLR | GridPairs"
+    dim = 4
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(self.pairs(*self._ends(x)))[: len(x)]
+
+    def bounds(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(np.asarray(bound)[: len(x)] for bound in self.pairs.bounds(*self._ends(x)))
+
+    def _ends(self, x: np.ndarray) -> list[np.ndarray]:
+        from plr_jax._arrays import padded, padded_size
+
+        return np.split(padded(x, padded_size(len(x))), 2, axis=1)
 
 
 def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
@@ -214,53 +262,109 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
     return answers
 
 
-@command("plr-jax export maze.plr --c -o plr_maze.h", "plr-jax export maze.plr --c -o include/maze.h --name level_1")
+@command(
+    "plr-jax export maze.plr -o plr_maze.h",
+    "plr-jax export maze.plr -o include/maze.h --name level_1",
+    "plr-jax export maze.pairs --goal 0.1,0.2 -o maze.h",
+)
 def export(
     file: FileArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The header to write.", show_default=False)],
-    c: Annotated[bool, typer.Option("--c", help="As one header of C99, also valid C++.")] = False,
+    goal: GoalOption = None,
+    c: Annotated[
+        bool, typer.Option("--c", help="As one header of C99, also valid C++: there is nothing else yet.")
+    ] = True,
     name: Annotated[
         str | None,
         typer.Option(help="With which all that it defines begins.", show_default="the header's without its ending"),
     ] = None,
 ) -> None:
-    """Write a .plr file as code that answers points: without heap, and bit for bit what query prints."""
+    """Write a file as code that answers points: without heap, and bit for bit what query prints.
+
+    Of pairs, the distance to one goal.
+    """
     from plr_jax._atomic import write_atomically
     from plr_jax.plr import load_numpy
 
-    if not c:
-        raise ValueError("Say as what: --c is for a header of C99.")
     require_writable(output, (".h", ".hpp"), inputs=(file,))
-    text = load_numpy(file).c_header(output.stem if name is None else name)
+    is_of_pairs = _holds_pairs(file)
+    if goal is not None and not is_of_pairs:
+        raise ValueError(f"{file} is of the goal that it was built for: leave out --goal.")
+    plr = _to_goal(_loaded(file), file, goal) if is_of_pairs else load_numpy(file)
+    if not hasattr(plr, "c_header"):
+        raise ValueError(f"{file} holds pairs of cells of a grid, of which no code is written.")
+    text = plr.c_header(output.stem if name is None else name)
     write_atomically(output, text.encode())
-    typer.echo(f"wrote {output}: {len(text):,} bytes")
+    (table_bytes,) = re.findall(r"tables take ([\d,]+) bytes", text)
+    typer.echo(f"wrote {output}: {len(text):,} bytes of text, {table_bytes} of tables when it is compiled")
 
 
-@command("plr-jax info maze.plr")
-def info(file: FileArgument) -> None:
-    """Say what is in a .plr file."""
-    from plr_jax._arrays import told
+def _to_goal(pairs: "PairPLR | GridPairs", file: Path, goal: str | None) -> Any:
+    """The distance to the goal by the pairs in a file."""
+    if goal is None:
+        raise ValueError(f"{file} holds the distance between any two points: give one with --goal X,Y.")
+    return pairs.to(parse_goal(goal))
+
+
+@command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
+def info(
+    file: FileArgument, json: Annotated[bool, typer.Option("--json", help="As an object of JSON.")] = False
+) -> None:
+    """Say what is in a file."""
     from plr_jax._io import load
-    from plr_jax.plr import from_bytes
 
-    plr = load(file)
-    typer.echo(f"file       {printable(str(file))}")
-    typer.echo(f"label      {printable(plr.label) or 'none'}")
-    typer.echo(f"leaf       {plr.leaf.name}")
-    axes = [axis for axis, is_periodic in enumerate(plr.domain.periodic) if is_periodic]
-    periodic = f", periodic along axes {axes}" if axes else ""
-    typer.echo(f"domain     {told(plr.domain.lo)} to {told(plr.domain.hi)} ({plr.domain.dim}-D{periodic})")
-    typer.echo(f"leaves     {plr.num_leaves:,}, of which {plr.num_unreachable:,} unreachable")
-    typer.echo(f"depth      {plr.depth}")
-    typer.echo(f"proof      {_proof_of(plr)}")
-    typer.echo(f"bytes      {plr.num_bytes:,} in the file, {plr.resident_bytes:,} in memory")
-    for mark in plr.file_marks:
-        part = from_bytes(plr.to_bytes()[:mark])
-        typer.echo(f"coarser    in its first {mark:,} bytes: {part.num_leaves:,} leaves, proof {_proof_of(part)}")
+    facts = {"file": str(file), **_facts_of(load(file))}
+    if json:
+        typer.echo(dumps(facts, indent=2))
+    else:
+        typer.echo("\n".join(f"{name:11}{printable(told)}" for name, told in _lines_of(facts)))
 
 
-def _proof_of(plr: "PLR") -> str:
-    return "none" if plr.max_error is None else f"largest error {plr.max_error:.3g}"
+def _facts_of(held: Any) -> dict[str, Any]:
+    """What JSON can hold of a PLR or of pairs."""
+    from plr_jax._arrays import told
+    from plr_jax.plr import PLR, from_bytes
+
+    is_plr, domain = isinstance(held, PLR), held.domain
+    facts = {
+        "holds": type(held).__name__,
+        "lo": told(domain.lo),
+        "hi": told(domain.hi),
+        "periodic_axes": [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic],
+        "num_bytes": held.num_bytes,
+    }
+    names = ["label", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
+    facts |= {name: getattr(held, name) for name in names if hasattr(held, name)}
+    if not is_plr:  # whose tables may take long to make
+        return facts
+    parts = [from_bytes(held.to_bytes()[:mark]) for mark in held.file_marks]
+    coarser = [{name: getattr(part, name) for name in ("num_bytes", "num_leaves", "max_error")} for part in parts]
+    return facts | {"leaf": held.leaf.name, "resident_bytes": held.resident_bytes, "coarser": coarser}
+
+
+def _lines_of(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """The same for people: names, and what is said of them."""
+    is_plr = facts["holds"] == "PLR"
+    yield "file", facts["file"]
+    yield "label", facts.get("label") or "none"
+    yield "leaf" if is_plr else "holds", facts.get("leaf", facts["holds"])
+    periodic = f", periodic along axes {facts['periodic_axes']}" if facts["periodic_axes"] else ""
+    yield "domain", f"{facts['lo']} to {facts['hi']} ({len(facts['lo'])}-D{periodic})"
+    if is_plr:
+        yield "leaves", f"{facts['num_leaves']:,}, of which {facts['num_unreachable']:,} unreachable"
+        yield "depth", f"{facts['depth']}"
+        yield "proof", _proof_of(facts)
+        yield "bytes", f"{facts['num_bytes']:,} in the file, {facts['resident_bytes']:,} in memory"
+    else:
+        yield "corners", f"{facts['num_corners']:,}"
+        yield "bytes", f"{facts['num_bytes']:,} in the file"
+    for part in facts.get("coarser", ()):
+        leaves = f"{part['num_leaves']:,} leaves, proof {_proof_of(part)}"
+        yield "coarser", f"in its first {part['num_bytes']:,} bytes: {leaves}"
+
+
+def _proof_of(facts: dict[str, Any]) -> str:
+    return "none" if facts["max_error"] is None else f"largest error {facts['max_error']:.3g}"
 
 
 class Picture(StrEnum):
@@ -275,6 +379,7 @@ class Picture(StrEnum):
 @command(
     "plr-jax plot maze.plr -o maze.png",
     "plr-jax plot maze.plr --kind error -o error.png",
+    "plr-jax plot maze.pairs --goal 0.1,0.2 -o maze.png",
 )
 def plot(
     file: FileArgument,
@@ -295,20 +400,35 @@ def plot(
     threshold: ThresholdOption = None,
     drop_specks: DropSpecksOption = None,
     polygons: PolygonsOption = None,
+    radius: RadiusOption = None,
     kind: Annotated[
         Picture,
         typer.Option(help="Colors and contours; the partition; a surface; the error (needs the map)."),
     ] = Picture.distance,
 ) -> None:
-    """Draw a .plr file."""
+    """Draw a file: of pairs, the distance to the goal."""
     from plr_jax._io import load
+    from plr_jax.plr import PLR
 
     output = output if output.suffix else output.with_name(f"{output.name}.png")
     require_writable(output, PICTURES, inputs=(file, map))
-    plr = load(file)
-    reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
-    is_needed = kind is Picture.error
-    workspace, goal_point = read_map_of_file(file, plr.label, map, goal=goal, is_needed=is_needed, **reading)
+    held = load(file)
+    is_of_pairs = not isinstance(held, PLR)
+    plr = _to_goal(held, file, goal) if is_of_pairs else held
+    if not isinstance(plr, PLR) and kind is not Picture.distance:
+        raise ValueError(f"{file} holds pairs of cells of a grid: of these only the distance is drawn.")
+    reading = {
+        "resolution": resolution,
+        "threshold": threshold,
+        "drop_specks": drop_specks,
+        "polygons": polygons,
+        "radius": radius,
+    }
+    is_needed, label = kind is Picture.error, getattr(held, "label", "")
+    of_map = None if is_of_pairs else goal
+    workspace, goal_point = read_map_of_file(file, label, map, goal=of_map, is_needed=is_needed, **reading)
+    if is_of_pairs:
+        goal_point = parse_goal(str(goal))
     if workspace is not None and not _same_box(workspace.bounds, plr.domain):
         warn(
             f"the map is {workspace.bounds}, but {file} covers {plr.domain}: it may be of another map, or of this "

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 TEAM_SCENES = ("single_door", "four_rooms", "cross", "tangle", *SCENES)
+BEST = "best"
+LEAVES = (BEST, "plane", "continuous", "smooth", "cone")
 DEFAULT_BYTES = 4_096
 """Largest size of a PLR that a command makes, where no limit is given."""
 

@@ -20,6 +20,7 @@ _KINDS: dict[str, type] = {
     "resolution": float,
     "threshold": float,
     "drop_specks": int,
+    "radius": float,
 }  # of options; others are texts
 _SPECK = 1e-5
 """Share of the map's area up to which an obstacle is called a speck."""
@@ -33,6 +34,7 @@ class NamedMap:
         name: MAP: the name of a scene, or a file.
         goal: ``X,Y``; None: that of a scene of one robot, if it is one.
         resolution: As for the reader of such a file, and so are the others; None: the reader's own.
+        radius: Of the disc whose center's distance is meant; None: that of a point.
     """
 
     name: str
@@ -41,6 +43,7 @@ class NamedMap:
     threshold: float | None = None
     drop_specks: int | None = None
     polygons: str | None = None
+    radius: float | None = None
 
     def __str__(self) -> str:
         given = {name: value for name, value in vars(self).items() if name != "name" and value is not None}
@@ -72,7 +75,9 @@ class NamedMap:
     def _reading(self) -> dict[str, Any]:
         """The options of the reader."""
         return {
-            name: value for name, value in vars(self).items() if name not in ("name", "goal") and value is not None
+            name: value
+            for name, value in vars(self).items()
+            if name not in ("name", "goal", "radius") and value is not None
         }
 
     @property
@@ -92,11 +97,15 @@ class NamedMap:
         return self.name not in SCENES and reader_of(Path(self.name)) in (read_image, read_map_server)
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-        """The workspace, and the goal if there is one.
+        """The workspace, of the center of a disc if there is a radius, and the goal if there is one.
 
         ``ValueError`` if MAP is neither the name of a scene nor the path of a file that can be read, or has no such
         option.
         """
+        workspace, goal = self._read()
+        return (workspace if self.radius is None else workspace.inflate(self.radius)), goal
+
+    def _read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
         given = self.given_goal()
         if self._is_unknown:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a map's file, got {self.name!r}.")

@@ -1,5 +1,6 @@
 """Arguments and options that several commands have."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,13 +16,19 @@ MapArgument = Annotated[
         'GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI grid (.map), '
         "polygons with holes (.json), a scene (.json).",
         show_default=False,
+        autocompletion=lambda: list(SCENES),
     ),
 ]
 
 
-def _of_reading(told: str, default: str) -> Any:
+def _of_reading(told: str, default: str, **others: Any) -> Any:
     """An option of how MAP is read."""
-    return typer.Option(help=told, show_default=default, rich_help_panel="How MAP is read")
+    return typer.Option(help=told, show_default=default, rich_help_panel="How MAP is read", **others)
+
+
+def one_of(names: Sequence[str]) -> dict[str, Any]:
+    """An option of which the help shows the choices, and the shell completes them."""
+    return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
 
 
 ResolutionOption = Annotated[float | None, _of_reading("Side of a pixel of a picture, in workspace units.", "1")]
@@ -32,9 +39,15 @@ DropSpecksOption = Annotated[
     int | None, _of_reading("Drop obstacles, and places to be, of at most so many pixels.", "0")
 ]
 PolygonsOption = Annotated[
-    str | None, _of_reading("What polygons of GeoJSON are: 'obstacles' or 'free'.", "obstacles")
+    str | None, _of_reading("What polygons of GeoJSON are.", "obstacles", **one_of(("obstacles", "free")))
 ]
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A .plr file.", show_default=False)]
+RadiusOption = Annotated[
+    float | None,
+    _of_reading("Radius of a round robot, in workspace units: distances are of its center.", "that of a point: 0"),
+]
+FileArgument = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A file of a PLR, or of pairs.", show_default=False)
+]
 GoalOption = Annotated[
     str | None,
     typer.Option(

@@ -113,7 +113,7 @@ class MotionTest:
         (u, v), heading = self.robot.core.mean(axis=0), pieces.theta[lost] + 0.5 * pieces.turn[lost]
         c, s = np.cos(heading), np.sin(heading)
         inside = np.stack([x[lost] + c * u - s * v, y[lost] + s * u + c * v], axis=1)
-        clear[lost] = self.workspace.is_free(inside)
+        clear[lost] = self.workspace.is_free_to_tolerance(inside)
         if owner is not None:
             pieces_clear, clear = clear, np.ones(len(q0), dtype=bool)
             clear[owner[~pieces_clear]] = False

@@ -91,6 +91,33 @@ class Box:
         """Whether any axis is periodic."""
         return any(self.periodic)
 
+    @property
+    def in_single(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+        """Its corners as 32-bit floats, rounded outward: a point in the box stays between them when it is rounded."""
+        lo, hi = self.lo.astype(np.float32), self.hi.astype(np.float32)
+        return (
+            np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
+            np.where(hi < self.hi, np.nextafter(hi, np.float32(np.inf)), hi),
+        )
+
+    @property
+    def single_rests(self) -> Float[np.ndarray, "2 dim"]:
+        """How far outside the box the corners of ``in_single`` are, rounded so that its own corners stay inside."""
+        lo, hi = self.in_single
+        rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
+        return np.maximum(rests, np.float32(0))
+
+    def settled(self, x: ArrayLike) -> ArrayLike:
+        """Points ``(..., dim)``, of which those of 32 bits that rounding has put outside are moved onto the faces.
+
+        So what was clipped to the box in 32 bits counts as inside, as queries of PLRs have it. All others stay.
+        """
+        is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
+        if not is_plain or np.shape(x)[-1:] != (self.dim,):
+            return x
+        (lo, hi), x = self.in_single, np.asarray(x)
+        return np.where((lo <= x) & (x <= hi), np.clip(x.astype(np.float64), self.lo, self.hi), x)
+
     def moved(self, by: ArrayLike) -> "Box":
         """The box moved by a vector, ``(dim,)``."""
         return Box(self.lo + by, self.hi + by, self.periodic)

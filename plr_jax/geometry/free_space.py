@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -152,7 +152,9 @@ class FreeSpace:
     Attributes:
         origin: The middle of the bounds, in 32 bits, and what they leave of it; all coordinates count from there.
         half: Half the side of the square.
-        tolerance: How far outside free space a point still counts as free.
+        tolerance: How far in an obstacle a point still counts as free.
+        lo: The lower corner of the bounds, rounded outward, and by how much; see ``Frame`` of queries.
+        hi: The upper one.
         blocks: For each block of a coarse grid, row by row, its first slot and how finely it is divided into slots.
         slots: The cell of each slot.
         first: Where the list of each cell begins.
@@ -165,6 +167,8 @@ class FreeSpace:
     origin: Float[Array, "2 2"]
     half: Float[Array, ""]
     tolerance: Float[Array, ""]
+    lo: Float[Array, "2 2"]
+    hi: Float[Array, "2 2"]
     blocks: UInt32[Array, "blocks"]
     slots: UInt32[Array, "slots"]
     first: UInt32[Array, "cells"]
@@ -180,13 +184,36 @@ class FreeSpace:
 
         Returns:
             True where free, walls included, and within ``tolerance``, 1e-6 of the longer side of the bounds, of free
-            space; False for points twice as far outside, and such as are not finite. In between it may be either. But
-            see :meth:`clearance` for what is thinner than that.
+            space; False for points twice as far in an obstacle. In between it may be either. But see
+            :meth:`clearance` for what is thinner than that. False for all outside the bounds, to the last bit (as 32
+            bits round them outward, of points of no more bits), and for points that are not finite: what is free,
+            queries take to be inside.
 
         Raises:
             ValueError: If ``x`` has another last axis.
         """
-        return self.clearance(x) >= -self.tolerance
+        module = np if not is_of_jax(x) and not isinstance(self.lo, Tracer) else jnp
+        x = module.asarray(x)
+        if x.ndim == 0 or x.shape[-1] != 2 or x.dtype == np.float64:
+            clearance = self.clearance(x)
+            (lo, above), (hi, below) = self._corners(module, x)
+        else:
+            x = x.astype(np.float32)
+            (lo, above), (hi, below) = self._corners(module, x)
+            # 32 bits cannot tell the true corners from the rounded ones: what is on these is taken into the bounds.
+            inner = (
+                module.where(above > 0, module.nextafter(lo, hi), lo),
+                module.where(below > 0, module.nextafter(hi, lo), hi),
+            )
+            clearance = self.clearance(module.clip(x, *inner))
+            above = below = module.zeros_like(x)
+        # By the arithmetic of a query of PLRs, so that none answers ``inf`` where it is free.
+        return (clearance >= -self.tolerance) & jnp.asarray(((x - lo >= above) & (hi - x >= below)).all(axis=-1))
+
+    def _corners(self, module: Any, x: Array | np.ndarray) -> Any:
+        """The corners of the bounds and their rests, like points."""
+        corners = (module.asarray(corner).astype(x.dtype) for corner in (self.lo, self.hi))
+        return ((module.broadcast_to(part, x.shape) for part in corner) for corner in corners)
 
     def clearance(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Signed distance to the nearest obstacle or bound.
@@ -322,6 +349,8 @@ def free_space_of(boundary: Boundary, bounds: Box) -> FreeSpace:
         origin=single(np.stack([middle, middle - middle.astype(np.float32)])),
         half=single(_HALF * width),
         tolerance=single(_TOLERANCE * width),
+        lo=single(np.stack([bounds.in_single[0], bounds.single_rests[0]])),
+        hi=single(np.stack([bounds.in_single[1], bounds.single_rests[1]])),
         blocks=_indices(blocks),
         slots=_indices(slots),
         first=_indices(cells.first),

@@ -231,14 +231,20 @@ class Workspace:
                 under ``jax.jit`` and ``jax.vmap``, and to the tolerance of :meth:`FreeSpace.is_free`.
 
         Returns:
-            True where free, walls included (to ``tolerance``); False for points that are not finite.
+            True where free, walls included (to ``tolerance``); False outside the bounds, and for points that are not
+            finite. Of 32-bit points, those on the bounds as 32 bits round them outward are inside. So what is free is
+            what queries take to be inside as well.
 
         Raises:
             ValueError: If ``x`` has another shape.
         """
         if is_of_jax(x):
             return self.tables.is_free(x)
-        x = as_points("x", x, 2)
+        x = as_points("x", self.bounds.settled(x), 2)
+        return self.bounds.contains(x) & self.is_free_to_tolerance(x)
+
+    def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        """The same for what has been computed: also true outside the bounds, by no more than ``tolerance``."""
         return shapely.intersects_xy(self._tolerant, x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[Any, "*batch"]:

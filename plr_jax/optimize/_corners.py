@@ -30,6 +30,7 @@ def along_corners(
     distance_fn: Callable[[ArrayLike], ArrayLike], workspace: Workspace, starts: ArrayLike, goal: ArrayLike
 ) -> Descent:
     """Shortest paths in the plane, which turn at corners alone; arguments as those of ``descend``."""
+    starts, goal = map(workspace.bounds.settled, (starts, goal))
     starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
     if not workspace.is_free(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is not in free space; move it out of the obstacle or bounds.")

@@ -85,7 +85,7 @@ class GridField:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x, self.dim)
+        x = as_points("x", self.bounds.settled(x), self.dim)
         distances = np.full(len(x), np.inf)
         for begin in range(0, len(x), _AT_ONCE):
             part = x[begin : begin + _AT_ONCE]

@@ -115,7 +115,8 @@ class PairDistances:
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
         distance[seen] = np.linalg.norm(x[seen] - y[seen], axis=1)
         hidden = np.flatnonzero(~seen)
-        hidden = hidden[self.workspace.is_free(x[hidden]) & self.workspace.is_free(y[hidden])]
+        is_free = self.workspace.is_free_to_tolerance
+        hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
         hidden = hidden[np.argsort(_ordered(x[hidden]), kind="stable")]  # those at a time share points and corners
         counts = self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0]
         for part in parts(counts, _CANDIDATES):

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._arrays import as_booleans, as_finite, as_finite_point, as_point, as_points, require_integer, runs
+from plr_jax._arrays import as_booleans, as_finite, as_finite_point, as_point, as_points, require_integer, runs, told
 from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
@@ -215,6 +215,10 @@ class Roadmap:
         vars(self).update(domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
         self._assign(graph, tree)
 
+    def __repr__(self) -> str:
+        vertices, edges = len(self.graph.vertices), len(self.graph.edges)
+        return f"Roadmap({self.domain}, goal={told(self.graph.vertices[0])}, {vertices} vertices, {edges} edges)"
+
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
         """Roadmap of a point robot in a workspace, every edge tested exactly.
@@ -318,7 +322,7 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(n, dim)``.
         """
-        return self._first_vertices(self.domain.wrapped(as_points("x", x, self.domain.dim)))[0]
+        return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """The path whose length the query answers.
@@ -334,7 +338,7 @@ class Roadmap:
         Raises:
             ValueError: If ``x`` is not of shape ``(dim,)``.
         """
-        x = self.domain.wrapped(as_point("The start", x, self.domain.dim)[None])
+        x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
@@ -375,7 +379,7 @@ class Roadmap:
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    goal = domain.wrapped(as_finite_point("The goal", goal, domain.dim))
+    goal = domain.wrapped(as_finite_point("The goal", domain.settled(goal), domain.dim))
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")
     if not is_free(goal[None])[0]:

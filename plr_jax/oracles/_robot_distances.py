@@ -61,7 +61,7 @@ def robot_distance_fns(
 
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
     """The goal, moved into free space where rounding left it just outside, as that of a robot that touches a wall."""
-    if workspace.is_free(goal[None])[0]:
+    if workspace.is_free_to_tolerance(goal[None])[0]:
         return goal
     nearest = shapely.get_coordinates(shapely.ops.nearest_points(workspace.free_space, shapely.Point(goal))[0])[0]
     close = np.linalg.norm(nearest - goal) <= 1e3 * workspace.tolerance

@@ -337,7 +337,7 @@ class VisibilityGraph:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        return self._first_turns(as_points("x", x, 2))[0]
+        return self._first_turns(self._points("x", x))[0]
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Length of the shortest path between points, pair by pair, whatever the goal.
@@ -356,7 +356,7 @@ class VisibilityGraph:
         Raises:
             ValueError: If a shape is another, or the numbers of points differ.
         """
-        return self._pairs(as_points("x", x, 2), as_points("y", y, 2))
+        return self._pairs(self._points("x", x), self._points("y", y))
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
         """The shortest path from a point to the goal.
@@ -371,7 +371,7 @@ class VisibilityGraph:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_point("The start", x, 2)
+        x = as_point("The start", self.workspace.bounds.settled(x), 2)
         distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
@@ -390,7 +390,7 @@ class VisibilityGraph:
         Raises:
             ValueError: If ``x`` has another shape.
         """
-        x = as_points("x", x, 2)
+        x = self._points("x", x)
         distance, turn = self._first_turns(x)
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
@@ -404,10 +404,13 @@ class VisibilityGraph:
         result[~np.isfinite(distance)] = np.nan
         return result
 
+    def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
+        return as_points(name, self.workspace.bounds.settled(x), 2)
+
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Distance, and the vertex that the path goes to first: 0, the goal, if it is straight or there is none."""
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
-        free = np.flatnonzero(self.workspace.is_free(x))
+        free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         direct = self._goal_table.sees(np.zeros(len(free), int), x[free])
         seen, hidden = free[direct], x[free[~direct]]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
@@ -433,8 +436,8 @@ def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> 
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
-    goal = as_finite_point("The goal", goal, 2)
-    if not workspace.is_free(goal[None])[0]:
+    goal = as_finite_point("The goal", workspace.bounds.settled(goal), 2)
+    if not workspace.is_free_to_tolerance(goal[None])[0]:
         clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"
         is_in = workspace.bounds.contains(goal[None])[0]
         where = "in an obstacle" if is_in else f"outside the bounds {workspace.bounds}"

@@ -1,21 +1,20 @@
 """Distances between all pairs of cells of a grid."""
 
-import os
 import struct
 import zlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
-from plr_jax._atomic import write_atomically
 from plr_jax._types import ArrayLike, CellGraph
+from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_query import SLACK, GridTables, corners_from, evaluate_pairs, evaluate_to, tables_of
 from plr_jax.pairs.grid_sectors import CONNECTIVITIES, corner_cells
 from plr_jax.plr.file.bits import BitReader, BitWriter
+from plr_jax.plr.file.container import GRID_MAGIC
 
 # The file of the distances between all pairs of cells of a grid: the grid, from which all else follows.
 #
@@ -35,23 +34,21 @@ from plr_jax.plr.file.bits import BitReader, BitWriter
 MOST_CELLS = 2**22
 """Cells of the largest grid."""
 
-_MAGIC, _VERSION = b"PGP\n", 1
+_VERSION = 1
 _HEADER, _CRC = struct.Struct("<4sBBIII"), struct.Struct("<I")
-MOST_BYTES = _HEADER.size + _CRC.size + 4 * MOST_CELLS
-"""More than any file has: a cell that differs from the one above takes less than 4 bytes."""
 
 
 def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
     """The bytes of a grid's file."""
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
     size = _HEADER.size + len(body) + _CRC.size
-    data = _HEADER.pack(_MAGIC, _VERSION, connectivity, *free.shape, size) + body
+    data = _HEADER.pack(GRID_MAGIC, _VERSION, connectivity, *free.shape, size) + body
     return data + _CRC.pack(zlib.crc32(data))
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     """The cells and the connectivity that a file's bytes hold; raises ``ValueError`` saying what is wrong."""
-    if not data.startswith(_MAGIC):
+    if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
         raise ValueError("the data end too early")
@@ -97,6 +94,11 @@ class GridDistance:
         return 2
 
     @property
+    def domain(self) -> Box:
+        """The box of all cells."""
+        return _box_of(self.tables)
+
+    @property
     def is_lower_bound(self) -> bool:
         """True: it is never above the distance over the grid."""
         return True
@@ -131,7 +133,7 @@ class GridPairs:
 
     Attributes:
         tables: What a query reads.
-        file: The bytes that :meth:`save` writes.
+        file: The bytes that :func:`save` writes.
     """
 
     tables: GridTables
@@ -200,8 +202,13 @@ class GridPairs:
         return GridDistance(self.tables, cell, corners_from(self.tables, cell))
 
     @property
+    def domain(self) -> Box:
+        """The box of all cells."""
+        return _box_of(self.tables)
+
+    @property
     def num_bytes(self) -> int:
-        """Size of the file that :meth:`save` writes."""
+        """Size of the file that :func:`save` writes."""
         return len(self.file)
 
     @property
@@ -237,37 +244,6 @@ class GridPairs:
         data = bytes(data)
         free, connectivity = decode_grid(data)
         return _of_grid(free, connectivity, data)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a file of ``num_bytes`` bytes, complete or not at all.
-
-        Args:
-            path: The file.
-
-        Raises:
-            OSError: If the file cannot be written.
-        """
-        write_atomically(Path(path), self.to_bytes())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> "GridPairs":
-        """Read what :meth:`save` wrote.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The distances of pairs.
-
-        Raises:
-            ValueError: As :meth:`from_bytes`.
-            OSError: If the file cannot be read.
-        """
-        try:
-            with open(path, "rb") as file:
-                return GridPairs.from_bytes(file.read(MOST_BYTES + 1))
-        except ValueError as error:
-            raise ValueError(f"{path} cannot be read as pairs of a grid: {error}.") from error
 
 
 def construct_grid_pairs(graph: CellGraph, *, max_bytes: int | None = None) -> GridPairs:
@@ -307,6 +283,10 @@ def _of_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int, data: by
             "fit into memory; cut the map into parts."
         )
     return GridPairs(tables_of(free, connectivity), np.frombuffer(data, np.uint8))
+
+
+def _box_of(tables: GridTables) -> Box:
+    return Box((0, 0), tables.shape[::-1])
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:

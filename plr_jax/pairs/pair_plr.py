@@ -47,8 +47,8 @@ PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 
 def plr_to(stored: Stored, pairs: PairFn, goal: ArrayLike) -> PLR:
     """The PLR of cones of the distance to a goal: each leaf of the pairs has the corner that serves it best."""
-    goal = as_finite_point("The goal", goal, 2)
     domain = stored.domain
+    goal = as_finite_point("The goal", domain.settled(goal), 2)
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} lies outside the domain {domain}; move it inside.")
     sources = _sources(stored, pairs, goal)
@@ -140,7 +140,7 @@ _ENDS = 4 * float(np.finfo(np.float32).eps)  # how well ends of the domain are t
 class PairPLR(HeldFile):
     """The distance between any two points of a planar workspace.
 
-    Made by :func:`construct_pairs` and :func:`load_pairs`. It is a pytree of arrays: a jitted function can close over
+    Made by :func:`construct_pairs` and :func:`load`. It is a pytree of arrays: a jitted function can close over
     it or take it as an argument.
 
     Attributes:
@@ -194,9 +194,10 @@ class PairPLR(HeldFile):
                 ends to the domain are added.
 
         Returns:
-            Distances, ``(...)``, 32-bit: ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
-            ``inf`` where no path joins the points; NaN for NaN. Points in obstacles get what
-            the corners that their leaf lists give, which means nothing.
+            Distances, ``(...)``, in the default precision of JAX at the most, as of :func:`evaluate`; the corners and
+            what is between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and 0 for ``x == y``.
+            ``inf`` where no path joins the points; NaN for NaN. Points in obstacles get what the corners that their
+            leaf lists give, which means nothing.
 
         Raises:
             ValueError: If points do not have two coordinates, are not real, or do not broadcast, or ``outside`` is
@@ -247,7 +248,7 @@ class PairPLR(HeldFile):
         if not is_on_one_host(x, y, self.tables.walls):
             return answer(self.tables, x, y)
         with np.errstate(over="ignore"):  # far outside
-            points = [np.asarray(p, np.float32) for p in (x, y)]
+            points = [np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y)]
         answers = answered_in_parts(partial(answer, self.tables), (_FEW, _MANY), *points)
         return tuple(map(jnp.asarray, answers))
 
@@ -314,23 +315,29 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 @partial(jax.jit, static_argnames="outside")
 def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
     if outside == "clamp":
-        (x, way_x), (y, way_y) = (_clamped(tables, p.astype(jnp.float32)) for p in (x, y))
+        (x, way_x), (y, way_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
         return (_distances(tables, x, y, "inf")[0] + (way_x + way_y),)
     x, y, shape, answer = _checked(tables, x, y)
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
-    ways = shortest_ways(tables, *jax.lax.stop_gradient((x, y)))
-    length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least)
-    is_straight = (ways.from_x == y).all(axis=1) & (ways.from_y == x).all(axis=1)
-    legs = jnp.where(is_straight, _norm(x - y), _norm(x - ways.from_x) + _norm(y - ways.from_y))
-    length += jnp.where(jnp.isfinite(length), legs - jax.lax.stop_gradient(legs), 0.0)  # as it changes with the ends
+    single = [jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y)]
+    ways = shortest_ways(tables, *single)
+    length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least).astype(x.dtype)
+    is_straight = (ways.from_x == single[1]).all(axis=1) & (ways.from_y == single[0]).all(axis=1)
+
+    def legs(x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
+        from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
+        return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
+
+    # As it changes with the ends, also by what 32 bits leave of them.
+    length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
 
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     x, y, shape, answer = _checked(tables, x, y)
-    x, y = jax.lax.stop_gradient((x, y))
+    dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
     absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()  # of the domain's largest coordinate
     least = shortest_ways(tables, x, y).least
@@ -340,7 +347,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     is_clear = is_inside(free, x) & is_inside(free, y)
     length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)
-    lower, upper = (jnp.where(jnp.isfinite(answer), bound, answer).reshape(shape) for bound in (lower, upper))
+    lower, upper = (jnp.where(jnp.isfinite(answer), p.astype(dtype), answer).reshape(shape) for p in (lower, upper))
     return lower, upper
 
 
@@ -348,8 +355,8 @@ def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
     """The point of the domain that is nearest to each, and how far that is; points that are not finite stay."""
-    half = jnp.broadcast_to(tables.half, x.shape)
-    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > half * (1 + _ENDS))
+    half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
+    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
     return nearest, length_of([(x - nearest)[..., axis] for axis in range(2)])
 
@@ -358,14 +365,25 @@ def _checked(
     tables: PairTables, x: Array, y: Array
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], tuple[int, ...], Float[Array, "n"]]:
     """Pairs in a row, inside the domain; their shape; and what to answer: ``inf`` outside, NaN for NaN, else 0."""
-    x, y = jnp.broadcast_arrays(x.astype(jnp.float32), y.astype(jnp.float32))
+    x, y = jnp.broadcast_arrays(*(p.astype(_floats_of(x, y)) for p in (x, y)))
     shape = x.shape[:-1]
     x, y = x.reshape(-1, 2), y.reshape(-1, 2)
-    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > tables.half[None] * (1 + _ENDS)
-    answer = jnp.where(beyond.any(axis=1), jnp.inf, 0.0)
+    beyond = jnp.maximum(jnp.abs(x), jnp.abs(y)) > _ends(tables, x)
+    answer = jnp.where(beyond.any(axis=1), jnp.inf, jnp.zeros((), x.dtype))
     answer = jnp.where(jnp.isnan(x).any(axis=1) | jnp.isnan(y).any(axis=1), jnp.nan, answer)
     x, y = (jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in (x, y))
     return x, y, shape, answer
+
+
+def _floats_of(x: Any, y: Any) -> Any:
+    """The precision of an answer: 64 bits if a point is of as many, else 32."""
+    return jnp.float64 if jnp.float64 in (x.dtype, y.dtype) else jnp.float32
+
+
+def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    """How far from the middle points count as inside: to what rounding leaves of the ends, wherever the origin is."""
+    ends = tables.half + _ENDS * (tables.half + jnp.abs(tables.middle[0]))
+    return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
 
 def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:

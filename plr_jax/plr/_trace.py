@@ -94,7 +94,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     if not isinstance(plr, PLR):
         raise ValueError(f"Only a PLR can be traced, got {shortened(plr)}.")
     sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
-    starts = as_points("starts", starts, plr.dim)
+    starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
     way = _ways(sources.parents, source_of_leaf[leaf_of(plr, starts[inside])])
     paths, counts = _paths(starts[inside], sources.points, way)

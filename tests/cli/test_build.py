@@ -318,3 +318,15 @@ def test_a_terminal_shows_what_is_being_done_and_then_no_more(monkeypatch):
         with saying("reading a"):
             assert stream.getvalue() == said[0]
         assert stream.getvalue() == "".join(said)
+
+
+def test_a_round_robot_has_a_radius(tmp_path):
+    path = tmp_path / "maze.plr"
+    done("build", "maze", "--radius", 0.02, "--leaf", "plane", "--max-leaves", 30, "-o", path)
+    plr, workspace = plr_jax.load(path), scenes.maze().workspace.inflate(0.02)
+    assert plr.label == "maze --goal=0.06,0.07 --radius=0.02" and plr.domain == workspace.bounds
+    x = workspace.sample_free(1000, seed=0)
+    exact = plr_jax.VisibilityGraph(workspace, (0.06, 0.07))(x)
+    assert np.abs(plr(x) - exact).max() <= plr.max_error
+    done("plot", path, "--kind", "error", "-o", tmp_path / "error.png")  # beside the same distance
+    assert "leaves no free space" in mistake("build", "maze", "--radius", 1, "-o", path)

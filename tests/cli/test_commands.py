@@ -1,3 +1,5 @@
+import json
+import os
 import subprocess
 import sys
 
@@ -6,7 +8,19 @@ import pytest
 from cli_helpers import done, mistake, run
 
 import plr_jax
-from plr_jax import Box, construct, load, save
+from plr_jax import (
+    Box,
+    GridGraph,
+    VisibilityGraph,
+    construct,
+    construct_grid_pairs,
+    construct_pairs,
+    load,
+    save,
+    scenes,
+)
+from plr_jax.cli._inputs import LEAVES
+from plr_jax.plr.leaves import leaf_names
 
 
 def table(text):
@@ -57,14 +71,68 @@ def test_query_explains_mistakes(plane, tmp_path):
 
 
 def test_export_writes_a_header(plane, tmp_path):
-    done("export", plane, "--c", "-o", tmp_path / "level_1.h")
+    done("export", plane, "-o", tmp_path / "level_1.h")
     done("export", plane, "--c", "-o", tmp_path / "b.h", "--name", "level_1")
     for name in ("level_1.h", "b.h"):
         assert (tmp_path / name).read_text() == load(plane).c_header("level_1")
     assert "identifier of C" in mistake("export", plane, "--c", "-o", tmp_path / "1.h")
-    assert "--c is for a header of C99" in mistake("export", plane, "-o", tmp_path / "a.h")
+    assert "leave out --goal" in mistake("export", plane, "--goal", "0,0", "-o", tmp_path / "a.h")
     assert "must end in .h" in mistake("export", plane, "--c", "-o", tmp_path / "a.txt")
     assert "No such folder" in mistake("export", tmp_path / "none.plr", "--c", "-o", tmp_path / "none" / "a.h")
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    """A file of pairs of the maze, with its label, and one of a small grid."""
+    folder, of_maze = tmp_path_factory.mktemp("pairs"), construct_pairs(scenes.maze().workspace, max_bytes=400)
+    save(of_maze.with_label("maze"), folder / "maze.pairs")
+    save(construct_grid_pairs(GridGraph(np.array([[1, 1, 1], [1, 0, 1]], bool))), folder / "grid.pairs")
+    return folder / "maze.pairs", folder / "grid.pairs"
+
+
+def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
+    (points, grid), ends = pairs, "0.1,0.1,0.9,0.9\n0.5,0.1,0.5,0.1\n3,3,0.1,0.1\n"
+    answers = table(run("query", points, "--bounds", input=ends).stdout)
+    exact = VisibilityGraph(scenes.maze().workspace, (0.9, 0.9))([[0.1, 0.1]])[0]
+    assert answers[0, 0] == pytest.approx(exact, rel=0.02) and answers[0, 1] <= exact <= answers[0, 2]
+    assert answers[1, 0] == 0 and answers[2, 0] == np.inf
+    assert done("query", grid, input="0,0,1.5,0.5\n0,1,2,1\n0,0,1,1\n").split() == ["1", "4", "inf"]
+    for path, kind in ((points, "distance"), (points, "cells"), (points, "error"), (grid, "distance")):
+        done("plot", path, "--goal", "0.1,0.1", "--kind", kind, "-o", tmp_path / "a.png")
+    done("export", points, "--goal", "0.1,0.1", "-o", tmp_path / "maze.h")
+    assert (tmp_path / "maze.h").read_text() == load(points).to((0.1, 0.1)).c_header("maze")
+    for arguments, message in (
+        (["export", points, "-o", tmp_path / "a.h"], "any two points: give one with --goal"),
+        (["export", grid, "--goal", "0,0", "-o", tmp_path / "a.h"], "cells of a grid, of which no code"),
+        (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one with --goal"),
+        (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "only the distance is drawn"),
+        (["query", points, "--gradient"], "--gradient is for PLRs"),
+    ):
+        assert message in mistake(*arguments, input="")
+    assert "holds      GridPairs\n" in done("info", grid)
+
+
+def test_info_is_told_to_programs_as_well(maze, pairs):
+    plr, facts = load(maze), json.loads(done("info", maze, "--json"))
+    assert facts["num_leaves"] == plr.num_leaves and facts["max_error"] == plr.max_error and facts["hi"] == [1, 1]
+    of_pairs = [json.loads(done("info", path, "--json")) for path in pairs]
+    assert [each["holds"] for each in of_pairs] == ["PairPLR", "GridPairs"] and of_pairs[0]["label"] == "maze"
+
+
+def test_a_shell_completes_maps_and_choices():
+    for words, expected in ((("build", "ma"), "maze"), (("build", "maze", "--leaf", "co"), "continuous\ncone")):
+        completing = {"_PLR_JAX_COMPLETE": "complete_bash", "COMP_CWORD": str(len(words))}
+        completing["COMP_WORDS"] = "plr-jax " + " ".join(words)
+        code = "import sys; sys.argv[0] = 'plr-jax'; from plr_jax.cli import main; main()"
+        found = subprocess.run(
+            [sys.executable, "-c", code], check=True, env=os.environ | completing, capture_output=True, text=True
+        )
+        assert found.stdout.strip() == expected, found.stderr
+
+
+def test_choices_in_the_help_are_those_there_are():
+    assert set(LEAVES) == {"best", *leaf_names()}
+    assert "[best|plane|continuous|" in done("build", "--help")
 
 
 def test_info_says_what_is_in_the_file(maze):

@@ -339,3 +339,8 @@ def test_points_of_the_wrong_shape_are_refused(x):
         oracle(x)
     with pytest.raises(ValueError, match=r"shape \(2,\)"):
         oracle.shortest_path([x])
+
+
+def test_a_roadmap_is_told_in_a_line(case):
+    told = repr(case[-1])
+    assert len(told) < 200 and f"{len(case[-1].graph.vertices)} vertices" in told and "\n" not in told

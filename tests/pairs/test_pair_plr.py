@@ -2,6 +2,7 @@
 
 import math
 import tracemalloc
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +40,19 @@ def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
         # Both ends are clamped: a way straight to the left side, and one from below along the wall.
         np.testing.assert_allclose(wall(x - 10, y[0], outside="clamp") >= 0, True)
         np.testing.assert_allclose(plr.waypoint(x[:1]), [(4, 8)], atol=1e-5)
+
+
+def test_64_bits_are_answered_in_64(maze):
+    """And beside corners the way is that of the points, not of what 32 bits leave of them."""
+    x, y = two_batches(MAZE, 500, seed=2)
+    with jax.enable_x64(True):
+        for ends in ((x, y), (jnp.asarray(x), jnp.asarray(y)), (jnp.asarray(x, jnp.float32), y)):
+            assert maze(*ends).dtype == np.float64 and maze.bounds(*ends)[0].dtype == np.float64
+        assert maze(*map(partial(jnp.asarray, dtype=jnp.float32), (x, y))).dtype == np.float32
+        np.testing.assert_allclose(maze(x, y), exact(MAZE, x, y), atol=1e-6)
+        np.testing.assert_array_equal(maze(x, y), maze(y, x))
+        ahead, here, behind = (np.asarray(maze(x + step, y)) for step in (1e-9, 0, -1e-9))
+        assert (np.abs(ahead - 2 * here + behind) < 1e-14).mean() > 0.9 < (ahead != here).mean()
 
 
 def test_outside_is_infinite_nan_stays_and_the_corners_of_the_domain_are_inside(maze):

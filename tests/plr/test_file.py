@@ -22,7 +22,7 @@ from plr_helpers import (
     walled,
 )
 
-from plr_jax import Box, construct, from_bytes, load, load_numpy, load_pairs, save
+from plr_jax import Box, construct, from_bytes, load, load_numpy, save
 from plr_jax.plr import Plane
 from plr_jax.plr._assembly import plr_of_leaves, with_stored
 from plr_jax.plr._file import decode, decode_cells, encode
@@ -118,7 +118,7 @@ SOME = Container.from_bytes(encode(random_contents(0, 2, "plane"))).last
         (Container(Box(np.zeros(10), np.ones(10)), (Layer(1, b""),)), "up to 6 dimensions, got 10"),
         (Container(UNIT, (Layer(4, b"body"), SOME)), "leaves of kind 4"),
         (Container(UNIT, (Layer(8, b"body"), SOME)), "leaves of kind 8"),
-        (Container(UNIT, (Layer(7, b"body"), SOME)), "use load_pairs"),
+        (Container(UNIT, (Layer(7, b"body"), SOME)), "any two points; use load"),
         (Container(UNIT, (Layer(0, SOME.body, 9), SOME)), "a proof of kind 9, this release knows kinds 0 to 3"),
     ],
 )
@@ -140,17 +140,17 @@ def test_load_says_what_is_wrong_with_which_file(change, message, tmp_path):
     with pytest.raises(FileNotFoundError):
         load(path)
     path.write_bytes(change(encode(random_contents(0, 2, "plane"))))
-    with pytest.raises(ValueError, match=f"bad.plr cannot be read as a PLR: .*{message}"):
+    with pytest.raises(ValueError, match=f"bad.plr cannot be read as a PLR or as pairs: .*{message}"):
         load(path)
 
 
-@pytest.mark.parametrize("read", [load, load_numpy, load_pairs])
+@pytest.mark.parametrize("read", [load, load_numpy])
 def test_of_a_file_that_goes_on_no_more_is_read_than_a_plr_may_have(read, tmp_path, monkeypatch):
     """And of other files only the start."""
     path, plr = tmp_path / "long.plr", encode(random_contents(0, 2, "plane"))
     monkeypatch.setattr(container_module, "MOST_BYTES", 2**20)
     for start, message, most in (
-        (plr, "long.plr cannot be read as .*: it has more than 1,048,576 bytes", (3 + (read is load_pairs)) * 2**20),
+        (plr, "long.plr cannot be read as .*: it has more than 1,048,576 bytes", 4 * 2**20),
         (b"", "does not start like a PLR file", 2**18),
         (b"PLR\n\x02", "a format version before 5", 2**18),
     ):

@@ -57,7 +57,7 @@ def check_counts(k: int, num_points: int, num_restarts: int, num_iterations: int
 
 
 def _free_points(workspace: Workspace, demand: ArrayLike) -> Float[np.ndarray, "n 2"]:
-    points = as_points("demand", demand, 2)
+    points = as_points("demand", workspace.bounds.settled(demand), 2)
     if not len(points):
         raise ValueError("demand must have at least one point, got none.")
     blocked = np.flatnonzero(~workspace.is_free(points))

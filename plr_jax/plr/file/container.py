@@ -51,6 +51,8 @@ MOST_AXES = 255
 """Of a domain."""
 MAGIC = b"P\xb5"
 """What every file of this version begins with."""
+GRID_MAGIC = b"PGP\n"
+"""What files of pairs of cells of a grid begin with (see ``pairs/grid_pairs.py``)."""
 _EARLIER = b"PLR\n", b"CPL\n"  # magic of versions before
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15
@@ -248,10 +250,15 @@ def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> 
 _START = 2**12
 
 
+def holds_pairs(data: bytes) -> bool:
+    """Whether a file's bytes are of pairs, of points or of cells of a grid; ``ValueError`` if of nothing known."""
+    return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
+
+
 def read_bytes(path: str | os.PathLike) -> bytes:
     """What a file holds: all of it, or one byte more than a file may have; of what is no PLR file only the start."""
     with open(path, "rb") as file:
         data = file.read(_START)
-        if data.startswith(MAGIC):  # or there is nothing to read for, and it may not end
+        if data.startswith((MAGIC, GRID_MAGIC)):  # or there is nothing to read for, and it may not end
             data += file.read(MOST_BYTES + 1 - len(data))
         return data

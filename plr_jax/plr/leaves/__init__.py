@@ -35,7 +35,7 @@ def code_of_leaf(leaf: LeafModel) -> int:
 def leaf_of_code(code: int) -> LeafModel:
     """The leaf model that a file names; raises ``ValueError`` if this release has none of that code."""
     if code == PAIRS_CODE:
-        raise ValueError("it holds the distance between any two points; use load_pairs")
+        raise ValueError("it holds the distance between any two points; use load")
     if code >= len(_MODELS):
         raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
     return _MODELS[code]

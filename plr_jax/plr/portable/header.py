@@ -269,6 +269,16 @@ class _Header:
         self.is_sourced = isinstance(program.leaf, SourcedLeafModel)
         self.helpers: set[str] = set()
 
+    @property
+    def code_type(self) -> str:
+        """Of the codes in the tree."""
+        return "uint16_t" if max(self.tree.root, self.tree.children.max(initial=0)) < 2**16 else "uint32_t"
+
+    @property
+    def table_bytes(self) -> int:
+        """Of the program's constants: several times the file, whose integers have few bits."""
+        return 4 * self.rows.size + (2 if self.code_type == "uint16_t" else 4) * self.tree.children.size
+
     def introduction(self) -> list[str]:
         """What the header is, and what it includes."""
         program, name = self.program, self.name
@@ -287,6 +297,7 @@ class _Header:
             "   INFINITY outside this closed domain, NAN where a coordinate is. It knows no obstacles.",
             *(waypoint.splitlines() if self.is_sourced else []),
             f"   Coordinates are {self.type}: {_WHY[self.type]}.",
+            f"   Compiled, its tables take {self.table_bytes:,} bytes, beside a few hundred of code.",
             "",
             "   Answers are those of plr.numpy(), bit for bit, where no operations are fused: compile with",
             "   -ffp-contract=off, as GCC else fuses some where a processor can. */",
@@ -309,11 +320,10 @@ class _Header:
         name, tree, count = self.name, self.tree, self.rows.shape[1]
         lines = []
         if len(tree.children):
-            code_type = "uint16_t" if max(tree.root, tree.children.max()) < 2**16 else "uint32_t"
             lines += [
                 "/* Both halves of every cell that is split, the lower first. Of one that is split again, its index",
                 f"   here times {1 << tree.kind_bits} plus its axis; of a leaf, of its numbers plus {tree.dim}. */",
-                f"static const {code_type} {name}_tree[{len(tree.children)}][2] = {{",
+                f"static const {self.code_type} {name}_tree[{len(tree.children)}][2] = {{",
                 *_filled(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
                 "};",
                 "",

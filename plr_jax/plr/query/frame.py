@@ -57,11 +57,7 @@ def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarr
     """
     if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
         raise ValueError(f"The domain must be within {LARGEST:g}, and wider than its inverse, got {domain}.")
-    lo, hi = domain.lo.astype(np.float32), domain.hi.astype(np.float32)
-    return (
-        np.where(lo > domain.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
-        np.where(hi < domain.hi, np.nextafter(hi, np.float32(np.inf)), hi),
-    )
+    return domain.in_single
 
 
 def is_far(domain: Box) -> bool:
@@ -108,11 +104,9 @@ def inner_corners(box: Box) -> Float[np.ndarray, "2 dim"]:
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
     """The domain in 32-bit floats."""
     lo, hi = table_corners(domain)
-    # Rounded toward zero, so that the corners themselves stay inside.
-    rest = np.nextafter(np.stack([domain.lo - lo, hi - domain.hi]).astype(np.float32), np.float32(-1))
     frame = np.empty((len(Frame), domain.dim), np.float32)
     frame[Frame.LO], frame[Frame.HI] = lo, hi
-    frame[Frame.LO_REST], frame[Frame.HI_REST] = np.maximum(rest, 0)
+    frame[Frame.LO_REST], frame[Frame.HI_REST] = domain.single_rests
     frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
     top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
     rounded = top.astype(np.float32)

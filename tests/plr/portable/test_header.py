@@ -45,7 +45,10 @@ def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(
         subprocess.run([plus, *STRICT, "-fsyntax-only", tmp_path / "a.cpp"], check=True)
     if shutil.which("size") is not None and shutil.which("nm") is not None and platform.machine() == "x86_64":
         compiled = object_for_size(plr, tmp_path)
-        assert 0 < section_bytes(compiled)["code"] <= MOST_CODE
+        sizes = section_bytes(compiled)
+        assert 0 < sizes["code"] <= MOST_CODE
+        told = int(re.search(r"Compiled, its tables take ([\d,]+) bytes", text)[1].replace(",", ""))
+        assert told <= sizes["data"] <= told + 256  # with the constants of its code
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
         assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_"}
 
