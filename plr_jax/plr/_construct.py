@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ParamSpec
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
 from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
 from plr_jax.geometry.box import Box
+from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
@@ -50,7 +51,26 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
     return construct
 
 
+def _best_if_asked(leaves_of: Callable[Arguments, Contents]):
+    """What gives leaves of a model, as what gives the best of several as well."""
+
+    @wraps(leaves_of)
+    def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Contents:
+        if kwargs.get("leaf") != BEST:
+            return leaves_of(*args, **kwargs)
+        given = signature(leaves_of).bind(*args, **kwargs)
+        given.apply_defaults()
+        best = best_leaves(leaves_of, **(given.arguments | {"domain": Box.of(given.arguments["domain"])}))
+        if best.is_interrupted:
+            message = "Interrupted: the PLR is the best one built so far."
+            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+        return best.contents
+
+    return construct
+
+
 @_assembled
+@_best_if_asked
 def construct(
     distance_fn: DistanceFn,
     domain: Box | tuple[ArrayLike, ArrayLike],
@@ -98,19 +118,24 @@ def construct(
         domain: The box to cover, a ``Box`` or its two corners. Along its periodic axes the distance function is to be
             periodic itself. It is asked for points of the box, and around it if that is turned to be folded. Tied
             leaves do not jump at the seam either.
-        leaf: What a leaf holds. ``"plane"``, the paper's, may jump from leaf to leaf. ``"continuous"`` stores values
-            at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
-            multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a
-            continuous gradient as well, in 1 or 2 dimensions. Both take longer to build and to query, and err less
-            for their bytes. ``"cone"`` holds the distance to one *source*, a point that paths go to next, and on from
-            there: among obstacles that is exact but where the next corner changes. Of a distance function that
-            answers for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf,
-            its boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources
-            that serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones
-            grow from samples, as for any other function; their sources are those that the function offers, as
-            ``Roadmap`` does, or are found from samples. Cones answer finite numbers wherever they are asked. They
-            rise by one unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such
-            as ``plr_jax.plr.Plane(coefficient_bits=16)``.
+        leaf: What a leaf holds. ``"best"`` is cones where ``max_bytes`` has room for all corners of a map; where it
+            has not, those of cones (if a quarter of the corners has room) and continuous leaves whose mean error is
+            least, at points of the domain; of other distance functions continuous leaves, or planes in more than 6
+            dimensions. With ``certified`` it is the model of the least proven error. ``"plane"``, the paper's, may
+            jump from leaf to leaf. ``"continuous"`` stores values at the leaves' corners, shared by all leaves that
+            meet there without a wall between them, and is multilinear in every leaf: it does not jump where one can
+            walk, in up to 6 dimensions. ``"smooth"`` has a continuous gradient as well, in 1 or 2 dimensions. Both
+            take longer to build and to query, and err less for their bytes. ``"cone"`` holds the distance to one
+            *source*, a point that paths go to next, and on from there: among obstacles that is exact but where the
+            next corner changes, if the file has room for the corners, some 7 bytes each; where it has room for less
+            than a quarter, as of a scan full of specks, others mostly err less. Of a distance function that answers
+            for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf, its
+            boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources that
+            serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones grow
+            from samples, as for any other function; their sources are those that the function offers, as ``Roadmap``
+            does, or are found from samples. Cones answer finite numbers wherever they are asked. They rise by one
+            unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such as
+            ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for. In the plane:
 
