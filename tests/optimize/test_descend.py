@@ -469,3 +469,40 @@ def test_an_arm_goes_around_an_obstacle_and_through_the_seams():
     assert any(crosses)
     wrapped = descended(plr, arm, starts + np.array([2 * math.pi, -4 * math.pi]), goal)
     np.testing.assert_allclose(wrapped.costs, descent.costs, rtol=1e-3)
+
+
+# --- A collision checker of one's own ---------------------------------------------------------------------
+
+
+class OnlyTests:
+    """What a space says of configurations alone."""
+
+    def __init__(self, space):
+        self.domain, self.motion_cost, self.is_free = space.domain, space.motion_cost, space.is_free
+
+
+def test_a_space_that_only_tests_is_served_at_a_resolution():
+    arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
+    goal, q = np.array([1.8, 0.0]), np.random.default_rng(0).uniform(-math.pi, math.pi, (10, 2))
+
+    def far(x):  # as if there were no obstacle
+        return arm.motion_cost.lengths(x, np.broadcast_to(goal, x.shape), arm.domain)
+
+    starts = q[arm.is_free(q)]
+    descent = descend(far, OnlyTests(arm), starts, goal, resolution=0.05)
+    assert descent.reached.all() and any(np.abs(np.diff(path, axis=0)).max() > math.pi for path in descent.paths)
+    for path in descent.paths:
+        leg = arm.domain.difference(path[1:], path[:-1])
+        at = arm.domain.wrapped(path[:-1, None] + np.linspace(0, 1, 100)[:, None] * leg[:, None])
+        q = at.reshape(-1, 2)[~arm.is_free(at.reshape(-1, 2))]
+        near = q[:, None] + 0.05 * np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # what is not is all but free
+        assert arm.is_free(arm.domain.wrapped(near.reshape(-1, 2))).reshape(-1, 4).any(axis=1).all()
+    proven = descend(far, arm, starts, goal)
+    np.testing.assert_allclose(np.median(descent.costs), np.median(proven.costs), rtol=0.05)
+
+
+def test_a_resolution_is_for_spaces_that_only_test_and_needed_there():
+    space = PlaneSpace(SQUARE)
+    for unlike, options in ((OnlyTests(space), {}), (space, {"resolution": 0.1}), (SQUARE, {"resolution": 0.1})):
+        with pytest.raises(ValueError, match="is for a space that only tests configurations, and needed there"):
+            descend(nothing_known, unlike, [(1, 1)], (1, 1), **options)
