@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_booleans, as_finite, parts, runs, shortened
+from plr_jax._arrays import as_booleans, as_finite, parts, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
@@ -118,12 +118,14 @@ class _TestedMotions:
         return np.full(len(lo), CellState.MIXED, np.int8)
 
     def are_free(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        domain, free = self.domain, np.ones(len(q0), bool)
-        num_steps = np.ceil(self.motion_cost.lengths(q0, q1, domain) / self.resolution).astype(np.int64)
-        for rows in parts(num_steps + 1, _TESTS_AT_ONCE) if len(q0) else []:
-            motion, step = runs(num_steps[rows] + 1)
-            motion += rows.start
-            share = step / np.maximum(num_steps[motion], 1)
-            tested = domain.wrapped(q0[motion] + share[:, None] * domain.difference(q1, q0)[motion])
-            free[motion[~self.is_free(tested)]] = False
+        # First at both ends, then between any two tests, and so on: what is blocked is mostly found early.
+        change, lengths = self.domain.difference(q1, q0), self.motion_cost.lengths(q0, q1, self.domain)
+        free, halvings = self.is_free(q0) & self.is_free(q1), 0
+        while len(rows := np.flatnonzero(free & (lengths > self.resolution * 2**halvings))):
+            share = (np.arange(2**halvings) + 0.5) / 2**halvings
+            for part in parts(np.full(len(rows), len(share)), _TESTS_AT_ONCE):
+                motion = rows[part]
+                q = self.domain.wrapped(q0[motion, None] + share[:, None] * change[motion, None])
+                free[motion] = self.is_free(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).all(axis=1)
+            halvings += 1
         return free
