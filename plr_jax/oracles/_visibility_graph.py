@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int, Shaped, UInt64
+from jaxtyping import Bool, Float, Int, Shaped, UInt64
 from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
@@ -338,6 +338,10 @@ class VisibilityGraph:
             ValueError: If ``x`` has another shape.
         """
         return self._first_turns(as_points("x", x, 2))[0]
+
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """As of the workspace: whether points ``(n, 2)`` are free, whether or not the goal can be reached."""
+        return self.workspace.is_free(x)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Length of the shortest path between points, pair by pair, whatever the goal.

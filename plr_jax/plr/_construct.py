@@ -9,8 +9,10 @@ from functools import wraps
 from inspect import signature
 from typing import TYPE_CHECKING, ParamSpec
 
+import numpy as np
+
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
-from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
+from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn, FreeSpaceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import certificate_of, require_certifiable
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 _DENSER = 8  # times as many samples where the first ones hardly meet what is free
 _MOST_SAMPLES = 2**16
+_DRAWN = 1000  # points of the domain, to see how many reach the goal
 Arguments = ParamSpec("Arguments")
 
 
@@ -51,26 +54,45 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
     return construct
 
 
-def _best_if_asked(leaves_of: Callable[Arguments, Contents]):
-    """What gives leaves of a model, as what gives the best of several as well."""
+def _with_advice(leaves_of: Callable[Arguments, Contents]):
+    """What gives leaves of a model, as what gives the best of several as well, and tells if the goal seems wrong."""
 
     @wraps(leaves_of)
     def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Contents:
-        if kwargs.get("leaf") != BEST:
-            return leaves_of(*args, **kwargs)
         given = signature(leaves_of).bind(*args, **kwargs)
         given.apply_defaults()
-        best = best_leaves(leaves_of, **(given.arguments | {"domain": Box.of(given.arguments["domain"])}))
-        if best.is_interrupted:
-            message = "Interrupted: the PLR is the best one built so far."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
-        return best.contents
+        options = given.arguments | {"domain": Box.of(given.arguments["domain"])}
+        if options["leaf"] != BEST:
+            contents = leaves_of(*args, **kwargs)
+        else:
+            best = best_leaves(leaves_of, **options)
+            contents = best.contents
+            if best.is_interrupted:
+                message = "Interrupted: the PLR is the best one built so far."
+                warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+        distance_fn = options["distance_fn"]
+        if isinstance(distance_fn, FreeSpaceFn) and (advice := _of_cut_off(distance_fn, options["domain"])):
+            warnings.warn(advice, stacklevel=3)
+        return contents
 
     return construct
 
 
+def _of_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+    """What to say if most free points do not reach the goal."""
+    x = domain.lo + domain.width * np.random.default_rng(0).random((_DRAWN, domain.dim))
+    x = x[np.asarray(distance_fn.is_free(x))]
+    cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
+    if 2 * cut_off <= len(x):
+        return None
+    return (
+        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. Is "
+        "it in the part of free space that you mean? What the PLR answers in the others means nothing."
+    )
+
+
 @_assembled
-@_best_if_asked
+@_with_advice
 def construct(
     distance_fn: DistanceFn,
     domain: Box | tuple[ArrayLike, ArrayLike],
@@ -186,7 +208,8 @@ def construct(
 
     Returns:
         The PLR. If interrupted (Ctrl-C) once there is a leaf, the one built so far, with a
-        ``ConstructionInterrupted`` warning; if in its proof, the whole one without a proof.
+        ``ConstructionInterrupted`` warning; if in its proof, the whole one without a proof. Another warning says if
+        most free points do not reach the goal, where ``distance_fn`` tells (``is_free``), as those of maps do.
 
     Raises:
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
@@ -259,7 +282,7 @@ def construct(
             contents = replace(contents, certificate=certificate_of(contents, root, proof))
         except KeyboardInterrupt:
             message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+            warnings.warn(message, ConstructionInterrupted, stacklevel=4)
     return contents
 
 
