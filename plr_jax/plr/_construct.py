@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from functools import wraps
 from inspect import signature
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def _with_advice(leaves_of: Callable[Arguments, Contents]):
     def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Contents:
         given = signature(leaves_of).bind(*args, **kwargs)
         given.apply_defaults()
-        options = given.arguments | {"domain": Box.of(given.arguments["domain"])}
+        options: dict[str, Any] = given.arguments | {"domain": Box.of(given.arguments["domain"])}
         if options["leaf"] != BEST:
             contents = leaves_of(*args, **kwargs)
         else:
