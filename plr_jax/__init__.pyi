@@ -31,6 +31,7 @@ from .oracles import Dubins as Dubins
 from .oracles import Euclidean as Euclidean
 from .oracles import GridField as GridField
 from .oracles import GridGraph as GridGraph
+from .oracles import NearestGoal as NearestGoal
 from .oracles import ReedsShepp as ReedsShepp
 from .oracles import Roadmap as Roadmap
 from .oracles import VisibilityGraph as VisibilityGraph

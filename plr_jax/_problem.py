@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_finite, as_numbers, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
@@ -54,8 +54,7 @@ class Problem:
         goals: ArrayLike,
         rotation_weight: float | int | None = None,
     ):
-        if not isinstance(workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
+        require_workspace(workspace)
         if not isinstance(robots, Iterable):
             raise ValueError(f"robots must be a list of robots, got {shortened(robots)}.")
         robots = tuple(robots)

@@ -26,7 +26,8 @@ coordinate is NaN it answers ``inf``. A PLR approximates one: it may be a little
 function must cope with both.
 
 What one may offer besides: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`SymmetricFn`, :class:`RadialFn`.
+:class:`SourcedFn`, :class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`,
+:class:`RadialFn`.
 """
 
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
@@ -241,6 +242,14 @@ class CellGraph(Protocol):
     def free(self) -> Bool[np.ndarray, "rows columns"]: ...
     @property
     def connectivity(self) -> int: ...
+
+
+@runtime_checkable
+class FreeSpaceFn(Protocol):
+    """A distance function that says which points are free, so that those can be told that do not reach the goal."""
+
+    def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

@@ -35,7 +35,7 @@ PLR_LAYERS = [
     ["_plr"],
     ["_assembly", "_location", "_stack"],
     ["_certify"],
-    ["_checkpoint", "_trace", "refinement"],
+    ["_best", "_checkpoint", "_trace", "refinement"],
     ["_construct"],
     ["_construct_many", "_coarsen"],
 ]

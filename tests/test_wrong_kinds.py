@@ -3,13 +3,29 @@
 import numpy as np
 import pytest
 
-from plr_jax import BLOptions, Box, PointRobot, Problem, Workspace, construct, from_bytes, plot, save, scenes, zero
+from plr_jax import (
+    BLOptions,
+    Box,
+    GridGraph,
+    PointRobot,
+    Problem,
+    Roadmap,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    from_bytes,
+    plot,
+    save,
+    scenes,
+    zero,
+)
 from plr_jax.planners import sba_star_plan
 from plr_jax.plr import PLR, NumpyPLR, quantile, refine
 from plr_jax.plr.refinement.objective import Quantile
 
 ROOM = Workspace(((0, 0), (1, 1)))
 UNIT = Box((0, 0), (1, 1))
+VOXELS = np.ones((2, 2, 2), bool)
 ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
 
 
@@ -64,6 +80,12 @@ def refined(**options):
         (lambda: ROOM.sample_free(1.5, 0), "n must be an integer >= 0, got 1.5"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
         (lambda: scenes.perturbed(scenes.maze(), "a"), "seed must be an integer >= 0, got 'a'"),
+        (lambda: Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). What serves volumes: Roadmap and sol"),
+        (lambda: GridGraph(VOXELS, (1, 1)), r"got bool of shape \(2, 2, 2\). What serves volumes"),
+        (lambda: VisibilityGraph(VOXELS, (1, 1, 1)), r"an array of shape \(2, 2, 2\). What serves volumes"),
+        (lambda: Workspace(VOXELS), r"an array of shape \(2, 2, 2\). What serves volumes"),
+        (lambda: VisibilityGraph(VOXELS[0], (1, 1)), r"Of pixels a map is Workspace.from_mask\(free\)"),
+        (lambda: Roadmap.from_workspace(VOXELS[0], (1, 1), 5), r"Of pixels a map is Workspace.from_mask\(free\)"),
         (lambda: UNIT.grid("x"), "resolution must be an integer >= 1, got 'x'"),
     ],
 )
@@ -81,3 +103,20 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
     assert len(stacked.tables) == 2
     for kind in (bytearray, memoryview):
         assert from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ROOM.with_obstacles, r"Workspace\(workspace.bounds, \[\*workspace.obstacles, ring\]\)"),
+        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).with_workspace, "of a map that changed make another one"),
+        (
+            lambda: Roadmap.from_workspace(ROOM, (0.5, 0.5), 5).with_workspace,
+            "of a map that changed make another one",
+        ),
+        (lambda: built().updated, "of another map or goal construct another one"),
+    ],
+)
+def test_what_a_changed_map_needs_is_said(call, message):
+    with pytest.raises(AttributeError, match=message):
+        call()

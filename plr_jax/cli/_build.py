@@ -11,21 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax.cli._inputs import BEST
-
 if TYPE_CHECKING:
-    from plr_jax._types import ArrayLike, Distances
     from plr_jax.geometry.box import Box
     from plr_jax.geometry.workspace import Workspace
     from plr_jax.oracles import VisibilityGraph
-    from plr_jax.oracles.cells.cell_sources import VisibleSources
     from plr_jax.plr._file import Contents
     from plr_jax.plr.file.container import Container
 
 _EXTENSION_BYTES, _MARK_BYTES = 4, 4
 """Of a header with a label, and at the most of each mark."""
-_CROWDED, _BYTES_A_SOURCE = 4, 7
-"""Times the budget that all corners may take where leaves that name them are tried, and bytes of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +52,6 @@ class Built:
         """The proven largest error; ``inf`` if nothing is proven, as construction was interrupted."""
         certificate = self.contents.certificate
         return math.inf if certificate is None else certificate.max_error
-
-
-@dataclass(frozen=True, eq=False)
-class _OracleOfBox:
-    """An oracle that finds once what it says of a box as one cell, for all leaf models that are tried."""
-
-    oracle: "VisibilityGraph"
-    box: "Box"
-
-    @cached_property
-    def _cell(self) -> "VisibleSources":
-        return self.oracle.cell_sources(self.box)
-
-    def cell_sources(self, domain: "Box") -> "VisibleSources":
-        return self._cell if domain == self.box else self.oracle.cell_sources(domain)
-
-    def __call__(self, x: "ArrayLike") -> "Distances":
-        return self.oracle(x)
 
 
 def prepared_oracle(workspace: "Workspace", goal: Float[np.ndarray, "2"], file: Path | None) -> "VisibilityGraph":
@@ -174,65 +150,11 @@ def build_proven(
 ) -> tuple[Built, dict[str, float], bool]:
     """What was built with its proof, the proven largest error of each leaf model tried, and whether that ended early.
 
-    Of several, those that cannot be built are left out; ``ValueError`` if none can be built. An interrupt (Ctrl-C)
-    ends what is being built and leaves the rest untried. A terminal shows how many models of ``what`` are done, and
-    which is being built.
+    As :func:`best_leaves` has it, which shows on a terminal how many models of ``what`` are done.
     """
-    from tqdm import tqdm
-
-    from plr_jax.plr.partition.cells import grown_domain
+    from plr_jax.plr._best import best_leaves
+    from plr_jax.plr._construct import construct_leaves
 
     options: Any = {"seed": seed, "certified": True, "leaf_bounds": leaf_bounds, **limits}
-    best, errors, interrupted = None, {}, False
-    refused: list[ValueError] = []
-    names = _tried(oracle, limits) if leaf == BEST else [leaf]
-    of_box = _OracleOfBox(oracle, grown_domain(domain))
-    with tqdm(names, what, unit=" models", leave=False, disable=None) as progress:
-        for name in progress:
-            progress.set_description(f"{what}: leaves of kind {name!r}")
-            try:
-                plr, interrupted = _constructed(of_box, domain, name, options)
-            except ValueError as error:  # as of a budget that is too small for one leaf of this model
-                refused.append(error)
-                continue
-            errors[name] = plr.max_error
-            if best is None or plr.max_error < best.max_error:
-                best = plr
-            if interrupted:
-                break
-    if best is None:
-        raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
-    return best, errors, interrupted
-
-
-def _constructed(oracle: _OracleOfBox, domain: "Box", leaf: str, options: dict[str, Any]) -> tuple[Built, bool]:
-    """What is built of one leaf model, and whether that was interrupted, of which there is no other warning."""
-    from plr_jax.plr._construct import construct_leaves
-    from plr_jax.plr.growth.limits import ConstructionInterrupted
-
-    interrupted = False
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ConstructionInterrupted)
-        plr = Built(construct_leaves(oracle, domain, leaf=leaf, **options))
-    for warning in caught:
-        if issubclass(warning.category, ConstructionInterrupted):
-            interrupted = True
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    return plr, interrupted
-
-
-def _tried(oracle: "VisibilityGraph", limits: dict[str, Any]) -> list[str]:
-    """The leaf models to choose from: cones alone where all corners have room, all but these where few have.
-
-    On all maps of the experiments cones with that room err ten to a thousand times less on average than the others.
-    """
-    from plr_jax.plr.leaves import leaf_model, leaf_names
-    from plr_jax.plr.leaves.base import SourcedLeafModel
-
-    of_corners = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(oracle.sources.distances))
-    share = of_corners / (limits.get("max_bytes") or math.inf)
-    sourced = [name for name in leaf_names() if isinstance(leaf_model(name), SourcedLeafModel)]
-    if share <= 1 and limits.get("max_leaves") is limits.get("max_depth") is None:
-        return sourced
-    return [name for name in leaf_names() if share <= _CROWDED or name not in sourced]
+    best = best_leaves(construct_leaves, oracle, domain, leaf=leaf, what=what, **options)
+    return Built(best.contents), best.errors, best.is_interrupted

@@ -18,7 +18,7 @@ import typer
 from plr_jax.cli import INTERRUPTED_EXIT
 from plr_jax.cli._app import command, printable, saying, warn
 from plr_jax.cli._build import build_file, prepared_oracle
-from plr_jax.cli._inputs import BEST, DEFAULT_BYTES, LEAVES, PICTURES, parse_goal, require_writable
+from plr_jax.cli._inputs import DEFAULT_BYTES, LEAVES, PICTURES, parse_goal, require_writable
 from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
@@ -78,7 +78,7 @@ def build(
             "if a quarter of the corners has room), and keeps that of the least proven error.",
             **one_of(LEAVES),
         ),
-    ] = BEST,
+    ] = "best",
     leaf_bounds: Annotated[
         bool,
         typer.Option("--leaf-bounds", help="Prove bounds of every cell, 2 bytes each, beside the largest error."),
@@ -117,7 +117,7 @@ def build(
     from plr_jax.plr.leaves import leaf_model
 
     output = output or Path(f"{Path(map).stem}.plr")
-    if leaf != BEST:
+    if leaf != "best":
         leaf_model(leaf)
     require_writable(output, inputs=(map, oracle))
     require_writable(oracle, inputs=(map,))

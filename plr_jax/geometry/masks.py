@@ -12,7 +12,7 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_finite, as_numbers, product_in_order, require_integer, runs, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.polygons import LARGEST_COORDINATE, rounding_at
+from plr_jax.geometry.polygons import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 # The outline of the free pixels of a grid, exactly: rings of corners along the edges of pixels.
@@ -283,7 +283,7 @@ def placed_region(
         ValueError: If an argument is none of those described there, no pixel is free, or the outline has too many
             corners.
     """
-    free = _as_mask(free)
+    free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
     require_integer("drop_specks", drop_specks, 0)
@@ -330,13 +330,14 @@ def _require_resolved(shape: tuple[int, ...], resolution: float, origin: float) 
         )
 
 
-def _as_mask(free: ArrayLike) -> Mask:
-    mask = np.asarray(free)
+def as_mask(free: ArrayLike) -> Mask:
+    """Which pixels or cells are free, as a new array; ``ValueError`` if it is not of booleans, of two axes."""
+    mask = np.array(free)
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
         raise ValueError(
             f"free must be booleans of shape (rows, columns), such as picture > 127, got {mask.dtype} of shape "
-            f"{mask.shape}{masked}."
+            f"{mask.shape}{masked}.{advice_on_cells(mask) if mask.ndim == 3 else ''}"
         )
     return mask
 

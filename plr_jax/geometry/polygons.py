@@ -143,8 +143,22 @@ def grid_of(bounds: Box) -> float:
     return float(2.0 ** np.ceil(np.log2(rounding_of(bounds))))
 
 
+def advice_on_cells(value: object) -> str:
+    """What to do with an array of pixels or voxels, which is no map itself; nothing if it is none."""
+    if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
+        return ""
+    if value.ndim == 2:
+        return " Of pixels a map is Workspace.from_mask(free)."
+    return (
+        " What serves volumes: Roadmap and solve_eikonal, for a test of your own of what is free, and GridField, for "
+        "distances of voxels that another library found."
+    )
+
+
 def as_bounds(value: Box | ArrayLike) -> Box:
     """The bounds of a workspace, a Box of the plane or its corners; ``ValueError`` if they are something else."""
+    if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
+        raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
     if bounds.dim != 2:
         raise ValueError(f"A workspace has two dimensions, got bounds of {bounds.dim}.")

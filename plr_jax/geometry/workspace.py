@@ -11,13 +11,14 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer
+from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer, shortened
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, are_crossed, boundary_of, grown_boundary, thin_walls
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.polygons import (
+    advice_on_cells,
     as_bounds,
     as_components,
     as_polygons,
@@ -83,6 +84,14 @@ class Workspace:
         free = shapely.difference(region, shapely.union_all(merged))
         made = Workspace.restored(bounds, polygons, as_bool("squeeze", squeeze), region_of(free, bounds))
         vars(self).update(vars(made))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str):
+            raise AttributeError(
+                f"A Workspace has no attribute {name!r}. It does not change: where there is one more obstacle it is "
+                "Workspace(workspace.bounds, [*workspace.obstacles, ring]), of which all else is made anew."
+            )
 
     @classmethod
     def from_polygons(
@@ -361,3 +370,10 @@ class Workspace:
         require_integer("n", n, 0)
         require_integer("seed", seed, 0)
         return sample_triangles(self._triangles, n, seed)
+
+
+def require_workspace(workspace: object) -> None:
+    """Raise ``ValueError`` if it is something else, which says what to do with pixels and voxels."""
+    if not isinstance(workspace, Workspace):
+        got = f"an array of shape {workspace.shape}" if isinstance(workspace, np.ndarray) else shortened(workspace)
+        raise ValueError(f"workspace must be a Workspace, got {got}.{advice_on_cells(workspace)}")

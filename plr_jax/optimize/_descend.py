@@ -1,24 +1,32 @@
 """Paths that follow a cost-to-go to its goal, from many starts at once, never through a wall."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from plr_jax._arrays import shortened
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+
+from plr_jax._arrays import as_booleans, as_finite, parts, shortened
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.optimize._corners import along_corners
 from plr_jax.optimize._descent import Descent
 from plr_jax.optimize._lookahead import by_lookahead
 from plr_jax.optimize._path_costs import PathCosts
-from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, PlaneSpace
+
+_TESTS_AT_ONCE = 1 << 18
 
 
 def descend(
     distance_fn: Callable[[ArrayLike], ArrayLike],
-    space: Workspace | ConfigurationSpace,
+    space: Workspace | ConfigurationSpace | FreeTest,
     starts: ArrayLike,
     goal: ArrayLike,
     *,
     cost_map: CostMap | None = None,
+    resolution: float | int | None = None,
 ) -> Descent:
     """Follow a distance function, or another cost-to-go, from many starts to its goal, by lookahead.
 
@@ -43,33 +51,81 @@ def descend(
         distance_fn: The field, such as a PLR: any function of points ``(n, dim)`` to their costs-to-go ``(n,)``
             through free space, NumPy or JAX; ``inf`` where it has none. In units of what motions cost, as cost-to-go
             is. Of a space, it is asked within the domain alone, into which periodic coordinates are wrapped.
-        space: Free space. A Workspace is one of points; for the shortest paths of a disc, the inflated one.
+        space: Free space. A Workspace is one of points; for the shortest paths of a disc, the inflated one. Of one
+            that only tests configurations (:class:`FreeTest`), as with a collision checker of your own, motions are
+            tested at a ``resolution``.
         starts: Where to begin, ``(n, dim)``.
         goal: Where to end, ``(dim,)``, in closed free space.
         cost_map: The factor of the cost of motions that the field is a cost-to-go of; None: 1 everywhere.
+        resolution: Of a space that only tests, and of no other: what a motion between two tests costs at most, in
+            units of its ``motion_cost``. What is thinner may be passed through.
 
     Returns:
         The paths, with a status for each start, their lengths and their costs. Costs by a cost map err by at most
         0.1 %, and far less where it is smooth.
 
     Raises:
-        ValueError: If the space is none, a shape is wrong, the goal is not free, the field gives NaN or another
-            number of values, or the cost map a number that is not positive and finite.
+        ValueError: If the space is none, it only tests and has no resolution, another one has, a shape is wrong, the
+            goal is not free, the field gives NaN or another number of values, or the cost map a number that is not
+            positive and finite.
 
     References:
         "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
         visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite
         steps stand for gradients in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
+    is_tested = isinstance(space, FreeTest) and not isinstance(space, ConfigurationSpace | Workspace)
+    if is_tested != (resolution is not None):
+        raise ValueError(
+            "resolution, what a motion costs at most between two tests of it, is for a space that only tests "
+            f"configurations, and needed there, got {shortened(resolution)} for {shortened(space)}."
+        )
     if isinstance(space, Workspace) and cost_map is None:
         return along_corners(distance_fn, space, starts, goal)
     if isinstance(space, Workspace):
         space = PlaneSpace(space)
+    if is_tested:
+        space = _TestedMotions(space, as_finite("resolution", resolution, positive=True))
     if not isinstance(space, ConfigurationSpace):
         raise ValueError(
             "space must be a Workspace or a configuration space with are_free and classify, such as RigidBodySpace, "
-            f"got {shortened(space)}."
+            f"or with is_free alone and a resolution, got {shortened(space)}."
         )
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     return by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
+
+
+@dataclass(frozen=True, eq=False)
+class _TestedMotions:
+    """A space that only tests configurations, whose motions are free if they are wherever they are tested."""
+
+    space: FreeTest
+    resolution: float
+
+    @property
+    def domain(self) -> Box:
+        return self.space.domain
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        return self.space.motion_cost
+
+    def is_free(self, q: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+        return as_booleans("is_free", self.space.is_free(q), len(q))
+
+    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
+        return np.full(len(lo), CellState.MIXED, np.int8)
+
+    def are_free(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
+        # First at both ends, then between any two tests, and so on: what is blocked is mostly found early.
+        change, lengths = self.domain.difference(q1, q0), self.motion_cost.lengths(q0, q1, self.domain)
+        free, halvings = self.is_free(q0) & self.is_free(q1), 0
+        while len(rows := np.flatnonzero(free & (lengths > self.resolution * 2**halvings))):
+            share = (np.arange(2**halvings) + 0.5) / 2**halvings
+            for part in parts(np.full(len(rows), len(share)), _TESTS_AT_ONCE):
+                motion = rows[part]
+                q = self.domain.wrapped(q0[motion, None] + share[:, None] * change[motion, None])
+                free[motion] = self.is_free(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).all(axis=1)
+            halvings += 1
+        return free

@@ -10,6 +10,7 @@ from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import as_finite_point, as_points, shortened
 from plr_jax._types import ArrayLike, Distances, Points
+from plr_jax.geometry.masks import as_mask
 
 _AT_ONCE = 2**22  # distances of cells held at a time
 _OUTSIDE = -1
@@ -54,12 +55,9 @@ class GridGraph:
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
-        cells = np.array(free)
-        if cells.dtype != bool or cells.ndim != 2 or not cells.size or np.ma.is_masked(free):
-            raise ValueError(
-                "free must be an array of booleans (rows, columns), true where a cell is free, at least one, got "
-                f"{cells.dtype} of shape {cells.shape}."
-            )
+        cells = as_mask(free)
+        if not cells.size:
+            raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
         vars(self).update(free=cells, connectivity=int(connectivity), goal=None)
         if goal is not None:

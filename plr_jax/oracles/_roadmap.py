@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root, rooted, to_networkx
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._metric import Metric, metric_of
 
 if TYPE_CHECKING:
@@ -236,7 +236,16 @@ class Roadmap:
             ValueError: If the goal is not free, ``num_samples`` is less than 1, or less than 1 in 10,000 of
                 the bounds' area is free.
         """
+        require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str):
+            raise AttributeError(
+                f"A Roadmap has no attribute {name!r}. Its edges are tested, for good: of a map that changed make "
+                "another one. Other goals share it, by with_goal."
+            )
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """The roadmap of the same samples for another goal: only the goal's own edges are tested.

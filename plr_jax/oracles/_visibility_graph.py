@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int, Shaped, UInt64
+from jaxtyping import Bool, Float, Int, Shaped, UInt64
 from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_finite_point, as_point, as_points
@@ -36,7 +36,7 @@ from plr_jax.geometry.polygons import as_polygons
 from plr_jax.geometry.shadows import shadows_of
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, joined_tables, visibility_of
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 from plr_jax.oracles.cells.cell_sources import VisibleSources, visible_sources
 from plr_jax.oracles.cells.family_sources import FamilySources, SharedCells
@@ -199,6 +199,7 @@ class VisibilityGraph:
     """Number of coordinates of a point: 2."""
 
     def __init__(self, workspace: Workspace, goal: ArrayLike, *, time_limit: float | int = math.inf):
+        require_workspace(workspace)
         deadline = deadline_after(time_limit)
         _assign(self, _free_goal(workspace, goal), PairDistances(workspace, corner_visibility(workspace, deadline)))
 
@@ -251,6 +252,14 @@ class VisibilityGraph:
             reason = str(error).rstrip(".")
             raise ValueError(f"{path} cannot be read as a visibility graph: {reason}.") from error
         return oracle
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str):
+            raise AttributeError(
+                f"A VisibilityGraph has no attribute {name!r}. Its map is its workspace, for good: of a map that "
+                "changed make another one. Other goals share it, by with_goal."
+            )
 
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
         return {field.name: vars(self)[field.name] for field in fields(self)}
@@ -338,6 +347,10 @@ class VisibilityGraph:
             ValueError: If ``x`` has another shape.
         """
         return self._first_turns(self._points("x", x))[0]
+
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """As of the workspace: whether points ``(n, 2)`` are free, whether or not the goal can be reached."""
+        return self.workspace.is_free(x)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Length of the shortest path between points, pair by pair, whatever the goal.
@@ -436,6 +449,11 @@ def _assign(oracle: VisibilityGraph, goal: np.ndarray, pairs: PairDistances) -> 
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
+    if np.ndim(goal) == 2:
+        raise ValueError(
+            f"The goal must be one point (x, y), got an array of shape {np.shape(goal)}. For the nearest of several "
+            "use NearestGoal([first, *map(first.with_goal, others)]), for a PLR of each construct_many."
+        )
     goal = as_finite_point("The goal", workspace.bounds.settled(goal), 2)
     if not workspace.is_free_to_tolerance(goal[None])[0]:
         clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"

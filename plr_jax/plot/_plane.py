@@ -165,7 +165,7 @@ def plot_contours(
         plr: The PLR.
         ax: Axes to draw on; a new figure where not given.
         workspace: Its obstacles are drawn on top. Without it, the values inside obstacles show, which mean
-            nothing.
+            nothing. With a ``goal``, parts of free space that do not reach it are gray as well.
         space: In its place, the configuration space: what is not free is gray.
         goal: A configuration whose place on the axes is marked with a star, ``(dim,)``.
         at: Of a function of more than two dimensions, where the slice is that is drawn: coordinates by axis, counted
@@ -187,7 +187,13 @@ def plot_contours(
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     # Values inside obstacles are drawn (and covered), so that colors reach the walls, but set no scale.
-    free = _free(points, shown, workspace, space)
+    free, cut_off = _free(points, shown, workspace, space), []
+    if goal is not None:
+        goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
+    if goal is not None and workspace is not None:
+        reached, cut_off = _by_goal(workspace, goal)
+        if cut_off:
+            free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
     of_free = values[free]
     if not of_free.count():
         raise ValueError("There is nothing to draw: no point has an answer in free space.")
@@ -199,12 +205,13 @@ def plot_contours(
         ax.contour(across[..., 0], across[..., 1], values, levels=levels, colors="white", linewidths=0.9)
     if workspace is not None:
         _add_obstacles(workspace, ax)
+        for polygon in cut_off:
+            ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     elif space is not None:
         blocked = np.ma.masked_where(free, np.ones(free.shape))
         _add_image(ax, shown.box, blocked, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
     if goal is not None:
-        at_goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
-        ax.plot(*at_goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
+        ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
     add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
@@ -312,6 +319,17 @@ def _free(
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
     return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
+
+
+def _by_goal(
+    workspace: Workspace, goal: Float[np.ndarray, "2"]
+) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
+    """Parts of free space from which a path leads to the goal, and others; all do to a goal that is in none."""
+    parts = shapely.get_parts(workspace.free_space)
+    reached, num = shapely.distance(parts, shapely.Point(goal)) <= workspace.tolerance, 0
+    while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # through points where parts touch
+        reached = shapely.distance(parts, shapely.MultiPolygon(list(parts[reached]))) <= workspace.tolerance
+    return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:

@@ -7,11 +7,14 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from functools import wraps
 from inspect import signature
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+import numpy as np
 
 from plr_jax._arrays import as_bool, as_number, require_integer, shortened
-from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn
+from plr_jax._types import ArrayLike, CellwiseFn, DistanceFn, FreeSpaceFn
 from plr_jax.geometry.box import Box
+from plr_jax.plr._best import BEST, best_leaves
 from plr_jax.plr._certify import certificate_of, require_certifiable
 from plr_jax.plr._checkpoint import Checkpoint, digest_of
 from plr_jax.plr._file import Contents
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
 
 _DENSER = 8  # times as many samples where the first ones hardly meet what is free
 _MOST_SAMPLES = 2**16
+_DRAWN = 1000  # points of the domain, to see how many reach the goal
 Arguments = ParamSpec("Arguments")
 
 
@@ -50,7 +54,45 @@ def _assembled(leaves_of: Callable[Arguments, Contents]):
     return construct
 
 
+def _with_advice(leaves_of: Callable[Arguments, Contents]):
+    """What gives leaves of a model, as what gives the best of several as well, and tells if the goal seems wrong."""
+
+    @wraps(leaves_of)
+    def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Contents:
+        given = signature(leaves_of).bind(*args, **kwargs)
+        given.apply_defaults()
+        options: dict[str, Any] = given.arguments | {"domain": Box.of(given.arguments["domain"])}
+        if options["leaf"] != BEST:
+            contents = leaves_of(*args, **kwargs)
+        else:
+            best = best_leaves(leaves_of, **options)
+            contents = best.contents
+            if best.is_interrupted:
+                message = "Interrupted: the PLR is the best one built so far."
+                warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+        distance_fn = options["distance_fn"]
+        if isinstance(distance_fn, FreeSpaceFn) and (advice := _of_cut_off(distance_fn, options["domain"])):
+            warnings.warn(advice, stacklevel=3)
+        return contents
+
+    return construct
+
+
+def _of_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+    """What to say if most free points do not reach the goal."""
+    x = domain.lo + domain.width * np.random.default_rng(0).random((_DRAWN, domain.dim))
+    x = x[np.asarray(distance_fn.is_free(x))]
+    cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
+    if 2 * cut_off <= len(x):
+        return None
+    return (
+        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. Is "
+        "it in the part of free space that you mean? What the PLR answers in the others means nothing."
+    )
+
+
 @_assembled
+@_with_advice
 def construct(
     distance_fn: DistanceFn,
     domain: Box | tuple[ArrayLike, ArrayLike],
@@ -98,19 +140,24 @@ def construct(
         domain: The box to cover, a ``Box`` or its two corners. Along its periodic axes the distance function is to be
             periodic itself. It is asked for points of the box, and around it if that is turned to be folded. Tied
             leaves do not jump at the seam either.
-        leaf: What a leaf holds. ``"plane"``, the paper's, may jump from leaf to leaf. ``"continuous"`` stores values
-            at the leaves' corners, shared by all leaves that meet there without a wall between them, and is
-            multilinear in every leaf: it does not jump where one can walk, in up to 6 dimensions. ``"smooth"`` has a
-            continuous gradient as well, in 1 or 2 dimensions. Both take longer to build and to query, and err less
-            for their bytes. ``"cone"`` holds the distance to one *source*, a point that paths go to next, and on from
-            there: among obstacles that is exact but where the next corner changes. Of a distance function that
-            answers for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf,
-            its boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources
-            that serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones
-            grow from samples, as for any other function; their sources are those that the function offers, as
-            ``Roadmap`` does, or are found from samples. Cones answer finite numbers wherever they are asked. They
-            rise by one unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such
-            as ``plr_jax.plr.Plane(coefficient_bits=16)``.
+        leaf: What a leaf holds. ``"best"`` is cones where ``max_bytes`` has room for all corners of a map; where it
+            has not, those of cones (if a quarter of the corners has room) and continuous leaves whose mean error is
+            least, at points of the domain; of other distance functions continuous leaves, or planes in more than 6
+            dimensions. With ``certified`` it is the model of the least proven error. ``"plane"``, the paper's, may
+            jump from leaf to leaf. ``"continuous"`` stores values at the leaves' corners, shared by all leaves that
+            meet there without a wall between them, and is multilinear in every leaf: it does not jump where one can
+            walk, in up to 6 dimensions. ``"smooth"`` has a continuous gradient as well, in 1 or 2 dimensions. Both
+            take longer to build and to query, and err less for their bytes. ``"cone"`` holds the distance to one
+            *source*, a point that paths go to next, and on from there: among obstacles that is exact but where the
+            next corner changes, if the file has room for the corners, some 7 bytes each; where it has room for less
+            than a quarter, as of a scan full of specks, others mostly err less. Of a distance function that answers
+            for whole cells, such as ``VisibilityGraph``, the partition is the best of all at a price a leaf, its
+            boxes up to 4 times as long as wide in fractions of the domain, and samples only choose among sources that
+            serve a leaf about as well. With a ``weight_fn``, ``should_split`` or ``split`` of your own, cones grow
+            from samples, as for any other function; their sources are those that the function offers, as ``Roadmap``
+            does, or are found from samples. Cones answer finite numbers wherever they are asked. They rise by one
+            unit a unit of length: what does not, such as a time, is for the others. Or a leaf model, such as
+            ``plr_jax.plr.Plane(coefficient_bits=16)``.
         max_depth: Largest number of splits between the root and a leaf, at most 60. In any case no cell is halved
             more often along one axis than the tables of a query of that size provide for. In the plane:
 
@@ -161,7 +208,8 @@ def construct(
 
     Returns:
         The PLR. If interrupted (Ctrl-C) once there is a leaf, the one built so far, with a
-        ``ConstructionInterrupted`` warning; if in its proof, the whole one without a proof.
+        ``ConstructionInterrupted`` warning; if in its proof, the whole one without a proof. Another warning says if
+        most free points do not reach the goal, where ``distance_fn`` tells (``is_free``), as those of maps do.
 
     Raises:
         ValueError: If an argument is out of its range, the leaf model is not for so many dimensions, the limits allow
@@ -234,7 +282,7 @@ def construct(
             contents = replace(contents, certificate=certificate_of(contents, root, proof))
         except KeyboardInterrupt:
             message = "Interrupted in its proof: the PLR is as it was to be, but nothing is proven of it."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+            warnings.warn(message, ConstructionInterrupted, stacklevel=4)
     return contents
 
 

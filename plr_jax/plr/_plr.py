@@ -60,7 +60,9 @@ class PLR(HeldFile):
     def __getattr__(self, name: str) -> Any:
         """Tables and proof of a PLR of which only the file was made yet."""
         if name not in ("tables", "band") or "_deferred" not in vars(self):
-            raise AttributeError(f"A PLR has no attribute {name!r}.")
+            raise AttributeError(
+                f"A PLR has no attribute {name!r}. It does not change: of another map or goal construct another one."
+            )
         vars(self).update(vars(vars(self)["_deferred"]()))
         return vars(self)[name]
 

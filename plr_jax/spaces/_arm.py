@@ -10,10 +10,10 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, shortened
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import shorter_turn
 from plr_jax.spaces._plane import come_near, crosses_walls, distances_of_segments, have_walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
@@ -67,8 +67,7 @@ class PlanarArm:
         width: float | int = 0.0,
         self_collision: bool = False,
     ):
-        if not isinstance(workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
+        require_workspace(workspace)
         lengths, base = as_finite_point("lengths", lengths), as_finite_point("base", base, 2)
         if (lengths <= 0).any():
             raise ValueError(f"The lengths of an arm's links must be positive, got {lengths.tolist()}.")

@@ -13,7 +13,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import Robot
 from plr_jax.robots.shapes import PointRobot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
@@ -88,8 +88,7 @@ class BodySpace:
     robot: Robot
 
     def __post_init__(self):
-        if not isinstance(self.workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace, got {shortened(self.workspace)}.")
+        require_workspace(self.workspace)
 
     def is_free(self, q: ArrayLike) -> Booleans:
         """Whether configurations are free.

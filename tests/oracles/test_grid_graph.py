@@ -80,8 +80,8 @@ def test_a_grid_is_kept_as_it_was():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: GridGraph(DOOR.astype(int)), "array of booleans.*got int64 of shape"),
-        (lambda: GridGraph(DOOR[0]), "array of booleans"),
+        (lambda: GridGraph(DOOR.astype(int)), "booleans of shape .*got int64 of shape"),
+        (lambda: GridGraph(DOOR[0]), "booleans of shape"),
         (lambda: GridGraph(DOOR[:0]), "at least one"),
         (lambda: GridGraph(DOOR, connectivity=6), "connectivity must be 4 or 8, got 6"),
         (lambda: GridGraph(DOOR, (2, 0)), "The goal must be in a free cell"),

@@ -92,6 +92,22 @@ def test_values_inside_obstacles_set_no_scale():
         plot.plot_contours(ThreeCells(), workspace=Workspace(((1, 0.5), (2, 1))))
 
 
+@pytest.mark.parametrize(("squeeze", "is_gray"), [(False, [True, True]), (True, [True, False])])
+def test_rooms_without_a_way_to_the_goal_are_gray_and_set_no_scale(squeeze, is_gray):
+    # The goal is below a wall, and beside two walls that touch in a point.
+    walls = [[(1, 0), (1.2, 0), (1, 1)], [(0, 1), (1, 1), (1, 1.2), (0, 1.2)], [(1, 1), (1.2, 2), (1, 2)]]
+    workspace = Workspace(((0, 0), (2, 2)), walls, squeeze=squeeze)
+    plr = construct(lambda x: 1 + x[:, 1], workspace.bounds, max_leaves=1)
+    axes = plot.plot_contours(plr, workspace=workspace, goal=(0.5, 0.5), resolution=50)
+    shapes = [shapely.Polygon(patch.get_path().vertices) for patch in axes.patches]
+    above, right = (any(shape.contains(shapely.Point(at)) for shape in shapes) for at in ((0.5, 1.6), (1.6, 0.5)))
+    assert [above, right] == is_gray
+    assert axes.images[0].get_clim()[1] == pytest.approx(3.0 if squeeze else 2.0, abs=0.05)
+    assert not any(shape.contains(shapely.Point(0.4, 0.4)) for shape in shapes)
+    every = plot.plot_contours(plr, workspace=workspace, resolution=50)
+    assert len(every.patches) == 2, "the walls, of which two are one"
+
+
 def test_obstacles_cover_the_blocked_region_and_only_that():
     ax = plot.plot_workspace(WORKSPACE)
     patches = [patch for patch in ax.patches if isinstance(patch, PathPatch)]

@@ -1,3 +1,5 @@
+import warnings
+
 import numpy as np
 import pytest
 from plr_helpers import UNIT, cone, walled
@@ -127,3 +129,15 @@ def test_bad_options_are_refused(options, message):
     """A header of 4 bytes, the domain in 5 and a checksum of 4 are 13 without any leaf."""
     with pytest.raises(ValueError, match=message):
         construct(**({"distance_fn": cone, "domain": UNIT, "max_leaves": 4} | options))
+
+
+@pytest.mark.parametrize("leaf", ["plane", "best"])
+def test_a_goal_that_most_free_points_do_not_reach_is_told_once(leaf):
+    workspace = Workspace(((0, 0), (2, 1)), [[(0.5, 0), (0.6, 0), (0.6, 1), (0.5, 1)]])
+    oracle = VisibilityGraph(workspace, (0.2, 0.5))
+    with pytest.warns(UserWarning, match=r"The goal cannot be reached from 7\d % of 9\d\d free points") as told:
+        construct(oracle, workspace.bounds, leaf=leaf, max_leaves=4)
+    assert len(told) == 1 and told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        construct(oracle.with_goal((1.5, 0.5)), workspace.bounds, leaf=leaf, max_leaves=4)

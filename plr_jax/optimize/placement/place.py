@@ -14,7 +14,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
 from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, nearest_and_pulls
 from plr_jax.optimize.placement.search import moved, searched, starts
 from plr_jax.optimize.trajectory.optimize_paths import OptimizationInterrupted
@@ -33,8 +33,7 @@ def location_problem(
     weights: ArrayLike | None,
 ) -> LocationProblem:
     """The problem that the arguments state."""
-    if not isinstance(workspace, Workspace):
-        raise ValueError(f"workspace must be a Workspace, got {shortened(workspace)}.")
+    require_workspace(workspace)
     try:
         of_all = PlacementObjective(objective)
     except ValueError:

@@ -25,6 +25,8 @@ _PRICE = 30.0
 """Error that counts as much as a way that meets a wall, in proven mean errors of all boxes."""
 _LEAST_SHORTFALL = 1e-9
 """Widths of the domain by which a distance is above a cone for certain."""
+_MOST_OPTIONS = 64
+"""Sources of a box that are compared: of more, as of a large box among clutter, none is in sight of much of it."""
 _KEY_BITS = 40  # for the place of a box in its level
 
 
@@ -107,6 +109,7 @@ def options_of_trees(levels: list[BoxLevel], trees: list[MemberTree], pattern: P
     by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
     is_doubted = np.diff(boxes.visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
+    is_doubted &= np.bincount(box, minlength=len(key)) <= _MOST_OPTIONS
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
     doubted = np.flatnonzero(is_doubted)
     some, place = boxes[doubted], np.searchsorted(doubted, box)

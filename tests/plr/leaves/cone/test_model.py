@@ -1,5 +1,7 @@
 """Cones of an oracle: small, exact, evaluated as cones, above other leaves within bounds, of sources in sight."""
 
+import tracemalloc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +39,19 @@ def test_a_maze_in_a_kilobyte_less_and_of_fewer_leaves(cones, maze):
     small, few = (construct(maze, UNIT, leaf="cone", **limit) for limit in ({"max_bytes": 260}, {"max_leaves": 20}))
     assert small.num_bytes <= 260 and few.num_leaves <= 20
     assert mean_error(small, maze, x) < 1e-5 < mean_error(few, maze, x) < 0.1
+
+
+def test_a_leaf_among_clutter_takes_little_memory():
+    """All pairs of 400 corners and the triangles of free space took a gigabyte, of more corners all there was."""
+    free = np.ones((60, 60), bool)
+    free[3::6, 3::6] = False
+    workspace = Workspace.from_mask(free)
+    oracle = VisibilityGraph(workspace, (1, 1))
+    construct(oracle, workspace.bounds, max_leaves=1)
+    tracemalloc.start()
+    construct(oracle, workspace.bounds, leaf="cone", max_leaves=1)
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
 
 
 def test_a_query_is_the_cone_of_the_points_leaf_around_a_source_of_the_oracle(cones, maze):
