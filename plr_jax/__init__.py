@@ -14,7 +14,7 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 
 - Where: `Workspace` and `FreeSpace`, `Box`; ready-made and from files, `scenes`; for several robots, `Problem`, of a
   `Robot`: `PointRobot`, `DiscRobot`, `RectangleRobot`, `PolygonRobot`.
-- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`;
+- Oracles: `VisibilityGraph`, `Roadmap`, `Euclidean`, `Dubins`, `ReedsShepp`, `GridField`, `GridGraph`, `NearestGoal`;
   `robot_distance_fns`, one for each robot.
 - Without an oracle, `solve_eikonal` takes a space, `PlaneSpace`, `RigidBodySpace`, `PlanarArm`, or your own, a
   `FreeTest`, `SeesBoxes` or `ConfigurationSpace`, which tells a `CellState`; what a motion costs there is a
