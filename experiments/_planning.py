@@ -22,7 +22,7 @@ from plr_jax import (
     validate,
     zero,
 )
-from plr_jax.planners._budget import Incumbent
+from plr_jax.planners._options import Incumbent
 
 PLR_BYTES, SMOKE_BYTES = 4_096, 512
 

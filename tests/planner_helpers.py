@@ -21,9 +21,9 @@ from plr_jax import (
 )
 from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest, motions_apart
+from plr_jax.planners import best_first as tables
 from plr_jax.planners import straight_line, sum_of_distances
-from plr_jax.planners._budget import SearchBudget
-from plr_jax.planners.bl import search as tables
+from plr_jax.planners._options import SearchBudget
 from plr_jax.planners.lattice.build import PRIMITIVES, build_lattices
 from plr_jax.planners.lattice.joint import JointLattice
 

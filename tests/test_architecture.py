@@ -42,9 +42,9 @@ PLR_LAYERS = [
 # And inside that of the planners.
 PLANNER_LAYERS = [
     ["_heuristics", "_solution"],
-    ["_budget", "_sba_star"],
+    ["_options", "_sba_star"],
     ["lattice"],
-    ["bl", "lacam", "replanning", "smoothing"],
+    ["best_first", "lacam", "replanning", "smoothing"],
     ["searches"],
     ["driver"],
 ]

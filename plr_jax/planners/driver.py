@@ -13,8 +13,8 @@ from tqdm import tqdm
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._budget import BLOptions, Incumbent, SearchBudget
 from plr_jax.planners._heuristics import estimates, require_heuristic
+from plr_jax.planners._options import BLOptions, Incumbent, SearchBudget
 from plr_jax.planners._solution import Solution, Stats, Status, solution_of, straight_line_bound
 from plr_jax.planners.lattice.joint import State
 from plr_jax.planners.replanning import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods

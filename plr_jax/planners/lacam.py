@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._options import HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds
 

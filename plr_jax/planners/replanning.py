@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from plr_jax._arrays import run_members
 from plr_jax.collision.team import motions_apart
-from plr_jax.planners._budget import HeldMemory, SearchBudget
+from plr_jax.planners._options import HeldMemory, SearchBudget
 from plr_jax.planners.lattice.joint import Kind, OfKinds, State
 
 # Which edges of one kind of robot collide with those of another, found when first asked for, and kept.

@@ -12,10 +12,10 @@ from plr_jax._deadline import require_time
 from plr_jax._problem import Problem
 from plr_jax._types import SeparableHeuristic
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, straight_line
+from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
-from plr_jax.planners.bl.search import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
+from plr_jax.planners.best_first import BestFirstSearch, Plain, bytes_of_tables, heuristic_table, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 from plr_jax.planners.lattice.build import Primitive, build_lattices, num_configurations
 from plr_jax.planners.lattice.joint import JointLattice, Kind, OfKinds, State, by_robot, kinds_of

@@ -11,7 +11,7 @@ from team_helpers import TEAMS, search_of, team_of
 from plr_jax import validate
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners import Status
-from plr_jax.planners._budget import HeldMemory
+from plr_jax.planners._options import HeldMemory
 from plr_jax.planners.replanning import (
     Conflicts,
     ReservationTable,

@@ -10,8 +10,7 @@ from team_helpers import MIXED, team_of
 
 from plr_jax import BLOptions, DiscRobot, Problem, RectangleRobot, bl_plan, scenes
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners import Status, lacam, searches, straight_line
-from plr_jax.planners.bl import search as best_first
+from plr_jax.planners import Status, best_first, lacam, searches, straight_line
 from plr_jax.planners.lattice.build import PRIMITIVES
 from plr_jax.planners.replanning import Conflicts
 

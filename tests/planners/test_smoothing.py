@@ -12,7 +12,7 @@ from planner_helpers import MIXED, ROOM, exact, heuristic_table, joint_lattice_o
 from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners.bl.search import BestFirstSearch
+from plr_jax.planners.best_first import BestFirstSearch
 from plr_jax.planners.smoothing import _cheapest, _groups, halved, shorten, shorten_in_corridors
 
 ALONE = Problem(ROOM, [DiscRobot(0.4)], [(1, 1)], [(9, 5)])

@@ -20,8 +20,8 @@ from plr_jax._deadline import require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.walls import Indifferent, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.planners._budget import PRIMITIVES as PRIMITIVES
-from plr_jax.planners._budget import Primitive
+from plr_jax.planners._options import PRIMITIVES as PRIMITIVES
+from plr_jax.planners._options import Primitive
 from plr_jax.planners.lattice.joint import Ends, Lattice, MotionTable
 from plr_jax.robots.robot import Robot
 

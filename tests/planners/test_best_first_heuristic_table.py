@@ -6,7 +6,7 @@ from planner_helpers import MIXED, heuristic_table, joint_lattice_of
 
 from plr_jax import BLOptions, bl_plan, scenes, validate
 from plr_jax.planners import straight_line, zero
-from plr_jax.planners.bl.search import best_successors
+from plr_jax.planners.best_first import best_successors
 
 DOOR = scenes.single_door()
 

@@ -6,7 +6,7 @@ from planner_helpers import TIGHT, TIGHT_TEAM, apart, heuristic_table, joint_lat
 
 from plr_jax import DiscRobot, Problem, scenes
 from plr_jax.planners import straight_line
-from plr_jax.planners.bl.search import best_successors
+from plr_jax.planners.best_first import best_successors
 
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
 

@@ -13,8 +13,8 @@ from tqdm import tqdm
 from plr_jax._arrays import runs
 from plr_jax._deadline import require_time
 from plr_jax._types import HeuristicFn, SeparableHeuristic
-from plr_jax.planners._budget import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._heuristics import estimates, require_estimates
+from plr_jax.planners._options import BLOptions, HeldMemory, SearchBudget
 from plr_jax.planners._solution import Status
 from plr_jax.planners.lattice.joint import JointLattice, Lattice, State
 

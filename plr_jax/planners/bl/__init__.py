@@ -1,1 +1,0 @@
-"""The Barraquand-Latombe planner for several robots: best-first search on lattices of configurations."""
