@@ -36,6 +36,8 @@ def degenerate(seed: int, smoke: bool) -> dict[str, Any]:
         signal.alarm(SECONDS)
         try:
             found = _measured(np.random.default_rng([seed, number]), with_pairs=number % _EVERY == 0)
+        except KeyboardInterrupt:  # what was measured of the maps before counts
+            break
         except Exception as error:  # whatever goes wrong on a random map is a result
             found = Counter({"crashed": 1})
             examples.append({"map": number, "error": f"{type(error).__name__}: {error}"})
