@@ -30,29 +30,41 @@ _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Search:
-    """Pairs of points, and the search of shortest ways between them.
+class Pairs:
+    """Pairs of points.
 
     Attributes:
         x: First points.
         y: Second points.
         leaf_x: The leaves of the first points.
         leaf_y: Those of the second ones.
-        length: Shortest way found; ``inf`` if none is.
-        from_x: Where it goes first from the first point.
-        from_y: And from the second one.
-        least: No way that is left is shorter.
-        done_x: Corners of the first point's list that are done with, a bit each.
-        done_y: Those of the second point's that are struck off.
+        at_least: At most the length of the way by each corner of the first point's list.
     """
 
     x: Float[Array, "n 2"]
     y: Float[Array, "n 2"]
     leaf_x: UInt32[Array, "n"]
     leaf_y: UInt32[Array, "n"]
+    at_least: Float[Array, "n longest"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The search of shortest ways between pairs of points.
+
+    Attributes:
+        length: Length of the shortest way found; ``inf`` if none is.
+        via_x: The place in the first point's list of the corner where it goes first.
+        via_y: And that in the second point's list, where it goes last; of a straight way both are behind all places.
+        least: No way that is left is shorter.
+        done_x: Corners of the first point's list that are done with, a bit each.
+        done_y: Those of the second point's that are struck off.
+    """
+
     length: Float[Array, "n"]
-    from_x: Float[Array, "n 2"]
-    from_y: Float[Array, "n 2"]
+    via_x: UInt32[Array, "n"]
+    via_y: UInt32[Array, "n"]
     least: Float[Array, "n"]
     done_x: UInt32[Array, "n words"]
     done_y: UInt32[Array, "n words"]
@@ -61,28 +73,6 @@ class Search:
     def is_open(self) -> Bool[Array, "n"]:
         """Whether a shorter way may be left."""
         return self.least < self.length
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """What a look into one corner of each first point's list gives.
-
-    Attributes:
-        length: Length of the shortest way by it; ``inf`` if that meets a wall.
-        via_x: The corner.
-        via_y: The last corner of the way.
-        least: No way that is left is shorter.
-        done_x: Corners of the first point's list that are done with, a bit each.
-        done_y: Those of the second point's that are struck off.
-    """
-
-    length: Float[Array, "n"]
-    via_x: Float[Array, "n 2"]
-    via_y: Float[Array, "n 2"]
-    least: Float[Array, "n"]
-    done_x: UInt32[Array, "n words"]
-    done_y: UInt32[Array, "n words"]
 
 
 @jax.tree_util.register_dataclass
@@ -123,36 +113,36 @@ def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "
 
 
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    # The search before its first round: pairs that see one another are done.
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
-    words = jnp.zeros((x.shape[0], -(-tables.x.shape[1] // 32)), jnp.uint32)
     leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
-    search = Search(x, y, leaf_x, leaf_y, straight, y, x, _length(x - y), words, words)
-    at_least = jax.lax.optimization_barrier(_at_least(tables, search))
-    search = _searched(tables, at_least, replace(search, least=at_least.min(axis=1)))
-    least = jnp.minimum(search.length, search.least)
-    return Ways(search.length, least, search.from_x, search.from_y)
+    at_least = jax.lax.optimization_barrier(_at_least(tables, x, y, leaf_x, leaf_y))
+    # Before the first round pairs that see one another are done.
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
+    longest = tables.x.shape[1]
+    words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
+    behind = jnp.full(x.shape[0], longest, jnp.uint32)
+    search = Search(straight, behind, behind, at_least.min(axis=1), words, words)
+    search = _searched(tables, Pairs(x, y, leaf_x, leaf_y, at_least), search)
+    is_straight = (search.via_x == longest)[:, None]
+    from_x = jnp.where(is_straight, y, _corner(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
+    from_y = jnp.where(is_straight, x, _corner(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
+    return Ways(search.length, jnp.minimum(search.length, search.least), from_x, from_y)
 
 
-def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> Search:
+def _searched(tables: PairTables, pairs: Pairs, search: Search) -> Search:
     """The search after all rounds.
 
     It ends, as each round strikes a corner off one of an open pair's two lists.
     """
-    size = at_least.shape[0]
-
-    def round_of_all(search: Search) -> Search:
-        return _after_look(search, _looked_into(tables, at_least, search))
+    size = pairs.x.shape[0]
 
     def round_of_first(count: int, search: Search) -> Search:
         number = jnp.cumsum(search.is_open)  # of each open pair, from 1
         lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
-        first = jax.tree.map(lambda a: _at(a, lanes, "clip"), search)
-        first = _after_look(first, _looked_into(tables, _at(at_least, lanes, "clip"), first))
+        first = _after_round(tables, *jax.tree.map(lambda a: _at(a, lanes, "clip"), (pairs, search)))
         return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
 
     if is_symbolic_dim(size) or size <= _FEW:
-        return jax.lax.while_loop(lambda search: search.is_open.any(), round_of_all, search)
+        return jax.lax.while_loop(lambda search: search.is_open.any(), partial(_after_round, tables, pairs), search)
     if size > _MANY:
         search = jax.lax.while_loop(
             lambda search: search.is_open.sum() > _MANY, partial(round_of_first, _MANY), search
@@ -160,55 +150,49 @@ def _searched(tables: PairTables, at_least: Float[Array, "n longest"], search: S
     return jax.lax.while_loop(lambda search: search.is_open.any(), partial(round_of_first, _FEW), search)
 
 
-def _after_look(search: Search, look: _Look) -> Search:
-    """The search after a look for each pair, if it is open."""
-    is_open = search.is_open
-    better = is_open & (look.length < search.length)
-    return replace(
-        search,
-        length=jnp.where(better, look.length, search.length),
-        from_x=jnp.where(better[:, None], look.via_x, search.from_x),
-        from_y=jnp.where(better[:, None], look.via_y, search.from_y),
-        least=jnp.where(is_open, look.least, search.least),
-        done_x=jnp.where(is_open[:, None], look.done_x, search.done_x),
-        done_y=jnp.where(is_open[:, None], look.done_y, search.done_y),
-    )
-
-
-def _at_least(tables: PairTables, search: Search) -> Float[Array, "n longest"]:
+def _at_least(
+    tables: PairTables,
+    x: Float[Array, "n 2"],
+    y: Float[Array, "n 2"],
+    leaf_x: UInt32[Array, "n"],
+    leaf_y: UInt32[Array, "n"],
+) -> Float[Array, "n longest"]:
     """At most the length of the way by each corner of the first point's list."""
-    listed = tables.listed[search.leaf_x].astype(jnp.uint32)
+    listed = tables.listed[leaf_x].astype(jnp.uint32)
     size = len(tables.distances)
     last_bits = last_bits_of(size)
-    onward = _at(tables.onward.ravel(), search.leaf_y[:, None] * size + listed)
+    onward = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
     last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
-    x, y = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, search.y.T, strict=True))
-    way = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(x * x + y * y)
-    return _legs(tables, search.leaf_x, search.x) + jnp.minimum(way, other)
+    dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
+    way = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
+    return _legs(tables, leaf_x, x) + jnp.minimum(way, other)
 
 
-def _looked_into(tables: PairTables, at_least: Float[Array, "n longest"], search: Search) -> _Look:
-    """A look into the most promising corner of each first point."""
-    x, y, leaf_x, leaf_y = search.x, search.y, search.leaf_x, search.leaf_y
-    done_x, done_y = search.done_x, search.done_y
-    first, at_first, second = _smallest(at_least, done_x)
+def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
+    """The search after a look into the most promising corner of each first point whose pair is open."""
+    x, y, leaf_x, leaf_y = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y
+    first, at_first, second = _smallest(pairs.at_least, search.done_x)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     listed = tables.listed[leaf_y].astype(jnp.uint32)
     onward = _legs(tables, leaf_y, y) + _at(
         tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
     )
-    last, length, _ = _smallest(onward, done_y)
+    last, rest, _ = _smallest(onward, search.done_y)
     via_x, via_y = _corner(tables, leaf_x, first), _corner(tables, leaf_y, last)
     hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
     hidden_y = _is_leg_hidden(tables, leaf_y, last, y, via_y)
-    is_done = hidden_x | ~hidden_y | (length == jnp.inf)
-    return _Look(
-        length=jnp.where(hidden_x | hidden_y, jnp.inf, _length(x - via_x) + length),
-        via_x=via_x,
-        via_y=via_y,
-        least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
-        done_x=done_x | _bit(first, is_done, done_x),
-        done_y=done_y | _bit(last, hidden_y, done_y),
+    length = jnp.where(hidden_x | hidden_y, jnp.inf, _length(x - via_x) + rest)
+    is_open = search.is_open
+    is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
+    least = jnp.where(is_done, second, jnp.minimum(at_first, second))
+    better = is_open & (length < search.length)
+    return Search(
+        length=jnp.where(better, length, search.length),
+        via_x=jnp.where(better, first, search.via_x),
+        via_y=jnp.where(better, last, search.via_y),
+        least=jnp.where(is_open, least, search.least),
+        done_x=search.done_x | _bit(first, is_open & is_done, search.done_x),
+        done_y=search.done_y | _bit(last, is_open & hidden_y, search.done_y),
     )
 
 
