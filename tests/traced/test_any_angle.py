@@ -1,3 +1,5 @@
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +11,13 @@ from plr_jax import VisibilityGraph, Workspace, grid_distance
 
 FREE, GOALS = random_levels(2)
 X = random_points(3)
-CENTERS = np.indices(FREE.shape[1:])[::-1].reshape(2, -1).T + 0.5
+
+
+def cell_centers(shape):
+    return np.indices(shape)[::-1].reshape(2, -1).T + 0.5
+
+
+CENTERS = cell_centers(FREE.shape[1:])
 
 
 def truth(free, goal, x):
@@ -55,23 +63,23 @@ def test_rows_wider_than_a_word():
 
 
 def test_a_grid_of_one_row():
-    field = grid_distance(drawn("..#."), [0.5, 0.5])
-    np.testing.assert_allclose(field.cells, [[0, 1, np.inf, np.inf]])
-    assert (
-        jax.grad(lambda goal: grid_distance(drawn("..#."), goal)([1.5, 0.5]))(jnp.array([0.5, 0.5]))
-        @ jnp.array([1.0, 0.0])
-        == -1
-    )
+    cells = jax.jit(lambda goal: grid_distance(drawn("..#."), goal).cells)(jnp.array([0.5, 0.5]))
+    np.testing.assert_allclose(cells, [[0, 1, np.inf, np.inf]])
 
 
 def test_more_corners_than_places_are_said_and_never_answered():
-    free = drawn(".....", ".#.#.", ".....")
-    field, pairs = (grid_distance(free, goal, max_corners=7) for goal in ([0.5, 0.5], None))
-    assert not field.is_complete and not pairs.is_complete
-    assert np.isnan(field.cells).all() and np.isnan(field([1.5, 2.5])) and np.isnan(pairs([1.5, 2.5], [0.5, 0.5]))
-    enough = grid_distance(free, [0.5, 0.5], max_corners=8)
-    assert enough.is_complete
-    np.testing.assert_allclose(enough.cells, grid_distance(free, [0.5, 0.5]).cells, rtol=1e-6)
+    free, x, goal = drawn(".....", ".#.#.", "....."), jnp.array([2.5, 2.5]), jnp.array([0.5, 0.5])
+
+    @partial(jax.jit, static_argnums=0)
+    def answers(max_corners):
+        field, pairs = (grid_distance(free, end, max_corners=max_corners) for end in (goal, None))
+        return field.is_complete, pairs.is_complete, jnp.append(field.cells.ravel(), pairs(x, goal))
+
+    *are_complete, values = answers(7)
+    assert not any(are_complete) and np.isnan(values).all()
+    *are_complete, values = answers(8)
+    assert all(are_complete)
+    np.testing.assert_allclose(values, truth(free, goal, np.vstack([cell_centers(free.shape), x])), rtol=1e-6)
 
 
 # Gradients.
@@ -109,7 +117,8 @@ def test_gradients_are_differences(in_doubles):
 def test_gradients_of_pairs_are_those_to_a_goal(in_doubles):
     free = drawn(".....", ".###.", "...#.")
     x, y = jnp.array([0.3, 0.4]), jnp.array([4.5, 2.6])
-    ours = jax.grad(grid_distance(free, None), argnums=(0, 1))(x, y)
-    there = jax.grad(lambda x, y: grid_distance(free, y)(x), argnums=(0, 1))(x, y)
+    of_pairs = jax.grad(grid_distance(free, None), argnums=(0, 1))
+    to_goal = jax.grad(lambda x, y: grid_distance(free, y)(x), argnums=(0, 1))
+    ours, there = jax.jit(lambda x, y: (of_pairs(x, y), to_goal(x, y)))(x, y)
     np.testing.assert_allclose(ours, there)
     np.testing.assert_allclose(ours[1], (y - np.array([4, 1])) / np.hypot(0.5, 1.6))
