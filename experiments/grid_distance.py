@@ -104,19 +104,21 @@ def small(seed: int, smoke: bool) -> dict[str, Any]:
         f"moves={moves}, all cells": (partial(cells, moves), (free, goals)) for moves in (4, 8, "any-angle")
     }
     few = number // 16
-    pairs = lambda free: grid_distance(free, None, moves=4).paths.table  # noqa: E731
     calls["any-angle, 200 points"] = at_points, (free, goals, x)
     calls["any-angle, all cells, 200 points"] = (
         lambda free, goal, x: (lambda field: (field.cells, field(x)))(grid_distance(free, goal)),
         (free, goals, x),
     )
-    calls["moves=4, all pairs of cells"] = pairs, (free[:few],)
+    calls["moves=4, all pairs of cells"] = (
+        lambda free: jax.tree.leaves(grid_distance(free, None, moves=4)),
+        (free[:few],),
+    )
     held = jax.eval_shape(jax.vmap(grid_distance), free, goals)
     num_bytes = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(held)) / number
-    return {"rows": timed(calls | rivals(free[:few], goals[:few])), "any_angle_bytes_a_level": num_bytes}
+    return {"rows": timed(calls | rivals(free, goals, few)), "any_angle_bytes_a_level": num_bytes}
 
 
-def rivals(free: Levels, goals: Goals) -> dict[str, tuple[Callable, tuple]]:
+def rivals(free: Levels, goals: Goals, few: int) -> dict[str, tuple[Callable, tuple]]:
     """Those that are installed; of the others is said that they are not."""
     last = np.stack([np.argwhere(level)[-1][::-1] for level in free])
     found: dict[str, tuple[Callable, tuple]] = {}
@@ -124,10 +126,10 @@ def rivals(free: Levels, goals: Goals) -> dict[str, tuple[Callable, tuple]]:
         path = partial(maps.GridMapCircleAgents.dikstra_path, None)
         found["JaxNav dikstra_path, one pair"] = path, ((~free).astype(np.int32), goals, last + 0.5)
     if (graph := _module("minimax.util.graph")) is not None:
-        arguments = ~free, goals.astype(np.uint32), last.astype(np.uint32)
+        arguments = (~free)[:few], goals[:few].astype(np.uint32), last[:few].astype(np.uint32)
         found["minimax shortest_path_len, one pair"] = graph.shortest_path_len, arguments
     if (maze := _module("jaxgmg.procgen.maze_solving")) is not None:
-        found["jaxgmg maze_distances, all pairs"] = maze.maze_distances, (~free,)
+        found["jaxgmg maze_distances, all pairs"] = maze.maze_distances, ((~free)[:few],)
     return found
 
 
@@ -200,7 +202,7 @@ def _on_the_host(name: str, calls: list[Callable]) -> dict[str, Any]:
 
 
 def differences(seed: int, smoke: bool) -> dict[str, Any]:
-    """From breadth-first search, SciPy's Dijkstra and ``VisibilityGraph``, and of gradients from finite differences."""
+    """From breadth-first search, SciPy's Dijkstra and ``VisibilityGraph``; of gradients from finite differences."""
     many, some = (8, 4) if smoke else (10_000, 1_000)
     free, goals = random_levels(many, 11, seed + 1)
     four = np.asarray(jax.jit(jax.vmap(partial(cells, 4)))(free, goals))
@@ -282,4 +284,4 @@ SECTIONS = {
 }
 
 if __name__ == "__main__":
-    run("grid_distance", __doc__.splitlines()[0], SECTIONS)
+    run("grid_distance", __doc__, SECTIONS)

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, UInt32
+from jaxtyping import Array, Bool, Int32, UInt32
 
 Mask = Bool[Array, "h w"]
 Words = UInt32[Array, "h words"]
@@ -26,10 +26,19 @@ def unpacked(words: Words, w: int) -> UInt32[Array, "h w"]:
     return bits.reshape(len(words), -1)[:, :w]
 
 
-def beside(words: Words) -> Words:
+def marked(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
+    """The bits of a grid of which one cell alone is set."""
+    rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
+    bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
+    return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
+
+
+def beside(words: UInt32[Array, "h words *batch"]) -> UInt32[Array, "h words *batch"]:
     """The neighbors of cells, in their row and in the rows above and below."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
-        carry, borrow = words[:, :-1] >> (WORD - 1), words[:, 1:] << (WORD - 1)
-        in_row |= jnp.pad(carry, ((0, 0), (1, 0))) | jnp.pad(borrow, ((0, 0), (0, 1)))
-    return in_row | jnp.pad(words[1:], ((0, 1), (0, 0))) | jnp.pad(words[:-1], ((1, 0), (0, 0)))
+        none = jnp.zeros_like(words[:, :1])
+        in_row |= jnp.concatenate([none, words[:, :-1] >> (WORD - 1)], axis=1)
+        in_row |= jnp.concatenate([words[:, 1:] << (WORD - 1), none], axis=1)
+    none = jnp.zeros_like(words[:1])
+    return in_row | jnp.concatenate([words[1:], none]) | jnp.concatenate([none, words[:-1]])

@@ -6,12 +6,14 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int32
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.bits import Mask, beside, packed, unpacked
+from plr_jax.traced.bits import WORD, Mask, Words, beside, marked, packed, unpacked
 from plr_jax.traced.sight import free_cells
 
 Cells = Float[Array, "h w"]
+Grids = UInt32[Array, "h words *grids"]
 
 
 @jax.tree_util.register_dataclass
@@ -28,10 +30,9 @@ class Steps:
     @classmethod
     def to(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
         """Those to a goal."""
-        *cells, is_free = free_cells(free, goal)
-        rows, columns = jnp.indices(free.shape)
-        holds_goal = [(rows == row) & (columns == column) for row, column in cells]
-        return cls(distances(free, (holds_goal[0] | holds_goal[1]) & is_free, moves))
+        lowest, highest, is_free = free_cells(free, goal)
+        start = marked(free.shape, *lowest) | marked(free.shape, *highest)
+        return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
 
     @property
     def is_complete(self) -> Bool[Array, ""]:
@@ -62,8 +63,9 @@ class StepPairs:
     @classmethod
     def of(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
         """Those of a grid."""
-        starts = jnp.eye(free.size, dtype=bool).reshape(-1, *free.shape)
-        return cls(jax.vmap(lambda start: distances(free, start, moves))(starts).reshape(free.shape * 2))
+        rows, columns = jnp.indices(free.shape, dtype=jnp.int32).reshape(2, -1)
+        to_cell = jax.vmap(lambda row, column: distances(free, marked(free.shape, row, column), moves))
+        return cls(to_cell(rows, columns).reshape(free.shape * 2))
 
     @property
     def is_complete(self) -> Bool[Array, ""]:
@@ -79,31 +81,59 @@ class StepPairs:
         return jnp.where(x_is_free & y_is_free, jnp.min(jnp.stack(steps), axis=0), jnp.inf)
 
 
-def distances(free: Mask, start: Mask, moves: Literal[4, 8]) -> Cells:
+def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Cells:
     """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
-    return _four(free, start & free) if moves == 4 else _eight(free, start & free)
+    start = start & packed(free)
+    return _four(free, start) if moves == 4 else _eight(free, unpacked(start, free.shape[1]) == 1)
 
 
 # Breadth-first search over bits: a level of the whole grid takes a few operations on words. The level of a cell is a
-# binary number, each of its digits a plane of bits.
+# binary number, each of its digits a plane of bits. Four levels are a round, so that only two digits change between.
+# Where levels are mapped over grids, grids are the last axis: the other way round a third as many a second.
 
 
-def _four(free: Mask, start: Mask) -> Cells:
-    h, w = free.shape
-    passable, reached = packed(free), packed(start)
-    digits = jnp.arange((h * w).bit_length(), dtype=jnp.uint32)[:, None, None]
-
-    def next_level(state):
-        level, reached, planes, _ = state
-        grown = passable & (reached | beside(reached))
-        new = grown ^ reached
-        planes = planes | jnp.where((level >> digits) & 1 == 1, new[None], jnp.uint32(0))
-        return level + jnp.uint32(1), grown, planes, jnp.any(new != 0)
-
-    first = jnp.uint32(1), reached, jnp.zeros((len(digits), *reached.shape), jnp.uint32), jnp.array(True)
-    _, reached, planes, _ = lax.while_loop(lambda state: state[3], next_level, first)
-    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(planes)), jnp.uint32(0))
+def _four(free: Mask, start: Words) -> Cells:
+    w = free.shape[1]
+    reached, digits = _search(packed(free), start)
+    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
     return jnp.where(unpacked(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
+
+
+@custom_vmap
+def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
+    """What is reached, and the digits of its levels."""
+    h, words = passable.shape[:2]
+    powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
+
+    def has_digit(number):
+        return (number >> powers) & 1 == 1
+
+    def four_levels(state):
+        fours, reached, ones_plane, twos_plane, planes, _ = state
+        new = []
+        for _ in range(4):
+            grown = passable & (reached | beside(reached))
+            new.append(grown ^ reached)
+            reached = grown
+        planes |= jnp.where(has_digit(fours), (new[0] | new[1] | new[2])[None], jnp.uint32(0))
+        planes |= jnp.where(has_digit(fours + 1), new[3][None], jnp.uint32(0))
+        any_new = jnp.any(new[3] != 0)
+        return fours + 1, reached, ones_plane | new[0] | new[2], twos_plane | new[1] | new[2], planes, any_new
+
+    none = jnp.zeros_like(start)
+    first = jnp.uint32(0), start, none, none, jnp.zeros((len(powers), *start.shape), jnp.uint32), jnp.array(True)
+    _, reached, ones_plane, twos_plane, planes, _ = lax.while_loop(lambda state: state[-1], four_levels, first)
+    return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
+
+
+@_search.def_vmap
+def _(size: int, is_mapped: list[bool], *arguments: Grids):
+    last = [
+        jnp.moveaxis(words, 0, -1) if mapped else jnp.broadcast_to(words[..., None], (*words.shape, size))
+        for words, mapped in zip(arguments, is_mapped, strict=True)
+    ]
+    reached, digits = _search(*last)
+    return (jnp.moveaxis(reached, -1, 0), jnp.moveaxis(digits, -1, 0)), (True, True)
 
 
 # Relaxation of all cells at once until nothing changes. Lengths are whole numbers, so that sums are exact however
