@@ -8,7 +8,7 @@ from grid_helpers import dijkstra
 
 from plr_jax import grid_distance
 
-pytest.importorskip("jaxmarl", reason="pip install jaxmarl")
+pytest.importorskip("jaxmarl", reason="pip install '.[environments]'")
 jaxnav = pytest.importorskip("experiments.environments.jaxnav")
 
 
