@@ -4,7 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxmarl.environments.jaxnav.jaxnav_env import JaxNav
+from jaxmarl.environments.jaxnav.jaxnav_env import JaxNav  # pyright: ignore[reportMissingImports]
 
 from plr_jax import GridDistance, grid_distance
 
