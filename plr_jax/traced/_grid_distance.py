@@ -32,7 +32,7 @@ class GridDistance:
     """
 
     paths: Steps | CornerPaths
-    is_nan: Bool[Array, ""]
+    is_nan: Bool[Array, "*maps"]
     shape: tuple[int, int] = field(metadata={"static": True})
 
     @property
@@ -191,7 +191,7 @@ def _cells(paths: Steps | CornerPaths) -> Float[Array, "h w"]:
     return paths.cells()
 
 
-def _with_corners(free: Mask) -> Mask:
+def _with_corners(free: Mask) -> Bool[Array, "rows columns"]:
     """A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked."""
     h, w = free.shape
     return jnp.pad(free, ((0, int(h == 1)), (0, int(w == 1))))

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Int32
 
 from plr_jax.traced.bits import Mask, Shape, packed
 from plr_jax.traced.sight import (
+    Broadcast,
     Ends,
-    Points,
     cell_centers,
     crossed_cells,
     crosses_nothing,
@@ -42,10 +42,10 @@ class Corners:
         is_complete: Whether there are places for all.
     """
 
-    free: Mask
-    index: Int32[Array, "corners"]
-    is_convex: Bool[Array, "corners"]
-    is_complete: Bool[Array, ""]
+    free: Bool[Array, "*maps h w"]
+    index: Int32[Array, "*maps corners"]
+    is_convex: Bool[Array, "*maps corners"]
+    is_complete: Bool[Array, "*maps"]
 
     @property
     def _is_lattice(self) -> bool:
@@ -122,7 +122,7 @@ def convex_corners(free: Mask, count: int) -> Corners:
     return Corners(free, index, jnp.arange(count) < found, found <= count)
 
 
-def distance(a: Points, b: Points) -> Float[Array, "*batch"]:
+def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
     """Length of segments; its gradient is 0 where they are points."""
     squares = jnp.sum((a - b) ** 2, axis=-1)
     return jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
@@ -178,8 +178,8 @@ class CornerPaths:
     """
 
     corners: Corners
-    distances: Float[Array, "corners"]
-    goal: Float[Array, "2"]
+    distances: Float[Array, "*maps corners"]
+    goal: Float[Array, "*maps 2"]
 
     @classmethod
     def to(cls, corners: Corners, goal: Float[Array, "2"]) -> "CornerPaths":
@@ -226,7 +226,7 @@ class CornerPairs:
     """
 
     corners: Corners
-    between: Float[Array, "corners corners"]
+    between: Float[Array, "*maps corners corners"]
 
     @classmethod
     def of(cls, corners: Corners) -> "CornerPairs":
@@ -250,6 +250,6 @@ class CornerPairs:
         return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
 
 
-def _length(seen: Bool[Array, "*batch"], a: Points, b: Points, onward: Any = 0) -> Float[Array, "*batch"]:
+def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast, onward: Any = 0) -> Float[Array, "*batch"]:
     """Length of segments whose ends see each other, and of what follows; else ``inf``, with gradients of 0."""
     return jnp.where(seen, distance(a, b) + onward, jnp.inf)

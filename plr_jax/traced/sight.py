@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int32, UInt32
 from plr_jax.traced.bits import WORD, Mask, Shape, Words, packed
 
 Points = Float[Array, "*batch 2"]
+Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
 Cells = tuple[Int32[Array, "*batch"], ...]
 
@@ -55,14 +56,14 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
     return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_free
 
 
-def towards(ends: Ends, x: Points) -> Points:
+def towards(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
     """Of both the one on the side of other points."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
 
 
-def crosses_nothing(blocked: Words, shape: Shape, a: Points, b: Points) -> Bool[Array, "*batch"]:
+def crosses_nothing(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Whether segments between points, both inside free cells, cross no blocked cell."""
     hit = jnp.zeros((), jnp.uint32)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
@@ -74,7 +75,7 @@ def crosses_nothing(blocked: Words, shape: Shape, a: Points, b: Points) -> Bool[
     return hit == 0
 
 
-def _ones(first, last, beyond: bool) -> UInt32[Array, "*batch"]:
+def _ones(first, last, beyond: bool) -> UInt32[Array, "..."]:
     """A word whose bits from the first to the last are set; ends may lie beyond the word where that is said."""
     every = jnp.uint32(0xFFFFFFFF)
     from_first = every << jnp.clip(first, 0, WORD - 1).astype(jnp.uint32)

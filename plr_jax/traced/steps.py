@@ -1,7 +1,7 @@
 """Distances on a traced grid by steps between cells, to 4 neighbors or to 8."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ class Steps:
         table: That of each cell.
     """
 
-    table: Cells
+    table: Float[Array, "*maps h w"]
 
     @classmethod
     def to(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
@@ -58,7 +58,7 @@ class StepPairs:
         table: That of each pair of cells.
     """
 
-    table: Float[Array, "h w h w"]
+    table: Float[Array, "*maps h w h w"]
 
     @classmethod
     def of(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
@@ -127,7 +127,7 @@ def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits
 
 
 @_search.def_vmap
-def _(size: int, is_mapped: list[bool], *arguments: Grids):
+def _(size: Any, is_mapped: list[bool], *arguments: Any):
     last = [
         jnp.moveaxis(words, 0, -1) if mapped else jnp.broadcast_to(words[..., None], (*words.shape, size))
         for words, mapped in zip(arguments, is_mapped, strict=True)
