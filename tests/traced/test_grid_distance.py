@@ -24,14 +24,14 @@ class TestOfEveryKind:
     def test_a_scan_carries_it_and_a_checkpoint_recomputes_it(self, moves):
         @jax.jit
         @jax.checkpoint
-        def total(path):
+        def total(path, field):
             def step(field, x):
                 return grid_distance(FREE, x, moves=moves), field(x)
 
-            return jax.lax.scan(step, grid_distance(FREE, GOAL, moves=moves), path)[1].sum()
+            return jax.lax.scan(step, field, path)[1].sum()
 
         path = jnp.array([[0.5, 0.5], [0.5, 3.5]])
-        value, gradient = jax.value_and_grad(total)(path)
+        value, gradient = jax.value_and_grad(total)(path, grid_distance(FREE, GOAL, moves=moves))
         pairs = grid_distance(FREE, None, moves=moves)
         assert value == pytest.approx(float(pairs(GOAL, path[0]) + pairs(path[0], path[1])), rel=1e-6)
         assert jnp.isfinite(gradient).all()
