@@ -97,3 +97,6 @@ from .spaces import PlanarArm as PlanarArm
 from .spaces import PlaneSpace as PlaneSpace
 from .spaces import RigidBodySpace as RigidBodySpace
 from .spaces import SeesBoxes as SeesBoxes
+from .traced import GridDistance as GridDistance
+from .traced import GridDistances as GridDistances
+from .traced import grid_distance as grid_distance

@@ -16,7 +16,7 @@ LAYERS = [
     ["collision"],
     ["_problem"],
     ["_validate"],
-    ["oracles", "plr", "planners", "spaces"],
+    ["oracles", "plr", "planners", "spaces", "traced"],
     ["pairs"],
     ["_io"],
     ["optimize", "metrics", "plot", "scenes", "eikonal", "remote", "ompl"],
@@ -112,12 +112,12 @@ def test_only_leaves_know_the_leaf_models():
 
 
 def test_no_two_classes_or_public_functions_share_a_name():
-    homes: dict[str, list[str]] = {}
+    homes: dict[str, set[str]] = {}
     for path, tree in TREES.items():
         for node in tree.body:
             is_class = isinstance(node, ast.ClassDef)
             if is_class or (isinstance(node, ast.FunctionDef) and not node.name.startswith("_")):
-                homes.setdefault(node.name, []).append(str(path))
+                homes.setdefault(node.name, set()).add(str(path))
     shared = {name: places for name, places in homes.items() if len(places) > 1}
     assert shared.keys() <= {"save", "load"}  # of a PLR, and with their room before them of a scene or a picture
 

@@ -43,6 +43,11 @@ NUM_POSES = NUM_CONFIGURATIONS = 2_000
 NUM_CELLS = 200
 RESOLUTION = 20
 """,
+    "5_inside_your_environment": """
+NUM_ENVIRONMENTS, NUM_STEPS = 8, 10
+SIZE, BLOCKED = 6, 0.2
+RESOLUTION = 4
+""",
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -156,5 +161,5 @@ def test_is_committed_as_it_ran_small_and_clean(path):
     assert re.findall(r"/(?:home|root|tmp|work|Users)/\S*", re.sub(r'"image/png": "[^"]*"', "", text)) == []
 
 
-def test_there_are_four():
-    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4"]
+def test_there_are_five():
+    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5"]

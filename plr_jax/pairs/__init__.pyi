@@ -1,5 +1,5 @@
 from .construct import construct_pairs as construct_pairs
-from .grid_pairs import GridDistance as GridDistance
+from .grid_pairs import DistanceToCell as DistanceToCell
 from .grid_pairs import GridPairs as GridPairs
 from .grid_pairs import construct_grid_pairs as construct_grid_pairs
 from .metric_pairs import MetricPairs as MetricPairs

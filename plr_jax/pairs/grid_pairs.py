@@ -75,7 +75,7 @@ _MOST_CORNERS = 2**14  # whose distances take half a gigabyte
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class GridDistance:
+class DistanceToCell:
     """Distance to one cell of a grid, a `DistanceFn`; made by :meth:`GridPairs.to`.
 
     Attributes:
@@ -183,7 +183,7 @@ class GridPairs:
         lower = self(x, y)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
-    def to(self, goal: ArrayLike) -> GridDistance:
+    def to(self, goal: ArrayLike) -> DistanceToCell:
         """Distances to one cell, several times as fast a query.
 
         Args:
@@ -199,7 +199,7 @@ class GridPairs:
         if not np.isfinite(self(goal, goal)):
             raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")
         cell = jax.numpy.asarray(np.floor(goal)[::-1].astype(np.int32))
-        return GridDistance(self.tables, cell, corners_from(self.tables, cell))
+        return DistanceToCell(self.tables, cell, corners_from(self.tables, cell))
 
     @property
     def domain(self) -> Box:

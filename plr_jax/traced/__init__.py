@@ -1,0 +1,5 @@
+"""Distances inside ``jit``, on grids that are traced."""
+
+from plr_jax.traced._grid_distance import GridDistance as GridDistance
+from plr_jax.traced._grid_distance import GridDistances as GridDistances
+from plr_jax.traced._grid_distance import grid_distance as grid_distance

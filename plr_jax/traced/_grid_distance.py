@@ -1,0 +1,232 @@
+"""Distances to a goal, or between any two points, on a grid of cells that may be traced."""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal, overload
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from plr_jax._arrays import require_integer, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.traced.any_angle import MOST_CORNERS, CornerPairs, CornerPaths, convex_corners, places
+from plr_jax.traced.bits import Mask
+from plr_jax.traced.sight import Points
+from plr_jax.traced.steps import MOST_CELLS, StepPairs, Steps
+
+Moves = Literal["any-angle", 4, 8]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class GridDistance:
+    """Distance from anywhere on a grid to a goal; made by :func:`grid_distance`.
+
+    It is a pytree of arrays whose shapes depend on that of the grid alone.
+
+    Attributes:
+        paths: What answers.
+        is_nan: Whether all answers are NaN, as a coordinate of the goal is.
+        shape: Rows and columns.
+    """
+
+    paths: Steps | CornerPaths
+    is_nan: Bool[Array, "*maps"]
+    shape: tuple[int, int] = field(metadata={"static": True})
+
+    @property
+    def cells(self) -> Float[Array, "h w"]:
+        """Distances of the centers of all cells, found when they are asked for."""
+        h, w = self.shape
+        return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, _cells(self.paths)[:h, :w])
+
+    @property
+    def is_complete(self) -> Bool[Array, ""]:
+        """Whether there were places for all corners: else answers are NaN. True of 4 and 8 moves."""
+        return self.paths.is_complete
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Distances of points.
+
+        Args:
+            x: Points ``(x, y)``, ``(..., 2)``.
+
+        Returns:
+            Distances in sides of cells, ``(...)``: ``inf`` outside, inside blocked cells and where no path leads,
+            with gradients of 0; NaN where a coordinate, or one of the goal, is NaN.
+
+        Raises:
+            ValueError: If ``x`` has another shape, or holds no real numbers.
+        """
+        x = _as_points("x", x)
+        is_nan = jnp.isnan(x).any(axis=-1) | self.is_nan | ~self.is_complete
+        return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x)))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class GridDistances:
+    """Distance between any two points on a grid; made by :func:`grid_distance` without a goal.
+
+    Attributes:
+        paths: What answers.
+    """
+
+    paths: StepPairs | CornerPairs
+
+    @property
+    def is_complete(self) -> Bool[Array, ""]:
+        """As :attr:`GridDistance.is_complete`."""
+        return self.paths.is_complete
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+        """Distances of pairs of points.
+
+        Args:
+            x: Points ``(x, y)``, ``(..., 2)``.
+            y: Others; the leading axes of both are broadcast.
+
+        Returns:
+            Distances, as those of :meth:`GridDistance.__call__`.
+
+        Raises:
+            ValueError: As there.
+        """
+        x, y = _as_points("x", x), _as_points("y", y)
+        try:
+            x, y = jnp.broadcast_arrays(x, y)
+        except ValueError:
+            raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
+        is_nan = (jnp.isnan(x) | jnp.isnan(y)).any(axis=-1) | ~self.is_complete
+        return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x), _finite(y)))
+
+
+@overload
+def grid_distance(
+    free: ArrayLike, goal: None, *, moves: Moves = "any-angle", max_corners: int | None = None
+) -> GridDistances: ...
+@overload
+def grid_distance(
+    free: ArrayLike, goal: ArrayLike, *, moves: Moves = "any-angle", max_corners: int | None = None
+) -> GridDistance: ...
+def grid_distance(
+    free: ArrayLike, goal: ArrayLike | None, *, moves: Moves = "any-angle", max_corners: int | None = None
+) -> GridDistance | GridDistances:
+    """Lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
+
+    All of it can be traced: maps and goals that are drawn inside ``jax.jit``, ``jax.vmap`` over either or both,
+    ``jax.grad`` with respect to points and to the goal. Cell ``[i, j]`` covers ``x`` in ``[j, j + 1]`` and ``y`` in
+    ``[i, i + 1]``; what is beyond the grid is blocked. A point on sides of cells is in a free one if there is one.
+
+    Args:
+        free: Which cells are free, booleans ``(h, w)``.
+        goal: The goal ``(x, y)``, ``(2,)``; or None, for distances between any two points.
+        moves: The paths. ``"any-angle"``: all that keep out of blocked cells. They may touch walls, but not pass
+            between two blocked cells that touch in a corner: what ``VisibilityGraph`` measures in
+            ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells with a common side, from the cell that
+            holds a point to the cell that holds the goal. 8: also diagonal ones, of the square root of 2, where both
+            cells beside them are free.
+        max_corners: For how many corners of blocked cells, at which any-angle paths can bend, there are places: by
+            default for all if the grid is at most 17 x 17, else half as many as there are corners of cells. Time and
+            memory grow with its square. Where a map has more, answers are NaN and ``is_complete`` is false.
+
+    Returns:
+        The distance, a function of points, or of pairs of points.
+
+    Raises:
+        ValueError: If ``free`` is no boolean array of rank 2 with cells, ``goal`` no point, ``moves`` none of the
+            above, or the grid too large. Also while it is traced.
+    """
+    mask = _as_mask(free)
+    h, w = mask.shape
+    if not isinstance(moves, str | int) or moves not in ("any-angle", 4, 8):
+        raise ValueError(f'moves must be "any-angle", 4 or 8, got {shortened(moves)}.')
+    if max_corners is not None:
+        require_integer("max_corners", max_corners, 1)
+    point = None if goal is None else _as_points("goal", goal)
+    if point is not None and point.ndim != 1:
+        raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for several.")
+    if moves == "any-angle":
+        count = min((h - 1) * (w - 1), max_corners or places((h, w)))
+        if count > MOST_CORNERS:
+            raise ValueError(
+                f"A grid of {h} x {w} cells has too many corners for any-angle paths, {count:,} of at most "
+                f"{MOST_CORNERS:,}: give max_corners, or moves=8."
+            )
+        count = max(1, count)
+    elif moves == 8 and h * w > MOST_CELLS:
+        raise ValueError(f"free must have at most {MOST_CELLS:,} cells for moves=8, got {h} x {w}: use moves=4.")
+    else:
+        count = 0
+    if point is None:
+        return GridDistances(_pairs(mask, moves, count))
+    return GridDistance(_paths(mask, _finite(point), moves, count), jnp.isnan(point).any(), (h, w))
+
+
+# Compiled one by one for who calls them outside of ``jit``.
+
+
+@partial(jax.jit, static_argnames=("moves", "count"))
+def _paths(free: Mask, goal: Float[Array, "2"], moves: Moves, count: int) -> Steps | CornerPaths:
+    if moves == "any-angle":
+        return CornerPaths.to(convex_corners(_with_corners(free), count), goal)
+    return Steps.to(free, goal, moves)
+
+
+@partial(jax.jit, static_argnames=("moves", "count"))
+def _pairs(free: Mask, moves: Moves, count: int) -> StepPairs | CornerPairs:
+    if moves == "any-angle":
+        return CornerPairs.of(convex_corners(_with_corners(free), count))
+    return StepPairs.of(free, moves)
+
+
+@jax.jit
+def _distance(paths: Any, *points: Points) -> Float[Array, "*batch"]:
+    return paths.distance(*(x.reshape(-1, 2) for x in points)).reshape(points[0].shape[:-1])
+
+
+@jax.jit
+def _cells(paths: Steps | CornerPaths) -> Float[Array, "h w"]:
+    return paths.cells()
+
+
+def _with_corners(free: Mask) -> Bool[Array, "rows columns"]:
+    """A grid of two rows and columns at least, inside which there are corners: what is beyond it is blocked."""
+    h, w = free.shape
+    return jnp.pad(free, ((0, int(h == 1)), (0, int(w == 1))))
+
+
+def _as_mask(free: ArrayLike) -> Mask:
+    try:
+        mask = jnp.asarray(free)
+    except (TypeError, ValueError):
+        raise ValueError(f"free must be an array of booleans (h, w), got {shortened(free)}.") from None
+    if mask.dtype != bool or mask.ndim != 2 or not mask.size:
+        expected = "free must be booleans of shape (h, w) with at least one cell"
+        raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
+    return mask
+
+
+def _as_points(name: str, value: ArrayLike) -> Points:
+    """Points as floats of 32 bits at least."""
+    try:
+        points = jnp.asarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be points (..., 2), got {shortened(value)}.") from None
+    is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
+    if not is_real or points.ndim == 0 or points.shape[-1] != 2:
+        raise ValueError(
+            f"{name} must be real numbers of shape (..., 2), got {points.dtype} of shape {points.shape}."
+        )
+    is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
+    return points if is_wide else points.astype(_default_float())
+
+
+def _default_float() -> Any:
+    return jnp.zeros(()).dtype
+
+
+def _finite(x: Points) -> Points:
+    """Points, and for others some outside of every grid."""
+    return jnp.where(jnp.isfinite(x), x, -1)

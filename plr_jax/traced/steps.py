@@ -1,0 +1,172 @@
+"""Distances on a traced grid by steps between cells, to 4 neighbors or to 8."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int32, UInt32
+
+from plr_jax.traced.bits import WORD, Mask, Words, beside, marked, packed, unpacked
+from plr_jax.traced.sight import free_cells
+
+Cells = Float[Array, "h w"]
+Grids = UInt32[Array, "h words *grids"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Distances to the cell that holds a goal; points on sides of cells are in two.
+
+    Attributes:
+        table: That of each cell.
+    """
+
+    table: Float[Array, "*maps h w"]
+
+    @classmethod
+    def to(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
+        """Those to a goal."""
+        lowest, highest, is_free = free_cells(free, goal)
+        start = marked(free.shape, *lowest) | marked(free.shape, *highest)
+        return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
+
+    @property
+    def is_complete(self) -> Bool[Array, ""]:
+        """True: there are places for all cells."""
+        return jnp.array(True)
+
+    def cells(self) -> Cells:
+        """That of each cell."""
+        return self.table
+
+    def distance(self, x: Float[Array, "n 2"]) -> Float[Array, "n"]:
+        """Those of points."""
+        *cells, is_reached = free_cells(jnp.isfinite(self.table), x)
+        return jnp.where(is_reached, jnp.minimum(*(self.table[cell] for cell in cells)), jnp.inf)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class StepPairs:
+    """Distances between all cells.
+
+    Attributes:
+        table: That of each pair of cells.
+    """
+
+    table: Float[Array, "*maps h w h w"]
+
+    @classmethod
+    def of(cls, free: Mask, moves: Literal[4, 8]) -> "StepPairs":
+        """Those of a grid."""
+        rows, columns = jnp.indices(free.shape, dtype=jnp.int32).reshape(2, -1)
+        to_cell = jax.vmap(lambda row, column: distances(free, marked(free.shape, row, column), moves))
+        return cls(to_cell(rows, columns).reshape(free.shape * 2))
+
+    @property
+    def is_complete(self) -> Bool[Array, ""]:
+        """True: there are places for all cells."""
+        return jnp.array(True)
+
+    def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
+        """Those of pairs of points."""
+        h, w = self.table.shape[:2]
+        free = jnp.diagonal(self.table.reshape(h * w, h * w)).reshape(h, w) == 0
+        (*x_cells, x_is_free), (*y_cells, y_is_free) = free_cells(free, x), free_cells(free, y)
+        steps = [self.table[x_cell + y_cell] for x_cell in x_cells for y_cell in y_cells]
+        return jnp.where(x_is_free & y_is_free, jnp.min(jnp.stack(steps), axis=0), jnp.inf)
+
+
+def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Cells:
+    """Steps of each cell to the nearest of those to start from; ``inf`` where none is reached."""
+    start = start & packed(free)
+    return _four(free, start) if moves == 4 else _eight(free, unpacked(start, free.shape[1]) == 1)
+
+
+# Breadth-first search over bits: a level of the whole grid takes a few operations on words. The level of a cell is a
+# binary number, each of its digits a plane of bits. Four levels are a round, so that only two digits change between.
+# Where levels are mapped over grids, grids are the last axis: the other way round a third as many a second.
+
+
+def _four(free: Mask, start: Words) -> Cells:
+    w = free.shape[1]
+    reached, digits = _search(packed(free), start)
+    level = sum((unpacked(plane, w) << digit for digit, plane in enumerate(digits)), jnp.uint32(0))
+    return jnp.where(unpacked(reached, w) == 1, level.astype(jnp.float32), jnp.inf)
+
+
+@custom_vmap
+def _search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
+    """What is reached, and the digits of its levels."""
+    h, words = passable.shape[:2]
+    powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
+
+    def has_digit(number):
+        return (number >> powers) & 1 == 1
+
+    def four_levels(state):
+        fours, reached, ones_plane, twos_plane, planes, _ = state
+        new = []
+        for _ in range(4):
+            grown = passable & (reached | beside(reached))
+            new.append(grown ^ reached)
+            reached = grown
+        planes |= jnp.where(has_digit(fours), (new[0] | new[1] | new[2])[None], jnp.uint32(0))
+        planes |= jnp.where(has_digit(fours + 1), new[3][None], jnp.uint32(0))
+        any_new = jnp.any(new[3] != 0)
+        return fours + 1, reached, ones_plane | new[0] | new[2], twos_plane | new[1] | new[2], planes, any_new
+
+    none = jnp.zeros_like(start)
+    first = jnp.uint32(0), start, none, none, jnp.zeros((len(powers), *start.shape), jnp.uint32), jnp.array(True)
+    _, reached, ones_plane, twos_plane, planes, _ = lax.while_loop(lambda state: state[-1], four_levels, first)
+    return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
+
+
+@_search.def_vmap
+def _(size: Any, is_mapped: list[bool], *arguments: Any):
+    last = [
+        jnp.moveaxis(words, 0, -1) if mapped else jnp.broadcast_to(words[..., None], (*words.shape, size))
+        for words, mapped in zip(arguments, is_mapped, strict=True)
+    ]
+    reached, digits = _search(*last)
+    return (jnp.moveaxis(reached, -1, 0), jnp.moveaxis(digits, -1, 0)), (True, True)
+
+
+# Relaxation of all cells at once until nothing changes. Lengths are whole numbers, so that sums are exact however
+# long a path: a diagonal step is 3363 / 2378 straight ones, a convergent of the square root of 2, 4.5e-8 of it above.
+
+_STRAIGHT, _DIAGONAL, _FAR = 2378, 3363, 2**29
+MOST_CELLS = _FAR // _DIAGONAL
+"""Up to so many cells the length of any path fits: it has fewer steps than there are cells."""
+
+
+def _eight(free: Mask, start: Mask) -> Cells:
+    h, w = free.shape
+
+    def at(padded, down: int, right: int):
+        return padded[1 + down : h + 1 + down, 1 + right : w + 1 + right]
+
+    # Seen from where a step ends: the cells on both sides of it are free.
+    margin = jnp.pad(free, 1)
+    diagonals = [(down, right) for down in (-1, 1) for right in (-1, 1)]
+    is_legal = [at(margin, down, 0) & at(margin, 0, right) for down, right in diagonals]
+    costs = [jnp.where(legal, _DIAGONAL, _FAR).astype(jnp.int32) for legal in is_legal]
+    least = jnp.where(free, 0, _FAR).astype(jnp.int32)
+
+    def relaxed(state):
+        old, _ = state
+        near = jnp.minimum(at(old, 0, 1), at(old, 0, -1))
+        near = jnp.minimum(near, jnp.minimum(at(old, 1, 0), at(old, -1, 0)))
+        new = jnp.minimum(at(old, 0, 0), near + _STRAIGHT)
+        for (down, right), cost in zip(diagonals, costs, strict=True):
+            new = jnp.minimum(new, at(old, down, right) + cost)
+        new = jnp.pad(jnp.maximum(new, least), 1, constant_values=_FAR)
+        return new, jnp.any(new != old)
+
+    first: Int32[Array, "h_and_2 w_and_2"] = jnp.where(jnp.pad(start, 1), 0, _FAR).astype(jnp.int32)
+    units = at(lax.while_loop(lambda state: state[1], relaxed, (first, jnp.array(True)))[0], 0, 0)
+    return jnp.where(units < _FAR, units.astype(jnp.float32) / _STRAIGHT, jnp.inf)
