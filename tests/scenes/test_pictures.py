@@ -53,6 +53,17 @@ def test_pixels_above_the_threshold_are_free(tmp_path):
             scenes.read_image(tmp_path / "a.pgm", threshold=threshold)
 
 
+def test_a_pixel_is_as_light_as_its_colors_on_average(tmp_path):
+    colors = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0], [0, 255, 255]]], np.uint8)
+    Image.fromarray(colors).save(tmp_path / "a.png")
+    for threshold, count in ((0.3, 5), (0.4, 2), (0.7, 0)):
+        if count:
+            assert scenes.read_image(tmp_path / "a.png", threshold=threshold).free_space.area == count
+        else:
+            with pytest.raises(ValueError, match="free"):
+                scenes.read_image(tmp_path / "a.png", threshold=threshold)
+
+
 def test_what_is_transparent_is_seen_on_white_paper(tmp_path):
     pixels = np.zeros((1, 4, 4), np.uint8)
     pixels[0, :, 3] = [0, 100, 200, 255]  # black, ever less transparent
