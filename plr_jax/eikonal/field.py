@@ -14,6 +14,7 @@ from plr_jax.eikonal.program import ROUNDING, Rescaling, SlopeProgram
 from plr_jax.plr.partition.cells import PLACING, corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
+_BOXES_AT_ONCE = 1 << 10  # which bounds the memory: beyond five axes each has thousands of places
 _HALVES = np.array([0.0, 0.5, 1.0])
 
 
@@ -112,7 +113,12 @@ class CostToGoField:
         Returns:
             Lower bounds, and upper ones: ``inf`` where no path is known from all free points of the box.
         """
-        return self._lowest(cell, lo, hi, corners), self._highest(cell, lo, hi, corners)
+        below, above = np.empty(len(cell)), np.empty(len(cell))
+        for begin in range(0, len(cell), _BOXES_AT_ONCE):
+            some = slice(begin, begin + _BOXES_AT_ONCE)
+            below[some] = self._lowest(cell[some], lo[some], hi[some], corners[some])
+            above[some] = self._highest(cell[some], lo[some], hi[some], corners[some])
+        return below, above
 
     def _lowest(
         self,

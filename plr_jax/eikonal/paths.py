@@ -9,14 +9,16 @@ References:
     Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
+from plr_jax._arrays import parts, runs
 from plr_jax.eikonal.mesh import CellCosts, Mesh
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
@@ -26,6 +28,7 @@ _GAIN = 1e-9  # share of its cost by which a path must become cheaper
 _ENOUGH = 1e-5  # share of all costs below which another round is not worth its time
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
+_EDGES_AT_ONCE = 1 << 18  # which bounds the memory
 _NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free
 
 Nodes = Int[np.ndarray, "nodes"]
@@ -95,16 +98,12 @@ class _FreeGraph:
     def __init__(self, mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace):
         self.mesh, self.costs = mesh, costs
         self.points, self.goal = np.append(mesh.nodes, goal[None], axis=0), len(mesh.nodes)
-        begin, end, cell = self._edges(goal)
-        cost = costs.most(self._changes(begin, end), cell)
+        self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(goal), strict=True))
         if mesh.state[mesh.locate(goal[None])[0]] != CellState.FREE:
             node, straight = self._straight_to_goal(space)
-            begin, end = np.append(begin, node), np.append(end, np.full(len(node), self.goal))
-            cost = np.append(cost, straight)
-        order = np.lexsort((cost, end, begin))
-        is_first = np.diff(begin[order] * len(self.points) + end[order], prepend=-1) != 0
-        cheapest = order[is_first]  # of those that join the same nodes
-        self.begin, self.end, self.cost = begin[cheapest], end[cheapest], cost[cheapest]
+            place = np.searchsorted(self.begin, node, side="right")
+            self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, self.goal)))
+            self.cost = np.insert(self.cost, place, straight)
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # edge of each node that has some
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
@@ -112,8 +111,11 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, goal: Float[np.ndarray, "dim"]) -> tuple[Edges, Edges, Edges]:
-        """Pairs of nodes in one closed free cell, some more than once, and the cell."""
+    def _edges(self, goal: Float[np.ndarray, "dim"]) -> Iterator[tuple[Edges, Edges, Costs]]:
+        """Pairs of nodes in one closed free cell, in order, and what going straight costs at the most.
+
+        For some nodes at a time: cells of many axes have in common most of their many pairs of corners.
+        """
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         home = mesh.locate(goal[None])
@@ -127,20 +129,31 @@ class _FreeGraph:
                 on_face = np.flatnonzero(bits == end)
                 nodes.append(mesh.corners[cell[hangs]][:, on_face].ravel())
                 cells.append(np.repeat(other[hangs], len(on_face)))
-        node, cell, free = np.concatenate(nodes), np.concatenate(cells), np.flatnonzero(is_free)
-        num = mesh.corners.shape[1]
-        of, to = (corner.ravel() for corner in np.indices((num, num)))
-        hanging, corner, larger = np.repeat(node, num), mesh.corners[cell].ravel(), np.repeat(cell, num)
-        begin = np.concatenate([mesh.corners[free][:, of].ravel(), hanging, corner])
-        end = np.concatenate([mesh.corners[free][:, to].ravel(), corner, hanging])
-        cell = np.concatenate([np.repeat(free, num**2), larger, larger])
-        other = begin != end
-        return begin[other], end[other], cell[other]
+        hanging = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
+        cell, node = np.divmod(hanging, len(self.points))
+        num, free = mesh.corners.shape[1], np.flatnonzero(is_free)
+        in_cells = np.append(mesh.corners, node)  # corners of all cells, then what hangs on each
+        first = mesh.corners.size + np.searchsorted(cell, np.arange(len(mesh.state) + 1))
+        # From corners there are edges to all nodes of a cell, from those that hang there to its corners.
+        begin, of = np.append(mesh.corners[free], node), np.append(np.repeat(free, num), cell)
+        count = num + np.append(np.repeat(np.diff(first)[free], num), np.zeros_like(cell))
+        order = np.argsort(begin, kind="stable")
+        begin, of, count = begin[order], of[order], count[order]
+        for some in parts(np.bincount(begin, count, len(self.points)).astype(np.int64), _EDGES_AT_ONCE):
+            rows = slice(*np.searchsorted(begin, [some.start, some.stop]))
+            row, place = runs(count[rows])
+            a, c = begin[rows][row], of[rows][row]
+            b = in_cells[np.where(place < num, c * num + place, first[c] + place - num)]
+            a, b, c = (each[a != b] for each in (a, b, c))
+            cost = self.costs.most(self._changes(a, b), c)
+            order = np.lexsort((cost, b, a))
+            order = order[np.diff(a[order] * len(self.points) + b[order], prepend=-1) != 0]  # the cheapest of each
+            yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def _straight_to_goal(
         self, space: ConfigurationSpace
     ) -> tuple[Int[np.ndarray, "near"], Float[np.ndarray, "near"]]:
-        """Nodes near the goal that can go straight there, and what that costs at the most."""
+        """Nodes near the goal that can go straight there, in order, and what that costs at the most."""
         node = np.arange(self.goal)
         change = self._changes(node, np.full(len(node), self.goal))
         near = np.argsort(self.costs.motion.norm(change), kind="stable")[:_NEAR_GOAL]
@@ -153,12 +166,13 @@ class _FreeGraph:
             box = np.minimum(q, q + change), np.maximum(q, q + change)
             _, upper, pulls = cost_bounds(self.costs.motion, cost_map, *box)
             cost = cost * upper + pulled(pulls, change)
-        return near[free], cost
+        order = np.argsort(near[free])
+        return near[free][order], cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
         num = len(self.points)
-        graph = csr_array((self.cost, (self.end, self.begin)), (num, num))
+        graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
         leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
@@ -167,13 +181,15 @@ class _FreeGraph:
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
         """Of the nodes to which neighbors' paths go, the best one to go straight to if nothing were in the way."""
-        ahead = next_[self.end]
-        total = self._lengths(self.begin, ahead) + cost[ahead]
-        least = np.minimum.reduceat(total, self.first)
-        run = np.repeat(np.arange(len(self.first)), np.diff(np.append(self.first, len(total))))
-        is_best = np.flatnonzero(total == least[run])
-        best = next_.copy()
-        best[self.begin[is_best]] = ahead[is_best]
+        best, bounds = next_.copy(), np.append(self.first, len(self.end))
+        counts = np.diff(bounds)
+        for some in parts(counts, _EDGES_AT_ONCE):
+            edges = slice(bounds[some.start], bounds[some.stop])
+            begin, ahead = self.begin[edges], next_[self.end[edges]]
+            total = self._lengths(begin, ahead) + cost[ahead]
+            least = np.minimum.reduceat(total, self.first[some] - edges.start)
+            is_best = np.flatnonzero(total == np.repeat(least, counts[some]))
+            best[begin[is_best]] = ahead[is_best]
         return best
 
     def _lengths(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges"]:

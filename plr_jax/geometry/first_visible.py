@@ -13,25 +13,26 @@ Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]],
 
 
 def first_visible(
-    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1
+    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
     """The shortest visible ways of each point, ``count`` of them.
 
-    Tests the two shortest ways of every point (or ``count``, if that is more), then four times as many of the next
-    ones of those still short of some, and so on: it finds what a test of all pairs would find, with few tests where
-    the shortest are visible.
+    Tests the shortest ways of every point, two at once (or ``count``, if that is more), then four times as many of
+    the next ones of those still short of some, and so on: it finds what a test of all pairs would find, with few
+    tests where the shortest are visible.
 
     Args:
         lengths: Length of each way from each point; NaN where there is none to test, ``inf`` where one leads
             nowhere.
         sees: Visibility.
         count: How many ways to find for each point.
+        at_once: How many to test at first, and half of how much that grows by: 1 where tests are dear.
 
     Returns:
         The ways, shortest first, -1 where a point sees fewer; and their lengths, ``inf`` there.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
-    pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(2, count)
+    pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
     while pending.size and lengths.shape[1]:
         # The columns of the smallest entries of each row, ascending, NaN last.
         rows = np.arange(len(lengths))[:, None]
@@ -51,7 +52,7 @@ def first_visible(
         more = (rank[:, -1] < count) & ~np.isnan(length[:, -1])
         pending, num_found, lengths = pending[more], rank[more, -1], lengths[more]
         lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
-        num_tests *= 4
+        num_tests *= 2 * at_once
     return found, shortest
 
 

@@ -11,7 +11,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._arrays import as_booleans, as_finite, as_finite_point, as_point, as_points, require_integer, runs, told
+from plr_jax._arrays import (
+    as_booleans,
+    as_finite,
+    as_finite_point,
+    as_point,
+    as_points,
+    parts,
+    require_integer,
+    runs,
+    told,
+)
 from plr_jax._types import ArrayLike, Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.first_visible import first_visible
@@ -115,17 +125,21 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, "n"]:
-    """Whether each straight motion between free points is free wherever it is tested."""
+    """Whether each straight motion between free points is free wherever it is tested.
+
+    Coarsely first, then between what was tested where nothing blocked was met: blocked motions take few tests.
+    """
     b = metric.domain.image_near(b, a)
-    num_steps = np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
-    num_tests = np.maximum(num_steps - 1, 0)
+    change, num_steps = b - a, np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
     visible = np.ones(len(a), dtype=bool)
-    batch = np.cumsum(num_tests) // _BATCH
-    for rows in np.split(np.arange(len(a)), np.flatnonzero(np.diff(batch)) + 1):
-        row, step = runs(num_tests[rows])
-        motion = rows[row]
-        x = a[motion] + ((1 + step) / num_steps[motion])[:, None] * (b - a)[motion]
-        visible[motion[~is_free(x)]] = False
+    stride = 1 << max(int(num_steps.max(initial=0)) - 1, 0).bit_length()
+    while stride := stride // 2:
+        num_tests = np.where(visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)  # odd multiples of it
+        for rows in parts(num_tests, _BATCH):
+            row, odd = runs(num_tests[rows])
+            motion = rows.start + row
+            x = a[motion] + ((1 + 2 * odd) * stride / num_steps[motion])[:, None] * change[motion]
+            visible[motion[~is_free(x)]] = False
     return visible
 
 
@@ -372,18 +386,23 @@ class Roadmap:
         distance, first = np.empty(len(x)), np.empty(len(x), int)
         # The tree's bound is exclusive, and where fewer are near it gives infinitely far vertices.
         limit = np.nextafter(outer, np.inf)
-        for begin in range(0, len(x), step):
-            rows = slice(begin, begin + step)
-            some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
-            length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
-            through = length + distances[vertex]
-            through[(length <= inner) | np.isinf(length)] = np.nan
-            way, shortest = first_visible(
-                through,
-                lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
-            )
-            vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
-            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
+        with tqdm(
+            total=len(x), desc="Roadmap queries", unit=" points", delay=3, leave=False, disable=None
+        ) as progress:
+            for begin in range(0, len(x), step):
+                rows = slice(begin, begin + step)
+                some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+                length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
+                through = length + distances[vertex]
+                through[(length <= inner) | np.isinf(length)] = np.nan
+                way, shortest = first_visible(
+                    through,
+                    lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
+                    at_once=1,
+                )
+                vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
+                distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
+                progress.update(len(some))
         return distance, first
 
 

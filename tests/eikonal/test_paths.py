@@ -1,4 +1,5 @@
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -125,3 +126,18 @@ def test_paths_in_space_are_free_and_cost_what_they_say(goal):
 def test_where_no_cell_is_free_there_is_the_goal_alone():
     paths, x = paths_of(PlaneSpace(BLOCK), (0.5, 0.5), num_cells=1, rounds=0)
     assert paths.cost.tolist() == [0] and len(x) == 1
+
+
+def test_memory_is_that_of_pairs_of_nodes_not_of_corners_of_cells(monkeypatch):
+    space = BoxSpace(Box([0.0] * 6, [1.0] * 6))
+    mesh = coarse_mesh(space, np.ones(6), 64, 64)
+    costs, goal = cell_costs(space, None, mesh), np.full(6, 0.3)
+    expected = shortest_paths(mesh, costs, goal, space)
+    monkeypatch.setattr("plr_jax.eikonal.paths._EDGES_AT_ONCE", 1 << 13)
+    tracemalloc.start()
+    found = shortest_paths(mesh, costs, goal, space)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found.cost, expected.cost)
+    np.testing.assert_allclose(found.cost[:-1], np.linalg.norm(mesh.nodes - goal, axis=1), rtol=0.2, atol=0.1)
+    assert peak < 80 * 7**6  # bytes a pair: 64 * 64 pairs a cell, of which 7 ** 6 differ, took 150 each

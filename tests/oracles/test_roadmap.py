@@ -240,7 +240,27 @@ def test_a_motion_is_tested_evenly_at_steps_of_at_most_the_resolution(length, nu
     oracle, tested = motion_tests(0.5)
     assert oracle.is_visible(np.array([[3.0]]), np.array([[3.0 + length]]))[0]
     inner = np.concatenate([np.empty((0, 1)), *tested])[:, 0]
-    np.testing.assert_allclose(inner, np.linspace(3.0, 3.0 + length, num_inner + 2)[1:-1])
+    np.testing.assert_allclose(np.sort(inner), np.linspace(3.0, 3.0 + length, num_inner + 2)[1:-1])
+
+
+def test_blocked_motions_are_told_by_few_tests():
+    oracle, tested = motion_tests(0.01, lambda x: (x[:, 0] <= 4.0) | (x[:, 0] >= 5.0))
+    starts = np.linspace(1.0, 4.0, 100)[:, None]
+    assert not oracle.is_visible(starts, 9.0 - starts).any()  # 100 to 700 steps each
+    assert sum(map(len, tested)) <= 400
+
+
+def test_a_query_tests_one_motion_where_the_shortest_is_free():
+    asked = []
+
+    def is_visible(a, b):
+        asked.append(len(a))
+        return np.ones(len(a), bool)
+
+    oracle, x = roadmap(NOTHING, is_visible=is_visible), free_points(NOTHING, 50)
+    asked.clear()
+    oracle(x)
+    assert asked == [50]
 
 
 def test_a_motion_is_tested_the_short_way_around_at_weighted_steps():

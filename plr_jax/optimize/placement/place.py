@@ -38,11 +38,11 @@ def location_problem(
         of_all = PlacementObjective(objective)
     except ValueError:
         raise ValueError(f"objective must be 'sum' or 'max', got {shortened(objective)}.") from None
-    points = _free_points(workspace, demand)
+    points = _free_points("demand", workspace, demand)
     return LocationProblem(workspace, _pair_distance(distance), of_all, points, _positive(weights, len(points)))
 
 
-def check_counts(k: int, num_points: int, num_restarts: int, num_iterations: int, seed: int) -> None:
+def check_counts(k: int, num_sites: int, of_sites: str, num_restarts: int, num_iterations: int, seed: int) -> None:
     """Raise ``ValueError`` for a number out of its range."""
     for name, value, least in (
         ("k", k, 1),
@@ -51,18 +51,18 @@ def check_counts(k: int, num_points: int, num_restarts: int, num_iterations: int
         ("seed", seed, 0),
     ):
         require_integer(name, value, least)
-    if k > num_points:
-        raise ValueError(f"k must be at most the number of demand points, {num_points:,}, got {k:,}.")
+    if k > num_sites:
+        raise ValueError(f"k must be at most the number of {of_sites}, {num_sites:,}, got {k:,}.")
 
 
-def _free_points(workspace: Workspace, demand: ArrayLike) -> Float[np.ndarray, "n 2"]:
-    points = as_points("demand", workspace.bounds.settled(demand), 2)
+def _free_points(name: str, workspace: Workspace, given: ArrayLike) -> Float[np.ndarray, "n 2"]:
+    points = as_points(name, workspace.bounds.settled(given), 2)
     if not len(points):
-        raise ValueError("demand must have at least one point, got none.")
+        raise ValueError(f"{name} must have at least one point, got none.")
     blocked = np.flatnonzero(~workspace.is_free(points))
     if blocked.size:
         raise ValueError(
-            f"demand must be points of free space: {blocked.size:,} of {len(points):,} are in an obstacle, outside "
+            f"{name} must be points of free space: {blocked.size:,} of {len(points):,} are in an obstacle, outside "
             f"the bounds or not finite, such as {points[blocked[0]].tolist()}, number {blocked[0]}; leave them out."
         )
     return points
@@ -115,7 +115,8 @@ class Placement:
         cost: The sum, or the largest, of all weighted distances of demand points to their facilities.
         assignment: The nearest facility of each demand point, ``(n,)``.
         distances: The distance of each demand point to it, ``(n,)``.
-        start_costs: Cost of each start, facilities at demand points, from the cheapest on, ``(restarts,)``.
+        start_costs: Cost of each start, facilities at demand points or candidates, from the cheapest on,
+            ``(restarts,)``.
         costs: What descent made of each, ``(restarts,)``: never more than it started from. The cheapest one is then
             searched around, so that ``cost`` is at most the least of them.
     """
@@ -143,6 +144,7 @@ def place(
     num_restarts: int = 8,
     num_iterations: int = 60,
     seed: int = 0,
+    candidates: ArrayLike | None = None,
 ) -> Placement:
     """Place facilities in free space, so that given points are near one: a team's meeting point, a fleet's depots.
 
@@ -156,6 +158,9 @@ def place(
     demand points, where the cheapest places often are, there is no gradient. Of more than 16 facilities a demand
     point sees in both the 16 that were nearest to it.
 
+    Where facilities can only be at some given sites, ``candidates``, starts are at these instead, and the cheapest
+    is the answer, without descent: no exchange of one of its sites for another makes a sum less.
+
     Nothing is proven of the result: for several facilities the problem is NP-hard, and among walls even one may have
     several places that are the best around. More restarts try more.
 
@@ -165,22 +170,24 @@ def place(
             in 32-bit floats, unless JAX is set to 64. Where it has no gradient, pairs do not pull.
         workspace: Free space, to which facilities are confined.
         demand: Points to be served, ``(n, 2)``, in free space.
-        k: Number of facilities, from 1 to n.
+        k: Number of facilities, from 1 to n; to m with candidates.
         objective: What is minimized: ``"sum"`` or ``"max"`` of the weighted distances.
         weights: What a unit of distance costs each demand point, ``(n,)``, positive; None: 1 each.
         num_restarts: How many starts are drawn, at least 1. Those that are alike count once.
         num_iterations: Steps of descent, at least 1. Each asks for ``num_restarts * n * min(k, 16)`` distances and
             gradients, which is what takes the time.
         seed: Seed of the draws, at least 0. The same seed gives the same placement (on a CPU).
+        candidates: The sites among which facilities are chosen, ``(m, 2)``, in free space; all ``m * n`` distances
+            are held. None: anywhere in free space.
 
     Returns:
         The placement, whose facilities are free, and which costs no more than the best start. If interrupted (Ctrl-C)
         while it descends, the best found so far, with an ``OptimizationInterrupted`` warning.
 
     Raises:
-        ValueError: If the workspace is none, demand is not points of free space, a weight is not positive and finite,
-            another argument is out of its range, JAX cannot trace the distance, it gives NaN or less than 0, or
-            demand lies in more than ``k`` parts that no path joins.
+        ValueError: If the workspace is none, demand or candidates are not points of free space, a weight is not
+            positive and finite, another argument is out of its range, JAX cannot trace the distance, it gives NaN or
+            less than 0, demand lies in more than ``k`` parts that no path joins, or no candidate reaches a point.
 
     References:
         Arthur and Vassilvitskii, "k-means++", SODA 2007; Teitz and Bart, "Heuristic methods for estimating the
@@ -188,12 +195,14 @@ def place(
         2015. Torczon, "On the convergence of pattern search algorithms", SIAM J. Optim. 7, 1997, for the last search.
     """
     problem = location_problem(distance, workspace, demand, objective, weights)
-    check_counts(k, len(problem.points), num_restarts, num_iterations, seed)
-    incumbents = _Incumbents(problem, starts(problem, k, num_restarts, np.random.default_rng(seed)))
+    sites = None if candidates is None else _free_points("candidates", workspace, candidates)
+    of_sites = (problem.points, "demand points") if sites is None else (sites, "candidates")
+    check_counts(k, len(of_sites[0]), of_sites[1], num_restarts, num_iterations, seed)
+    incumbents = _Incumbents(problem, starts(problem, sites, k, num_restarts, np.random.default_rng(seed)))
     start_costs = incumbents.costs.copy()
     unit = float(start_costs.min() / problem.objective.over(problem.weights))
     try:
-        if unit > 0:
+        if unit > 0 and sites is None:
             _descend(problem, incumbents, unit, num_iterations)
             _settle(problem, incumbents, unit)
     except KeyboardInterrupt:

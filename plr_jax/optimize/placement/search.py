@@ -139,16 +139,27 @@ def _squares(x: Facilities, y: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k
 
 _MOST_SITES = 256
 _MOST_DRAWS = 4  # a start
-_POWER = 8  # of costs of which the largest counts
+_POWER, _LAST_POWER = 8, 64  # of costs of which the largest counts, before descent and where there is none
 _LEAST_EXCHANGE_GAIN = 1e-6  # of the cost, by an exchange
 
 
 def starts(
-    problem: LocationProblem, k: int, num_restarts: int, rng: np.random.Generator
+    problem: LocationProblem,
+    candidates: Float[np.ndarray, "m 2"] | None,
+    k: int,
+    num_restarts: int,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "restarts k 2"]:
-    """Placements at demand points, no two alike, the cheapest first; fewer than asked for where there are no more."""
-    sites, distances = _sites(problem, k, rng)
-    terms = _terms(problem, distances)
+    """Placements at candidates, of which None are demand points, no two alike, the cheapest first.
+
+    Fewer than asked for where there are no more.
+    """
+    if candidates is None:
+        (sites, distances), power = _demand_sites(problem, k, rng), _POWER
+    else:
+        sites, distances, power = candidates, problem.distances(candidates), _LAST_POWER
+    _check_reached(problem, distances, k)
+    terms = _terms(problem, distances, power)
     found: dict[tuple[int, ...], float] = {}
     for _ in range(_MOST_DRAWS * num_restarts):
         drawn = _drawn(problem, distances, k, rng)
@@ -161,16 +172,13 @@ def starts(
         if len(found) == num_restarts:
             break
     cheapest = sorted(found, key=lambda key: (found[key], key))
-    return problem.points[sites[np.array(cheapest)]]
+    return sites[np.array(cheapest)]
 
 
-def _sites(
+def _demand_sites(
     problem: LocationProblem, k: int, rng: np.random.Generator
-) -> tuple[Int[np.ndarray, "sites"], Float[np.ndarray, "sites n"]]:
-    """Demand points at which facilities may start, some from which each point is reached; and all distances to them.
-
-    Raises ``ValueError`` if k facilities cannot reach all points.
-    """
+) -> tuple[Float[np.ndarray, "sites 2"], Float[np.ndarray, "sites n"]]:
+    """Demand points at which facilities may start, from which all are reached; and all distances to them."""
     points = problem.points
     sites = rng.permutation(len(points))[: max(_MOST_SITES, 2 * k)]
     distances = problem.distances(points[sites])
@@ -182,6 +190,17 @@ def _sites(
                 f"distance gives inf from the demand point {points[new].tolist()} to itself: is it in its domain?"
             )
         sites, distances = np.append(sites, new), np.concatenate([distances, row])
+    return points[sites], distances
+
+
+def _check_reached(problem: LocationProblem, distances: Float[np.ndarray, "sites n"], k: int) -> None:
+    """Raise ``ValueError`` if k facilities at sites cannot reach all points."""
+    unreached = np.flatnonzero(np.isinf(distances).all(axis=0))
+    if unreached.size:
+        raise ValueError(
+            f"No candidate reaches {unreached.size:,} of {distances.shape[1]:,} demand points, such as "
+            f"{problem.points[unreached[0]].tolist()}, number {unreached[0]}: add some, or leave points out."
+        )
     # How many sites it takes to reach all points, where those that reach a point in common reach the same.
     reaches = np.isfinite(distances)
     num_parts, left = 0, np.ones(reaches.shape[1], bool)
@@ -193,7 +212,6 @@ def _sites(
             f"The demand points lie in {num_parts} parts of free space that no path joins, so that k={k} facilities "
             f"cannot reach all of them: use k={num_parts} or more, or leave points out."
         )
-    return sites, distances
 
 
 def _drawn(
@@ -205,7 +223,7 @@ def _drawn(
     for _ in range(k):
         farthest = chosen and problem.objective is PlacementObjective.MAX
         point = int(np.argmax(costs)) if farthest else _drawn_by(costs, rng)
-        to_sites = distances[:, point].copy()  # 0 where the point is one itself
+        to_sites = np.minimum(distances[:, point], np.finfo(float).max)  # 0 where the point is one itself
         to_sites[chosen] = np.inf
         chosen.append(int(np.argmin(to_sites)))
         costs = problem.weights * distances[chosen].min(axis=0)
@@ -220,7 +238,9 @@ def _drawn_by(cost: Float[np.ndarray, "n"], rng: np.random.Generator) -> int:
     return int(rng.choice(len(cost), p=cost / total if total > 0 else None))
 
 
-def _terms(problem: LocationProblem, distances: Float[np.ndarray, "sites n"]) -> Float[np.ndarray, "sites n"]:
+def _terms(
+    problem: LocationProblem, distances: Float[np.ndarray, "sites n"], power: int
+) -> Float[np.ndarray, "sites n"]:
     """What each point costs at each site, so that the sum is to be small.
 
     Exchanges rarely lower a largest cost, which is that of one point. So what is summed are high powers of costs.
@@ -228,7 +248,7 @@ def _terms(problem: LocationProblem, distances: Float[np.ndarray, "sites n"]) ->
     costs = problem.weights * distances
     if problem.objective is PlacementObjective.SUM:
         return costs
-    return (costs / costs[np.isfinite(costs)].max(initial=1e-300)) ** _POWER
+    return (costs / costs[np.isfinite(costs)].max(initial=1e-300)) ** power
 
 
 def _exchanged(terms: Float[np.ndarray, "sites n"], chosen: Int[np.ndarray, "k"]) -> Int[np.ndarray, "k"]:

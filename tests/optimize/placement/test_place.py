@@ -57,7 +57,7 @@ def problem_of(objective, n, seed=0, distance=manhattan):
 def test_no_exchange_makes_the_sum_of_a_start_less(k, distance):
     problem = problem_of("sum", 40, distance=distance)
     problem = problem._replace(points=3 * problem.points)
-    (start,) = starts(problem, k, 1, np.random.default_rng(1))
+    (start,) = starts(problem, None, k, 1, np.random.default_rng(1))
     each = [np.stack([*start[:i], point, *start[i + 1 :]]) for i in range(k) for point in problem.points]
     costs = problem.cost(problem.distances(np.array([start, *each])).min(axis=1))
     assert costs.min() >= costs[0] * (1 - 2e-6)
@@ -67,7 +67,7 @@ def test_no_exchange_makes_the_sum_of_a_start_less(k, distance):
 @pytest.mark.parametrize(("n", "k", "count"), [(40, 4, 6), (3, 1, 3)])
 def test_starts_differ_and_the_cheapest_is_first(objective, n, k, count):
     problem = problem_of(objective, n)
-    found = starts(problem, k, 6, np.random.default_rng(0))
+    found = starts(problem, None, k, 6, np.random.default_rng(0))
     assert found.shape == (count, k, 2)
     assert len({tuple(sorted(map(tuple, start))) for start in found.tolist()}) == count
     assert (np.diff(problem.cost(problem.distances(found).min(axis=1))) >= 0).all()
@@ -236,6 +236,32 @@ def test_every_part_of_free_space_gets_a_facility(objective):
     assert found.cost == pytest.approx(COSTS[objective](apart), rel=1e-5)
 
 
+@pytest.mark.parametrize(("objective", "most"), [("sum", 1 + 1e-6), ("max", 1.05)])
+@pytest.mark.parametrize("seed", range(3))
+def test_facilities_at_candidates_are_about_as_cheap_as_the_best_of_all_choices(objective, most, seed):
+    points, sites, weights = random_points(seed, 30), random_points(seed + 20, 9), 1 + np.arange(30) % 3
+    found = place(euclidean, SQUARE, points, 3, objective=objective, weights=weights, candidates=sites)
+    distances = np.linalg.norm(sites[:, None] - points, axis=2)
+    choices = map(list, itertools.combinations(range(9), 3))
+    best = min(COSTS[objective](weights * distances[some].min(axis=0)) for some in choices)
+    assert best * (1 - 1e-6) <= found.cost <= best * most
+    assert {tuple(x) for x in found.facilities} <= {tuple(x) for x in sites}
+    assert (found.costs == found.start_costs).all()
+
+
+def test_candidates_serve_rooms_that_no_path_joins_each_once():
+    rooms, sites = (
+        Workspace(((0, 0), (3, 1)), [[(1, 0), (2, 0), (2, 1), (1, 1)]]),
+        [[0.5, 0.5], [2.5, 0.5], [2.2, 0.1]],
+    )
+    both = np.concatenate([random_points(0), random_points(1) + np.array([2, 0])])
+    assert sorted(place(in_two_rooms, rooms, both, 3, candidates=sites).facilities.tolist()) == sorted(sites)
+    with pytest.raises(ValueError, match=r"No candidate reaches 20 of 40 demand points, such as .*, number 20: add"):
+        place(in_two_rooms, rooms, both, candidates=sites[:1])
+    with pytest.raises(ValueError, match=r"in 2 parts of free space .*: use k=2"):
+        place(in_two_rooms, rooms, both, candidates=sites)
+
+
 @pytest.mark.parametrize("interrupted", ["moved", "searched"])
 def test_an_interrupt_keeps_the_best_so_far(interrupted, monkeypatch):
     calls, original, points = itertools.count(), getattr(driver, interrupted), random_points(6)
@@ -269,6 +295,8 @@ DEMAND = random_points(0, 5)
         ({"demand": np.where(np.eye(5, 2) == 1, np.nan, DEMAND)}, "2 of 5 are .* or not finite, such as"),
         ({"k": 0}, "k must be an integer >= 1, got 0"),
         ({"k": 6}, "k must be at most the number of demand points, 5, got 6"),
+        ({"candidates": DEMAND[:1], "k": 2}, "k must be at most the number of candidates, 1, got 2"),
+        ({"candidates": DEMAND + 1}, "candidates must be points of free space: 5 of 5 are in an obstacle"),
         ({"k": 1.5}, "k must be an integer >= 1, got 1.5"),
         ({"objective": "mean"}, "objective must be 'sum' or 'max', got 'mean'"),
         ({"objective": None}, "objective must be 'sum' or 'max', got None"),
