@@ -232,6 +232,15 @@ def told(numbers: Float[np.ndarray, "n"]) -> list[float]:
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 
 
+_CHANGES = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")
+
+
+def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
+    """The error of an attribute that is missing, with what to do where its name is that of a change."""
+    advice = f" {when_changed}" if name.startswith(_CHANGES) else ""
+    return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
+
+
 def shortened(value: object) -> str:
     """A value as an error shows it: its ``repr`` in at most 200 characters, of which the rest is never built."""
     try:

@@ -109,10 +109,10 @@ def test_plrs_from_any_iterable_and_bytes_of_any_kind():
     ("call", "message"),
     [
         (lambda: ROOM.with_obstacles, r"Workspace\(workspace.bounds, \[\*workspace.obstacles, ring\]\)"),
-        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).with_workspace, "of a map that changed make another one"),
+        (lambda: VisibilityGraph(ROOM, (0.5, 0.5)).with_workspace, "Of a map that changed make another one"),
         (
             lambda: Roadmap.from_workspace(ROOM, (0.5, 0.5), 5).with_workspace,
-            "of a map that changed make another one",
+            "Of a map that changed make another one",
         ),
         (lambda: built().updated, "of another map or goal construct another one"),
     ],

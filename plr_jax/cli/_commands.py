@@ -23,6 +23,7 @@ from plr_jax.cli._maps import NamedMap, read_map_of_file, say_vertices
 from plr_jax.cli._options import (
     DropSpecksOption,
     FileArgument,
+    GoalOfPairsOption,
     GoalOption,
     MapArgument,
     PolygonsOption,
@@ -170,7 +171,7 @@ def build(
     "plr-jax query maze.plr points.csv",
     "plr-jax query maze.plr points.csv --bounds",
     "echo 0.93,0.95 | plr-jax query maze.plr",
-    "echo 0.93,0.95,0.1,0.2 | plr-jax query maze.pairs",
+    "echo 0.93,0.95,0.1,0.1 | plr-jax query maze.pairs",
 )
 def query(
     file: FileArgument,
@@ -265,12 +266,12 @@ def _gradients(file: Path) -> Callable[[np.ndarray], np.ndarray]:
 @command(
     "plr-jax export maze.plr -o plr_maze.h",
     "plr-jax export maze.plr -o include/maze.h --name level_1",
-    "plr-jax export maze.pairs --goal 0.1,0.2 -o maze.h",
+    "plr-jax export maze.pairs --goal 0.1,0.1 -o maze.h",
 )
 def export(
     file: FileArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The header to write.", show_default=False)],
-    goal: GoalOption = None,
+    goal: GoalOfPairsOption = None,
     c: Annotated[
         bool, typer.Option("--c", help="As one header of C99, also valid C++: there is nothing else yet.")
     ] = True,
@@ -379,7 +380,7 @@ class Picture(StrEnum):
 @command(
     "plr-jax plot maze.plr -o maze.png",
     "plr-jax plot maze.plr --kind error -o error.png",
-    "plr-jax plot maze.pairs --goal 0.1,0.2 -o maze.png",
+    "plr-jax plot maze.pairs --goal 0.1,0.1 -o maze.png",
 )
 def plot(
     file: FileArgument,
@@ -395,7 +396,7 @@ def plot(
             "--map", metavar="MAP", help="Draw this map's obstacles.", show_default="what FILE was built of"
         ),
     ] = None,
-    goal: GoalOption = None,
+    goal: GoalOfPairsOption = None,
     resolution: ResolutionOption = None,
     threshold: ThresholdOption = None,
     drop_specks: DropSpecksOption = None,

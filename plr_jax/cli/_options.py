@@ -48,6 +48,10 @@ RadiusOption = Annotated[
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help="A file of a PLR, or of pairs.", show_default=False)
 ]
+GoalOfPairsOption = Annotated[
+    str | None,
+    typer.Option("--goal", "-g", metavar="X,Y", help="Of pairs, or of the map, the goal.", show_default=False),
+]
 GoalOption = Annotated[
     str | None,
     typer.Option(

@@ -13,7 +13,6 @@ from plr_jax.eikonal.field import CostToGoField
 from plr_jax.eikonal.lower import SlopeSolver
 from plr_jax.eikonal.mesh import SampledSpace
 from plr_jax.eikonal.paths import shortest_paths
-from plr_jax.geometry.box import Box
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR
@@ -27,7 +26,7 @@ from plr_jax.plr.leaves.base import CornerLeafModel, Rules
 from plr_jax.plr.partition.cells import PLACING, Cells, Tree, corner_bits, levels_of, tree_of
 from plr_jax.plr.partition.faces import overlapping_leaves
 from plr_jax.plr.sampling.cell_fit import Sampler, least_squares, sample_pattern
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, require_space
 
 # PLRs of what has been found of a cost-to-go, with the proof: on its own mesh, or on a smaller partition.
 
@@ -168,7 +167,7 @@ def solve_eikonal(
     References:
         Section VII of the paper asks for it. The dual of the program is Beckmann's flow, 1952; see ``program.py``.
     """
-    _check_space(space)
+    require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     require_integer("seed", seed, 0)
@@ -186,23 +185,6 @@ def solve_eikonal(
     if max_bytes is None:
         return plr_on_mesh(field, is_proven)
     return plr_of_bytes(field, int(max_bytes), int(seed), is_proven)
-
-
-def _check_space(space: object) -> None:
-    if isinstance(space, type) or not isinstance(space, FreeTest):
-        raise ValueError(
-            "space must be a configuration space, such as PlaneSpace(workspace), with a domain, a motion_cost and "
-            f"is_free, got {shortened(space)}."
-        )
-    domain, motion = space.domain, space.motion_cost
-    if not isinstance(domain, Box):
-        raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
-    if not isinstance(motion, MotionCost) or sorted(axis for axes, _ in motion.blocks for axis in axes) != list(
-        range(domain.dim)
-    ):
-        raise ValueError(
-            f"The space's motion_cost must be a MotionCost of its {domain.dim} axes, got {shortened(motion)}."
-        )
 
 
 def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:

@@ -11,7 +11,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite, as_points, is_of_jax, no_attribute, require_integer, shortened
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary, are_crossed, boundary_of, grown_boundary, thin_walls
@@ -88,9 +88,11 @@ class Workspace:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str):
-            raise AttributeError(
-                f"A Workspace has no attribute {name!r}. It does not change: where there is one more obstacle it is "
-                "Workspace(workspace.bounds, [*workspace.obstacles, ring]), of which all else is made anew."
+            ring = "Workspace(workspace.bounds, [*workspace.obstacles, ring])"
+            raise no_attribute(
+                self,
+                name,
+                f"It does not change: with one more obstacle it is {ring}, of which all else is made anew.",
             )
 
     @classmethod

@@ -14,7 +14,7 @@ from plr_jax.optimize._corners import along_corners
 from plr_jax.optimize._descent import Descent
 from plr_jax.optimize._lookahead import by_lookahead
 from plr_jax.optimize._path_costs import PathCosts
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, PlaneSpace
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, PlaneSpace, require_space
 
 _TESTS_AT_ONCE = 1 << 18
 
@@ -44,7 +44,8 @@ def descend(
     steepest either moves or turns: the dual of a sum of norms is the largest of their duals.) At last paths are made
     cheaper where they are: vertices are left out, or shifted to where the two legs cost least. Dents of the field
     that no step leads out of are filled, by a search of the configurations around, which is slow: a path is STUCK
-    where 1,000 expansions lead to none that is lower. The better the field, the better the paths, and the sooner
+    where 1,000 expansions lead to none that is lower. A step may cross a ridge of the field, and so take another way
+    around an obstacle than the field does, which may be much longer. The better the field, the better the paths, and the sooner
     found. With a cost map a start takes some tenths of a second.
 
     Args:
@@ -74,7 +75,9 @@ def descend(
         visibility graph: de Berg et al., Computational Geometry (3rd ed.), chapter 15. Finite
         steps stand for gradients in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
-    is_tested = isinstance(space, FreeTest) and not isinstance(space, ConfigurationSpace | Workspace)
+    if not isinstance(space, Workspace):
+        require_space(space)
+    is_tested = not isinstance(space, ConfigurationSpace | Workspace)
     if is_tested != (resolution is not None):
         raise ValueError(
             "resolution, what a motion costs at most between two tests of it, is for a space that only tests "
@@ -86,11 +89,6 @@ def descend(
         space = PlaneSpace(space)
     if is_tested:
         space = _TestedMotions(space, as_finite("resolution", resolution, positive=True))
-    if not isinstance(space, ConfigurationSpace):
-        raise ValueError(
-            "space must be a Workspace or a configuration space with are_free and classify, such as RigidBodySpace, "
-            f"or with is_free alone and a resolution, got {shortened(space)}."
-        )
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     return by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)

@@ -17,6 +17,7 @@ from plr_jax._arrays import (
     as_finite_point,
     as_point,
     as_points,
+    no_attribute,
     parts,
     require_integer,
     runs,
@@ -256,10 +257,8 @@ class Roadmap:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str):
-            raise AttributeError(
-                f"A Roadmap has no attribute {name!r}. Its edges are tested, for good: of a map that changed make "
-                "another one. Other goals share it, by with_goal."
-            )
+            changed = "Of a map that changed make another one; other goals share it, by with_goal."
+            raise no_attribute(self, name, changed)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """The roadmap of the same samples for another goal: only the goal's own edges are tested.

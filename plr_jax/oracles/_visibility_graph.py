@@ -16,7 +16,7 @@ import shapely
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite_point, as_point, as_points
+from plr_jax._arrays import as_finite_point, as_point, as_points, no_attribute
 from plr_jax._atomic import write_atomically
 from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
@@ -256,10 +256,8 @@ class VisibilityGraph:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str):
-            raise AttributeError(
-                f"A VisibilityGraph has no attribute {name!r}. Its map is its workspace, for good: of a map that "
-                "changed make another one. Other goals share it, by with_goal."
-            )
+            changed = "Of a map that changed make another one; other goals share it, by with_goal."
+            raise no_attribute(self, name, changed)
 
     def __getstate__(self) -> dict[str, Any]:  # for another process: without what follows from the rest
         return {field.name: vars(self)[field.name] for field in fields(self)}

@@ -229,7 +229,8 @@ class PairPLR(HeldFile):
         """The distance to one goal, as an ordinary PLR of cones.
 
         Each leaf has the one corner that serves it best, judged by what the pairs answer at some of its points, and
-        is halved a few times where none serves all of it. Nothing is proven of it: use :func:`certify`.
+        is halved a few times where none serves all of it. Nothing is proven of it: use :func:`certify`. Not inside
+        ``jit``: there, call the pairs with ``y=goal``.
 
         Args:
             goal: The goal, ``(2,)``, in the domain.

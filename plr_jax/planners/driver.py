@@ -97,6 +97,9 @@ def bl_plan(
         of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
         "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
+    if not isinstance(problem, Problem):
+        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
+        raise ValueError(f"{expected}, got {shortened(problem)}.")
     if isinstance(heuristic, BLOptions):
         raise ValueError("The second argument of bl_plan is a heuristic: bl_plan(problem, options=BLOptions(...)).")
     if heuristic is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import padded, shortened
+from plr_jax._arrays import no_attribute, padded, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import Contents, counted_from, decode, decode_cells, filled_coefficients, planes_of_leaves
@@ -60,9 +60,7 @@ class PLR(HeldFile):
     def __getattr__(self, name: str) -> Any:
         """Tables and proof of a PLR of which only the file was made yet."""
         if name not in ("tables", "band") or "_deferred" not in vars(self):
-            raise AttributeError(
-                f"A PLR has no attribute {name!r}. It does not change: of another map or goal construct another one."
-            )
+            raise no_attribute(self, name, "It does not change: of another map or goal construct another one.")
         vars(self).update(vars(vars(self)["_deferred"]()))
         return vars(self)[name]
 

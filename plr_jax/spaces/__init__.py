@@ -16,3 +16,4 @@ from plr_jax.spaces._space import ConfigurationSpace as ConfigurationSpace
 from plr_jax.spaces._space import FreeTest as FreeTest
 from plr_jax.spaces._space import MotionCost as MotionCost
 from plr_jax.spaces._space import SeesBoxes as SeesBoxes
+from plr_jax.spaces._space import require_space as require_space

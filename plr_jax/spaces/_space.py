@@ -182,3 +182,21 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
         got = f"{lo[i].tolist()} and {hi[i].tolist()} for box {i}"
         raise ValueError(f"Boxes must have finite corners, hi nowhere below lo, got {got}.")
     return lo + (hi - lo) / 2, (hi - lo) / 2
+
+
+def require_space(space: object) -> None:
+    """Raise ``ValueError`` if it is no configuration space, of at least :class:`FreeTest`."""
+    if isinstance(space, type) or not isinstance(space, FreeTest):
+        raise ValueError(
+            "space must be a configuration space, such as PlaneSpace(workspace), with a domain, a motion_cost and "
+            f"is_free, got {shortened(space)}."
+        )
+    domain, motion = space.domain, space.motion_cost
+    if not isinstance(domain, Box):
+        raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
+    if not isinstance(motion, MotionCost) or sorted(axis for axes, _ in motion.blocks for axis in axes) != list(
+        range(domain.dim)
+    ):
+        raise ValueError(
+            f"The space's motion_cost must be a MotionCost of its {domain.dim} axes, got {shortened(motion)}."
+        )

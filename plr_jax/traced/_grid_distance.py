@@ -63,6 +63,9 @@ class GridDistance:
         is_nan = jnp.isnan(x).any(axis=-1) | self.is_nan | ~self.is_complete
         return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x)))
 
+    def __repr__(self) -> str:
+        return f"GridDistance({self.shape[0]} x {self.shape[1]} cells, {type(self.paths).__name__})"
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,9 @@ class GridDistances:
         is_nan = (jnp.isnan(x) | jnp.isnan(y)).any(axis=-1) | ~self.is_complete
         return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x), _finite(y)))
 
+    def __repr__(self) -> str:
+        return f"GridDistances({type(self.paths).__name__})"
+
 
 @overload
 def grid_distance(
@@ -116,8 +122,9 @@ def grid_distance(
     """Lengths of shortest paths on a grid of free and blocked cells, inside ``jit``.
 
     All of it can be traced: maps and goals that are drawn inside ``jax.jit``, ``jax.vmap`` over either or both,
-    ``jax.grad`` with respect to points and to the goal. Cell ``[i, j]`` covers ``x`` in ``[j, j + 1]`` and ``y`` in
-    ``[i, i + 1]``; what is beyond the grid is blocked. A point on sides of cells is in a free one if there is one.
+    ``jax.grad`` with respect to points and to the goal, which is 0 of 4 and 8 moves. Cell ``[i, j]`` covers ``x`` in
+    ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; what is beyond the grid is blocked. A point on sides of cells is in a
+    free one if there is one.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
