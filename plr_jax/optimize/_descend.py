@@ -17,6 +17,7 @@ from plr_jax.optimize._path_costs import PathCosts
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, PlaneSpace, require_space
 
 _TESTS_AT_ONCE = 1 << 18
+_MOST_TESTS = 1 << 18  # of one motion
 
 
 def descend(
@@ -45,8 +46,8 @@ def descend(
     cheaper where they are: vertices are left out, or shifted to where the two legs cost least. Dents of the field
     that no step leads out of are filled, by a search of the configurations around, which is slow: a path is STUCK
     where 1,000 expansions lead to none that is lower. A step may cross a ridge of the field, and so take another way
-    around an obstacle than the field does, which may be much longer. The better the field, the better the paths, and the sooner
-    found. With a cost map a start takes some tenths of a second.
+    around an obstacle than the field does, which may be much longer. The better the field, the better the paths, and
+    the sooner found. With a cost map a start takes some tenths of a second.
 
     Args:
         distance_fn: The field, such as a PLR: any function of points ``(n, dim)`` to their costs-to-go ``(n,)``
@@ -66,9 +67,9 @@ def descend(
         0.1 %, and far less where it is smooth.
 
     Raises:
-        ValueError: If the space is none, it only tests and has no resolution, another one has, a shape is wrong, the
-            goal is not free, the field gives NaN or another number of values, or the cost map a number that is not
-            positive and finite.
+        ValueError: If the space is none, it only tests and has no resolution, another one has, a motion takes more
+            than 262,144 tests, a shape is wrong, the goal is not free, the field gives NaN or another number of
+            values, or the cost map a number that is not positive and finite.
 
     References:
         "Extracting optimal trajectories" is a requirement of Putman et al., Section I. The edges are a part of the
@@ -116,8 +117,13 @@ class _TestedMotions:
         return np.full(len(lo), CellState.MIXED, np.int8)
 
     def are_free(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        # First at both ends, then between any two tests, and so on: what is blocked is mostly found early.
         change, lengths = self.domain.difference(q1, q0), self.motion_cost.lengths(q0, q1, self.domain)
+        if (lengths > _MOST_TESTS * self.resolution).any():
+            raise ValueError(
+                f"resolution={self.resolution:g} asks for more than {_MOST_TESTS:,} tests of one motion, which costs "
+                f"{lengths.max():g}: give a larger one."
+            )
+        # First at both ends, then between any two tests, and so on: what is blocked is mostly found early.
         free, halvings = self.is_free(q0) & self.is_free(q1), 0
         while len(rows := np.flatnonzero(free & (lengths > self.resolution * 2**halvings))):
             share = (np.arange(2**halvings) + 0.5) / 2**halvings

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_points, shortened
+from plr_jax._arrays import as_points, as_values, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
 
 
@@ -74,5 +74,7 @@ class NearestGoal:
 
     def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:
         x = as_points("x", x, self.dim)
-        answers = np.array([np.asarray(fn(x), np.float64) for fn in self.distance_fns])
+        answers = np.array(
+            [as_values(f"Distance function {i}", fn(x), len(x)) for i, fn in enumerate(self.distance_fns)]
+        )
         return np.where(np.isnan(answers), np.inf, answers)  # of a PLR at a point that is none

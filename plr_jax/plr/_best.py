@@ -58,7 +58,7 @@ class _OracleOfBox:
         return self.cell if domain == self.box else self.oracle.cell_sources(domain)
 
     def __call__(self, x: ArrayLike) -> Distances:
-        return np.asarray(self.oracle(x))
+        return np.ma.filled(self.oracle(x), np.inf)
 
 
 def best_leaves(
@@ -89,11 +89,20 @@ def best_leaves(
             except ValueError as error:  # as of a budget that is too small for one leaf of this model
                 refused.append(error)
                 continue
+            except KeyboardInterrupt:
+                if best is None:
+                    raise
+                is_interrupted = True
+                break
+            errors[name] = math.nan
             if is_certified:
                 proof = contents.certificate
                 errors[name] = math.inf if proof is None else proof.max_error  # there is none of what was interrupted
-            else:
-                errors[name] = _mean_error(contents, distance_fn, options["seed"]) if len(names) > 1 else math.nan
+            elif len(names) > 1:
+                try:
+                    errors[name] = _mean_error(contents, distance_fn, options["seed"])
+                except KeyboardInterrupt:
+                    is_interrupted = True
             if best is None or errors[name] < least:
                 best, least = contents, errors[name]
             if is_interrupted:
@@ -117,7 +126,8 @@ def _tried(distance_fn: DistanceFn, domain: Box, is_certified: bool, options: di
     if not isinstance(distance_fn, _OracleOfBox):
         return others
     of_corners = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
-    share = of_corners / (options.get("max_bytes") or math.inf)
+    max_bytes = options.get("max_bytes")
+    share = of_corners / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
     if share <= 1 and options.get("max_leaves") is options.get("max_depth") is None:
         return sourced
     return [name for name in leaf_names() if name in others or (name in sourced and share <= _CROWDED)]

@@ -81,8 +81,11 @@ def _with_advice(leaves_of: Callable[Arguments, Contents]):
 def _of_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
     """What to say if most free points do not reach the goal."""
     x = domain.lo + domain.width * np.random.default_rng(0).random((_DRAWN, domain.dim))
-    x = x[np.asarray(distance_fn.is_free(x))]
-    cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
+    try:
+        x = x[np.asarray(distance_fn.is_free(x))]
+        cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
+    except KeyboardInterrupt:  # all is built
+        return None
     if 2 * cut_off <= len(x):
         return None
     return (

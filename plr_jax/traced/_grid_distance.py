@@ -219,7 +219,7 @@ def _as_points(name: str, value: ArrayLike) -> Points:
     """Points as floats of 32 bits at least."""
     try:
         points = jnp.asarray(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be points (..., 2), got {shortened(value)}.") from None
     is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
     if not is_real or points.ndim == 0 or points.shape[-1] != 2:

@@ -512,6 +512,13 @@ def test_a_test_of_motions_goes_the_short_way_around_and_is_as_fine_as_said():
     assert free[2], "what is thinner than the resolution may be missed: only the ends are tested"
 
 
+def test_more_tests_of_one_motion_than_memory_holds_are_refused():
+    space = OnlyTests(PlaneSpace(DOOR))
+    x = DOOR.sample_free(2, seed=0)
+    with pytest.raises(ValueError, match=r"resolution=1e-09 asks for more than 262,144 tests of one motion"):
+        descend(far_from(x[0]), space, x[1:], x[0], resolution=1e-9)
+
+
 def test_a_resolution_is_for_spaces_that_only_test_and_needed_there():
     space = PlaneSpace(SQUARE)
     for unlike, options in ((OnlyTests(space), {}), (space, {"resolution": 0.1}), (SQUARE, {"resolution": 0.1})):

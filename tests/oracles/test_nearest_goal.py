@@ -48,3 +48,14 @@ def test_what_is_no_list_of_distance_functions_is_refused(fns):
 def test_several_goals_of_one_oracle_are_led_here():
     with pytest.raises(ValueError, match=r"one point .* shape \(3, 2\).*NearestGoal"):
         VisibilityGraph(ROOMS, DOCKS)
+
+
+def test_masked_answers_are_none():
+    class Masked:
+        dim = 1
+
+        def __call__(self, x):
+            return np.ma.masked_array(x[:, 0], x[:, 0] > 1)
+
+    nearest = NearestGoal([Masked()])
+    assert nearest([[0.5], [2.0]]).tolist() == [0.5, np.inf] and nearest.which([[2.0]]).tolist() == [-1]

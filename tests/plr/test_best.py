@@ -57,3 +57,18 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
     monkeypatch.setattr("plr_jax.plr.leaves.continuous.growth.grow", interrupted)
     with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
         assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).leaf.name == "continuous"
+
+
+def test_an_interrupt_while_models_are_compared_keeps_what_is_built(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("plr_jax.plr._best._mean_error", interrupted)
+    with pytest.warns(ConstructionInterrupted, match="the best one built so far"):
+        assert construct(ORACLE, UNIT, leaf="best", max_bytes=80).num_leaves > 1
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_a_budget_that_is_no_number_is_refused_as_of_other_leaves():
+    with pytest.raises(ValueError, match="max_bytes must be an integer >= 1, got 'x'"):
+        construct(ORACLE, UNIT, leaf="best", max_bytes="x")
