@@ -78,8 +78,7 @@ def descend(
     """
     if not isinstance(space, Workspace):
         require_space(space)
-    is_tested = not isinstance(space, ConfigurationSpace | Workspace)
-    if is_tested != (resolution is not None):
+    if isinstance(space, ConfigurationSpace | Workspace) != (resolution is None):
         raise ValueError(
             "resolution, what a motion costs at most between two tests of it, is for a space that only tests "
             f"configurations, and needed there, got {shortened(resolution)} for {shortened(space)}."
@@ -88,7 +87,7 @@ def descend(
         return along_corners(distance_fn, space, starts, goal)
     if isinstance(space, Workspace):
         space = PlaneSpace(space)
-    if is_tested:
+    if not isinstance(space, ConfigurationSpace):
         space = _TestedMotions(space, as_finite("resolution", resolution, positive=True))
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
