@@ -53,17 +53,23 @@ class DimensionedFn(Protocol):
 
 
 @runtime_checkable
-class PiecewiseFunction(Protocol):
-    """A function that is one piece in each of many boxes, such as a PLR.
-
-    ``domain`` is the Box that the boxes fill, ``leaf_boxes`` their lower and upper corners, ``(leaves, dim)`` each.
-    """
+class FunctionOfBox(Protocol):
+    """A function of the points of a Box, its ``domain``."""
 
     @property
     def domain(self) -> Any: ...
+    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@runtime_checkable
+class PiecewiseFunction(FunctionOfBox, Protocol):
+    """A function that is one piece in each of many boxes, such as a PLR.
+
+    The boxes fill the ``domain``; ``leaf_boxes`` are their lower and upper corners, ``(leaves, dim)`` each.
+    """
+
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 # Checked shapes and types take a fifth of the time: see CONTRIBUTING.md. CI checks them.
-CHECKS_SHAPES = os.environ.get("PLR_JAX_CHECK_SHAPES") == "1"
-if CHECKS_SHAPES:
+if shape_checks.IS_ON:
     jaxtyping.install_import_hook("plr_jax", "shape_checks.in_first_calls")
 
 # How long an example takes is no defect, on a busy machine least of all.

@@ -1,6 +1,7 @@
 """Shapes and types are checked in each function's first calls of every test file: all would slow the tests down."""
 
 import operator
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -9,6 +10,8 @@ from typing import Any
 
 from beartype import beartype
 
+IS_ON = os.environ.get("PLR_JAX_CHECK_SHAPES") == "1"
+"""What CI asks for; calls then have frames of the checks between them."""
 CALLS = 5
 _calls: Counter = Counter()
 _skipped: list[Callable] = []

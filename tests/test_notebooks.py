@@ -127,7 +127,7 @@ def test_runs_from_start_to_end_without_a_warning(path, tmp_path, monkeypatch, c
             if cell.metadata != PARAMETERS and not is_reached(source, touched) and said.out:
                 compared += 1
                 assert without_times(said.out) == without_times(printed(cell))
-    assert compared
+    assert compared or path.stem == "5_inside_your_environment"  # all that it prints depends on its sizes
 
 
 @each_notebook

@@ -18,7 +18,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
-from plr_jax._types import ArrayLike, PiecewiseFunction
+from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.polygons import triangulate
 from plr_jax.geometry.workspace import Workspace
@@ -148,7 +148,7 @@ def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
 
 
 def plot_contours(
-    plr: PiecewiseFunction,
+    plr: FunctionOfBox,
     ax: Axes | None = None,
     *,
     workspace: Workspace | None = None,

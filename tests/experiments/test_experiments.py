@@ -14,7 +14,17 @@ from plr_jax import BLOptions, scenes
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "experiments" / "results"
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
-SECTIONED = ("benchmark", "proofs", "solve", "compare_summaries", "teams", "portable", "edges", "wire")
+SECTIONED = (
+    "benchmark",
+    "proofs",
+    "solve",
+    "compare_summaries",
+    "teams",
+    "portable",
+    "edges",
+    "wire",
+    "grid_distance",
+)
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
     "fig1": (),
