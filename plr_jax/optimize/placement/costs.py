@@ -67,9 +67,10 @@ class LocationProblem(NamedTuple):
 
     def near(self, x: Float[np.ndarray, "*batch k 2"]) -> Int[np.ndarray, "*batch n near"]:
         """The nearest facilities of each demand point, or all where they are few, in order of their numbers."""
-        k, distances = x.shape[-2], np.swapaxes(self.distances(x), -1, -2)
+        k = x.shape[-2]
         if k <= _NEAR:
-            return np.broadcast_to(np.arange(k), distances.shape)
+            return np.broadcast_to(np.arange(k), (*x.shape[:-2], len(self.points), k))
+        distances = np.swapaxes(self.distances(x), -1, -2)
         return np.sort(np.argpartition(distances, _NEAR - 1, axis=-1)[..., :_NEAR], axis=-1)
 
     def cost(self, nearest: Float[np.ndarray, "*batch n"]) -> Any:
