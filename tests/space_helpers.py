@@ -81,3 +81,12 @@ def states(space, *boxes):
     """What is known of boxes, each a row of lower and upper corner."""
     lo, hi = np.array(boxes, dtype=float).reshape(-1, 2, space.domain.dim).transpose(1, 0, 2)
     return space.classify(lo, hi).tolist()
+
+
+def nothing_known(x):
+    return np.zeros(len(x))
+
+
+def far_from(goal):
+    """The field that knows of no wall."""
+    return lambda x: np.hypot(*(x - np.asarray(goal)).T)

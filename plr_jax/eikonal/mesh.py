@@ -8,13 +8,12 @@ from jaxtyping import Bool, Float, Int, Int8, Num
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import as_booleans
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
 from plr_jax.plr.sampling.cell_fit import sample_pattern
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, cost_bounds, pulled
+from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, MotionCost, cost_bounds, pulled
 
 _OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_curve", "_splits", "_spread", "_corners")
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
@@ -305,25 +304,10 @@ _NUM_OF_MOTION = 33
 
 
 @dataclass(frozen=True, eq=False)
-class SampledSpace:
+class SampledSpace(CheckedSpace):
     """A configuration space whose boxes are what all their samples are; nothing of it is proven."""
 
-    space: FreeTest
     seed: int
-
-    @property
-    def domain(self) -> Box:
-        """That of the space."""
-        return self.space.domain
-
-    @property
-    def motion_cost(self) -> MotionCost:
-        """That of the space."""
-        return self.space.motion_cost
-
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Whether configurations are free."""
-        return as_booleans("is_free", self.space.is_free(q), len(np.asarray(q)))
 
     @cached_property
     def _samples(self) -> Float[np.ndarray, "k dim"]:

@@ -1,23 +1,16 @@
 """Paths that follow a cost-to-go to its goal, from many starts at once, never through a wall."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Bool, Float, Int8
-
-from plr_jax._arrays import as_booleans, as_finite, parts, shortened
+from plr_jax._arrays import as_finite, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.optimize._corners import along_corners
 from plr_jax.optimize._descent import Descent
 from plr_jax.optimize._lookahead import by_lookahead
+from plr_jax.optimize._motion_tests import MotionTests
 from plr_jax.optimize._path_costs import PathCosts
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, MotionCost, PlaneSpace, require_space
-
-_TESTS_AT_ONCE = 1 << 18
-_MOST_TESTS = 1 << 18  # of one motion
+from plr_jax.spaces import ConfigurationSpace, CostMap, FreeTest, PlaneSpace, require_space
 
 
 def descend(
@@ -88,47 +81,7 @@ def descend(
     if isinstance(space, Workspace):
         space = PlaneSpace(space)
     if not isinstance(space, ConfigurationSpace):
-        space = _TestedMotions(space, as_finite("resolution", resolution, positive=True))
+        space = MotionTests(space, as_finite("resolution", resolution, positive=True))
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as LipschitzCost, got {shortened(cost_map)}.")
     return by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
-
-
-@dataclass(frozen=True, eq=False)
-class _TestedMotions:
-    """A space that only tests configurations, whose motions are free if they are wherever they are tested."""
-
-    space: FreeTest
-    resolution: float
-
-    @property
-    def domain(self) -> Box:
-        return self.space.domain
-
-    @property
-    def motion_cost(self) -> MotionCost:
-        return self.space.motion_cost
-
-    def is_free(self, q: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        return as_booleans("is_free", self.space.is_free(q), len(q))
-
-    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
-        return np.full(len(lo), CellState.MIXED, np.int8)
-
-    def are_free(self, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> Bool[np.ndarray, "n"]:
-        change, lengths = self.domain.difference(q1, q0), self.motion_cost.lengths(q0, q1, self.domain)
-        if (lengths > _MOST_TESTS * self.resolution).any():
-            raise ValueError(
-                f"resolution={self.resolution:g} asks for more than {_MOST_TESTS:,} tests of one motion, which costs "
-                f"{lengths.max():g}: give a larger one."
-            )
-        # First at both ends, then between any two tests, and so on: what is blocked is mostly found early.
-        free, halvings = self.is_free(q0) & self.is_free(q1), 0
-        while len(rows := np.flatnonzero(free & (lengths > self.resolution * 2**halvings))):
-            share = (np.arange(2**halvings) + 0.5) / 2**halvings
-            for part in parts(np.full(len(rows), len(share)), _TESTS_AT_ONCE):
-                motion = rows[part]
-                q = self.domain.wrapped(q0[motion, None] + share[:, None] * change[motion, None])
-                free[motion] = self.is_free(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).all(axis=1)
-            halvings += 1
-        return free

@@ -12,6 +12,7 @@ from plr_jax.spaces._costs import pulled as pulled
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
 from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
 from plr_jax.spaces._space import CellState as CellState
+from plr_jax.spaces._space import CheckedSpace as CheckedSpace
 from plr_jax.spaces._space import ConfigurationSpace as ConfigurationSpace
 from plr_jax.spaces._space import FreeTest as FreeTest
 from plr_jax.spaces._space import MotionCost as MotionCost

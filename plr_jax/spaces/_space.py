@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_finite, as_points, shortened
+from plr_jax._arrays import as_booleans, as_finite, as_points, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
@@ -182,6 +182,24 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
         got = f"{lo[i].tolist()} and {hi[i].tolist()} for box {i}"
         raise ValueError(f"Boxes must have finite corners, hi nowhere below lo, got {got}.")
     return lo + (hi - lo) / 2, (hi - lo) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedSpace:
+    """What a space that only tests configurations says, checked: the base of those that ask it about more."""
+
+    space: FreeTest
+
+    @property
+    def domain(self) -> Box:
+        return self.space.domain
+
+    @property
+    def motion_cost(self) -> MotionCost:
+        return self.space.motion_cost
+
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+        return as_booleans("is_free", self.space.is_free(q), len(np.asarray(q)))
 
 
 def require_space(space: object) -> None:
