@@ -1,4 +1,5 @@
 from .construct import construct_pairs as construct_pairs
+from .goals import PreparedGoals as PreparedGoals
 from .grid_pairs import DistanceToCell as DistanceToCell
 from .grid_pairs import GridPairs as GridPairs
 from .grid_pairs import construct_grid_pairs as construct_grid_pairs

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
+from math import prod
 from typing import Any, TypeAlias
 
 import jax
@@ -17,6 +18,7 @@ from plr_jax._arrays import as_finite_point, run_members
 from plr_jax._cores import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
+from plr_jax.pairs.goals import PreparedGoals, onward_of, ways_to_goals
 from plr_jax.pairs.query import is_inside, shortest_ways
 from plr_jax.pairs.stored import Stored
 from plr_jax.pairs.tables import PairTables, build_pair_tables
@@ -181,7 +183,9 @@ class PairPLR(HeldFile):
             vars(labeled)["tables"] = self.tables
         return labeled
 
-    def __call__(self, x: ArrayLike, y: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
+    def __call__(
+        self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
+    ) -> Float[Array, "*batch"]:
         """Distance between points: the length of the shortest path in free space.
 
         Clean under ``jax.jit``, ``jax.vmap`` and ``jax.grad``, in both arguments: the gradient leads away from where
@@ -189,7 +193,8 @@ class PairPLR(HeldFile):
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX.
-            y: Points, of a shape that broadcasts with that of ``x``.
+            y: Points, of a shape that broadcasts with that of ``x``; or goals that :meth:`prepared` made, whose batch
+                does.
             outside: What points outside the domain get, as for :func:`evaluate`; with ``"clamp"`` the ways of both
                 ends to the domain are added.
 
@@ -203,7 +208,39 @@ class PairPLR(HeldFile):
             ValueError: If points do not have two coordinates, are not real, or do not broadcast, or ``outside`` is
                 none of the three.
         """
+        if isinstance(y, PreparedGoals):
+            return self._to_prepared(x, y, as_outside(outside))
         return self._answered(partial(_distances, outside=as_outside(outside)), x, y)[0]
+
+    def prepared(self, goals: ArrayLike) -> PreparedGoals:
+        """Goals that are asked for many times, as second points of a call: it then takes a third of the time or less.
+
+        Clean under ``jax.jit`` and ``jax.vmap``, as where an environment draws its goal in ``reset``. Answers differ
+        from those of the points themselves by rounding; they have no gradient in the goals, whose coordinates have
+        32 bits, and with ``outside="clamp"`` a goal outside stays there: ``inf``.
+
+        Args:
+            goals: The goals, ``(..., 2)``.
+
+        Returns:
+            The goals and the distance of each from all corners, ``(..., corners)``: 4 bytes a corner.
+
+        Raises:
+            ValueError: As for a call.
+        """
+        goals = self._from_middle("goals", goals)
+        x, _, shape, _ = _checked(self.tables, *(2 * [jnp.asarray(goals, jnp.float32)]))
+        onward = _onward(self.tables, jax.lax.stop_gradient(x))
+        return PreparedGoals(jnp.asarray(goals, jnp.float32), onward.reshape(*shape, -1))
+
+    def _to_prepared(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
+        x, batch = self._from_middle("x", x), goals.points.shape[:-1]
+        number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
+        answer = partial(_distances_to, self.tables, goals, outside=outside)
+        if not is_on_one_host(x, goals.points, self.tables.walls):
+            return answer(x, number)[0]
+        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x, x)))
+        return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Proven bounds of the distance between points of free space.
@@ -332,6 +369,33 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 
     # As it changes with the ends, also by what 32 bits leave of them.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
+    return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
+
+
+@jax.jit
+def _onward(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+    return onward_of(tables, points)
+
+
+@partial(jax.jit, static_argnames="outside")
+def _distances_to(
+    tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
+) -> tuple[Float[Array, "*batch"]]:
+    """Distances from points to the goals of some numbers, ``(*batch, 1)``."""
+    if outside == "clamp":
+        x, way = _clamped(tables, x.astype(_floats_of(x, x)))
+        return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
+    points, onward = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.onward))
+    number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
+    x, y, shape, answer = _checked(tables, x, points[number])
+    single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
+    length, via = ways_to_goals(tables, jax.lax.stop_gradient(onward), single, end, number.ravel())
+    if outside == "nan":
+        answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
+    via, length = via.astype(x.dtype), length.astype(x.dtype)
+    # As it changes with the point, also by what 32 bits leave of it.
+    change = _norm(x - via) - _norm(single.astype(x.dtype) - via)
+    length += jnp.where(jnp.isfinite(length), change, 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
 

@@ -10,8 +10,10 @@ Most pairs need one round or two. Each round is of the first pairs that are open
 many, and then of few.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +26,13 @@ from plr_jax.plr.query.lookup import lookup
 
 _AT_ONCE = 2**14
 _MANY, _FEW = 2**11, 2**7  # pairs that are looked at together while many are open, and then
+_TESTED = 2**10  # pairs that are held against all walls together
 _LARGEST = np.finfo(np.float32).max  # `inf` with other bits would be no number
 _BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
+
+
+Of, Columns = TypeVar("Of"), TypeVar("Columns")
+Found = TypeVar("Found", bound=Any)  # with `is_open`, of which pairs a shorter way may be left
 
 
 @jax.tree_util.register_dataclass
@@ -96,58 +103,60 @@ class Ways:
 def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     """The shortest ways between points of the domain, counted from its middle; alike either way round."""
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
-    ways = _ways_in_parts(tables, jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    ways = in_parts(partial(_ways, tables), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
     return replace(ways, from_x=from_x, from_y=from_y)
 
 
-def _ways_in_parts(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
-    size = x.shape[0]
+def in_parts(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
+    """A pytree of what is found of each row of some arrays, of so many rows at a time as caches hold."""
+    size = rows[0].shape[0]
     if is_symbolic_dim(size) or size <= _AT_ONCE:
-        return _ways(tables, x, y)
+        return ways(*rows)
     parts = -(-size // _AT_ONCE)
-    x, y = (jnp.pad(p, ((0, parts * _AT_ONCE - size), (0, 0))) for p in (x, y))
-    pairs = x.reshape(parts, _AT_ONCE, 2), y.reshape(parts, _AT_ONCE, 2)
-    columns = jax.lax.map(lambda pair: jax.tree.leaves(_ways(tables, *pair)), pairs)
-    return Ways(*(each.reshape(-1, *each.shape[2:])[:size] for each in columns))
+    padded = [jnp.pad(each, ((0, parts * _AT_ONCE - size), *((0, 0),) * (each.ndim - 1))) for each in rows]
+    whole = tuple(each.reshape(parts, _AT_ONCE, *each.shape[1:]) for each in padded)
+    columns = jax.lax.map(lambda part: ways(*part), whole)
+    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:size], columns)
 
 
 def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
     at_least = jax.lax.optimization_barrier(_at_least(tables, x, y, leaf_x, leaf_y))
     # Before the first round pairs that see one another are done.
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _length(x - y))
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, length_of(x - y))
     longest = tables.x.shape[1]
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
     search = Search(straight, behind, behind, at_least.min(axis=1), words, words)
-    search = _searched(tables, Pairs(x, y, leaf_x, leaf_y, at_least), search)
+    search = searched(partial(_after_round, tables), Pairs(x, y, leaf_x, leaf_y, at_least), search)
     is_straight = (search.via_x == longest)[:, None]
-    from_x = jnp.where(is_straight, y, _corner(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
-    from_y = jnp.where(is_straight, x, _corner(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
+    from_x = jnp.where(is_straight, y, corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
+    from_y = jnp.where(is_straight, x, corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
     return Ways(search.length, jnp.minimum(search.length, search.least), from_x, from_y)
 
 
-def _searched(tables: PairTables, pairs: Pairs, search: Search) -> Search:
+def searched(after_round: Callable[[Of, Found], Found], pairs: Of, search: Found) -> Found:
     """The search after all rounds.
 
-    It ends, as each round strikes a corner off one of an open pair's two lists.
+    It ends, as each round strikes a corner off a list of each pair that is open.
     """
-    size = pairs.x.shape[0]
+    size = search.is_open.shape[0]
 
-    def round_of_first(count: int, search: Search) -> Search:
+    def while_open(than: int, after: Callable[[Found], Found], search: Found) -> Found:
+        return jax.lax.while_loop(lambda search: search.is_open.sum() > than, after, search)
+
+    def round_of_first(count: int, search: Found) -> Found:
         number = jnp.cumsum(search.is_open)  # of each open pair, from 1
         lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # behind the last pair where fewer are open
-        first = _after_round(tables, *jax.tree.map(lambda a: _at(a, lanes, "clip"), (pairs, search)))
+        first = after_round(*jax.tree.map(lambda a: at(a, lanes, "clip"), (pairs, search)))
         return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
 
     if is_symbolic_dim(size) or size <= _FEW:
-        return jax.lax.while_loop(lambda search: search.is_open.any(), partial(_after_round, tables, pairs), search)
+        return while_open(0, partial(after_round, pairs), search)
     if size > _MANY:
-        search = jax.lax.while_loop(
-            lambda search: search.is_open.sum() > _MANY, partial(round_of_first, _MANY), search
-        )
-    return jax.lax.while_loop(lambda search: search.is_open.any(), partial(round_of_first, _FEW), search)
+        search = while_open(_MANY, partial(round_of_first, _MANY), search)
+    return while_open(0, partial(round_of_first, _FEW), search)
 
 
 def _at_least(
@@ -161,27 +170,25 @@ def _at_least(
     listed = tables.listed[leaf_x].astype(jnp.uint32)
     size = len(tables.distances)
     last_bits = last_bits_of(size)
-    onward = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
+    onward = at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
     last, other = onward & last_bits, jax.lax.bitcast_convert_type(onward & ~last_bits, jnp.float32)
-    dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
-    way = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
-    return _legs(tables, leaf_x, x) + jnp.minimum(way, other)
+    dx, dy = (at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
+    way = at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
+    return legs(tables, leaf_x, x) + jnp.minimum(way, other)
 
 
 def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
     """The search after a look into the most promising corner of each first point whose pair is open."""
     x, y, leaf_x, leaf_y = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y
-    first, at_first, second = _smallest(pairs.at_least, search.done_x)
+    first, at_first, second = smallest(pairs.at_least, search.done_x)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     listed = tables.listed[leaf_y].astype(jnp.uint32)
-    onward = _legs(tables, leaf_y, y) + _at(
-        tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
-    )
-    last, rest, _ = _smallest(onward, search.done_y)
-    via_x, via_y = _corner(tables, leaf_x, first), _corner(tables, leaf_y, last)
-    hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
-    hidden_y = _is_leg_hidden(tables, leaf_y, last, y, via_y)
-    length = jnp.where(hidden_x | hidden_y, jnp.inf, _length(x - via_x) + rest)
+    onward = legs(tables, leaf_y, y) + at(tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed)
+    last, rest, _ = smallest(onward, search.done_y)
+    via_x, via_y = corner_of(tables, leaf_x, first), corner_of(tables, leaf_y, last)
+    hidden_x = is_leg_hidden(tables, leaf_x, first, x, via_x)
+    hidden_y = is_leg_hidden(tables, leaf_y, last, y, via_y)
+    length = jnp.where(hidden_x | hidden_y, jnp.inf, length_of(x - via_x) + rest)
     is_open = search.is_open
     is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
     least = jnp.where(is_done, second, jnp.minimum(at_first, second))
@@ -191,12 +198,12 @@ def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
         via_x=jnp.where(better, first, search.via_x),
         via_y=jnp.where(better, last, search.via_y),
         least=jnp.where(is_open, least, search.least),
-        done_x=search.done_x | _bit(first, is_open & is_done, search.done_x),
-        done_y=search.done_y | _bit(last, is_open & hidden_y, search.done_y),
+        done_x=search.done_x | bit_of(first, is_open & is_done, search.done_x),
+        done_y=search.done_y | bit_of(last, is_open & hidden_y, search.done_y),
     )
 
 
-def _bit(
+def bit_of(
     place: UInt32[Array, "n"], if_so: Bool[Array, "n"], words: UInt32[Array, "n words"]
 ) -> UInt32[Array, "n words"]:
     """The bit of a place, if so, in words like those."""
@@ -205,7 +212,7 @@ def _bit(
     return jnp.where(if_so[:, None], bit, 0)
 
 
-def _smallest(
+def smallest(
     values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
 ) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
     """Where the smallest of each row is, of those not done with, to rounding; it; and the smallest of the others.
@@ -225,27 +232,30 @@ def _smallest(
     return place, jnp.take_along_axis(values, place[:, None], axis=1)[:, 0], others.min(axis=1)
 
 
-def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+def legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
     """Lengths of the legs from points to all corners of their leaves' lists."""
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
-def _corner(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+def corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+    """The corners at some places of leaves' lists."""
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
-def _length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def length_of(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """Lengths of vectors."""
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
-def _at(
+def at(
     table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
 ) -> Shaped[Array, "..."]:
+    """Entries of a table, whose numbers are in it."""
     return table.at[index].get(mode=mode)
 
 
-def _is_leg_hidden(
+def is_leg_hidden(
     tables: PairTables,
     leaf: UInt32[Array, "n"],
     place: UInt32[Array, "n"],
@@ -266,6 +276,40 @@ def _is_leg_hidden(
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether an obstacle is between points: most pairs that one hides are told by the occluders, others by walls."""
+    size, hidden = x.shape[0], is_across_occluder(tables, x, y)
+    if is_symbolic_dim(size) or size <= _TESTED:
+        return hidden | _is_across_walls(tables, x, y)
+    number = jnp.cumsum(~hidden)  # of each pair that is left, from 1
+
+    def of_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
+        lanes = jnp.searchsorted(number, done * _TESTED + 1 + jnp.arange(_TESTED))  # behind the last where fewer are
+        across = _is_across_walls(tables, *(at(p, lanes, "clip") for p in (x, y)))
+        return hidden.at[lanes].set(across, mode="drop", unique_indices=True)
+
+    return jax.lax.fori_loop(0, -(-number[-1] // _TESTED), of_next, hidden)
+
+
+def is_across_occluder(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Whether lines between points cross an occluder for certain, whatever is rounded.
+
+    An end that is on the line's other side but for rounding is behind none of two points that are clear of its line.
+    """
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, occluders):
+        for ax, ay, bx, by, nx, ny, offset in occluders:
+            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), tables.occluders)[0]
+
+
+def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     """Whether an obstacle, whose walls have moved back a little, is between points.
 
     A line through one goes in across a wall and out across another. Across one way alone goes the line from a point

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, padded_size, runs, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.near_walls import NearWalls
+from plr_jax.pairs.occluders import IN_GROUP, occluders_of
 from plr_jax.pairs.stored import Stored, distances_by_rows
 from plr_jax.plr.query.frame import unresolved_types
 from plr_jax.plr.query.tables import Tables, build_tables
@@ -38,7 +39,8 @@ class PairTables:
     Attributes:
         partition: Finds leaves.
         walls: Ends of the walls that block sight, moved back a little; groups of them, padded with empty ones.
-        near: Those that may hide a corner of a leaf's list; None where they are too many to be worth it.
+        occluders: Segments inside obstacles, see :func:`occluders_of`.
+        near: Walls that may hide a corner of a leaf's list; None where they are too many to be worth it.
         x: First coordinate of the corners of each leaf's list; padding is ``inf``.
         y: Second coordinate.
         listed: The corners; padding is one more than the last corner.
@@ -58,6 +60,7 @@ class PairTables:
 
     partition: Tables
     walls: Float[Array, "groups 16 7"]
+    occluders: Float[Array, "groups_of_occluders 16 7"]
     near: NearWalls | None
     x: Float[Array, "leaves longest"]
     y: Float[Array, "leaves longest"]
@@ -103,6 +106,7 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
     return PairTables(
         partition=partition,
         walls=_groups_of_walls(walls),
+        occluders=_occluders(stored, receding),
         near=near,
         x=_in_32_bits(x),
         y=_in_32_bits(y),
@@ -117,6 +121,15 @@ def build_pair_tables(stored: Stored, num_bytes: int) -> PairTables:
         rounding=_in_32_bits(stored.rounding + 2 * np.array([aside, farther])),
         unresolved=unresolved_types(stored.domain),
     )
+
+
+def _occluders(stored: Stored, receding: float) -> Float[Array, "groups 16 7"]:
+    """Occluders farther inside obstacles than walls move back."""
+    try:
+        region = stored.outline.region
+    except ValueError:  # details narrower than the lattice: their walls are all that is known
+        return jnp.zeros((0, IN_GROUP, 7))
+    return _in_32_bits(occluders_of(region, stored.domain, 4 * receding, len(stored.outline.points)))
 
 
 def _distances_table(stored: Stored, size: int) -> Float[Array, "size size"]:

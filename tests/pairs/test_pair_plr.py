@@ -147,6 +147,28 @@ def test_an_outline_of_nothing_is_found_out_when_it_is_asked(points, message):
         pairs_from_bytes(data[:first])(np.ones(2), np.ones(2))
 
 
+def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compiled_functions(maze):
+    x, y = two_batches(MAZE, 60, seed=9)
+    x[-3:], y[:2] = [(2, 0.5), (0.5, np.nan), (0.3, 0.3)], [(0.5, 1.5), (np.nan, 0.5)]
+    goals, every = maze.prepared(y), np.asarray(maze(x[:, None], y))
+    near = partial(np.testing.assert_allclose, atol=1e-6)
+    near(maze(x[:, None], goals), every)
+    near(maze(x, goals), np.diag(every))
+    near(maze(x.reshape(6, 10, 2), maze.prepared(y[7])), every[:, 7].reshape(6, 10))
+    near(maze(x[5], jax.tree.map(lambda each: each[2:], goals)), every[5, 2:])
+    near(jax.jit(jax.vmap(lambda pairs, x, y: pairs(x, pairs.prepared(y)), (None, 0, 0)))(maze, x, y), np.diag(every))
+    for outside in ("nan", "clamp"):
+        inside = slice(2, None) if outside == "clamp" else slice(None)
+        near(maze(x, goals, outside=outside)[inside], maze(x, y, outside=outside)[inside])
+    gradient = jax.vmap(jax.grad(maze))
+    near(gradient(jnp.asarray(x[2:-3]), goals := maze.prepared(y[2:-3])), gradient(jnp.asarray(x[2:-3]), y[2:-3]))
+    with jax.enable_x64(True):
+        assert maze(x[2:-3], goals).dtype == np.float64
+        np.testing.assert_allclose(maze(x[2:-3], goals), maze(x[2:-3], y[2:-3]), atol=1e-6)
+    with pytest.raises(ValueError, match=r"goals must be points of shape \(..., 2\), got \(3,\)"):
+        maze.prepared(np.zeros(3))
+
+
 @pytest.mark.parametrize("goal", [scenes.maze().goals[0], MAZE.sample_free(1, seed=1)[0]])
 def test_one_goal_is_an_ordinary_plr_of_corners_that_lead_there(maze, goal):
     plr, truth = maze.to(goal), VisibilityGraph(MAZE, goal)
