@@ -16,6 +16,7 @@ _PUBLISHED = {
     "arena": ("polyanya_arena/arena_polygons.json", (1.0, 11.0)),
     "den312d": ("movingai/dao/den312d_polygons.json", None),
     "den520d": ("movingai/dao/den520d_polygons.json", None),
+    "Berlin": ("movingai/street/Berlin_0_256.map", None),
 }
 
 
@@ -29,7 +30,7 @@ def load_map(name: str) -> Map | None:
     if "PLR_JAX_DATA" not in os.environ or not path.exists():
         print(f"{name}: skipped, PLR_JAX_DATA names no folder with {file}")
         return None
-    workspace = scenes.read_polygons(path)
+    workspace = scenes.read_map(path) if path.suffix == ".map" else scenes.read_polygons(path)
     return workspace, workspace.sample_free(1, seed=0)[0] if goal is None else np.array(goal)
 
 

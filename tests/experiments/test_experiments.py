@@ -24,6 +24,7 @@ SECTIONED = (
     "edges",
     "wire",
     "grid_distance",
+    "everyday",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -36,6 +37,7 @@ FAMILIES = {
     "teams": ("--only", "unseen"),
     "wire": ("--only", "sizes"),
     "portable": ("--only", "query"),
+    "everyday": ("--only", "steps"),
 }
 
 
