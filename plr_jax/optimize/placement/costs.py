@@ -6,7 +6,6 @@ shares that fall off exponentially by a temperature. As that goes to 0 the soft 
 """
 
 import enum
-from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from plr_jax._arrays import padded
+from plr_jax._cores import answered_in_parts
 from plr_jax.geometry.workspace import Workspace
 
 _NEAR = 16  # facilities among which a demand point looks for its nearest while these move a little
@@ -80,71 +79,56 @@ class LocationProblem(NamedTuple):
 
 def pair_distances(distance: Any, x: Float[np.ndarray, "..."], y: Float[np.ndarray, "..."]) -> np.ndarray:
     """Distances of points ``(..., 2)`` that broadcast; raises ``ValueError`` for NaN and below 0."""
-    shape = np.broadcast_shapes(x.shape, y.shape)
-    x, y = (np.broadcast_to(points, shape).reshape(-1, 2) for points in (x, y))
-    found = np.concatenate([np.empty(0), *_in_parts(partial(_distances, distance), x, y)])
-    bad = np.flatnonzero(~(found >= 0))
+    return pair_slopes(distance, x, y)[0]
+
+
+def pair_slopes(
+    distance: Any, x: Float[np.ndarray, "..."], y: Float[np.ndarray, "..."]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same, and their gradients in the first points ``(..., 2)``; 0 where there is none.
+
+    Whatever asks for distances asks here, so that they are compiled once.
+    """
+    found, *slopes = answered_in_parts(partial(_slopes, distance), (_AT_ONCE, _AT_ONCE), x, y)
+    distances = np.asarray(found, np.float64)
+    bad = np.argwhere(~(distances >= 0))
     if bad.size:
-        ends = f"{x[bad[0]].tolist()} and {y[bad[0]].tolist()}"
-        raise ValueError(f"distance gives {found[bad[0]]} for {ends}; use inf where no path joins them.")
-    return found.reshape(shape[:-1])
-
-
-def _in_parts(
-    answer: Callable[[Array, Array], Any], x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]
-) -> Iterator[Any]:
-    """What a function of points answers, as pytrees of arrays, of as many pairs at once as it is compiled for."""
-    for begin in range(0, len(x), _AT_ONCE):
-        parts = [points[begin : begin + _AT_ONCE] for points in (x, y)]
-        found = answer(*(jnp.asarray(padded(part, _AT_ONCE, part[0])) for part in parts))
-        yield jax.tree.map(lambda each, part=parts[0]: np.asarray(each, np.float64)[: len(part)], found)
-
-
-@jax.jit
-def _distances(distance: Any, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    return distance(x, y)
-
-
-def slopes_at(
-    distance: Any, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"]]:
-    """Distances of pairs, and their gradients in the first point; 0 where there is none."""
-    distances, slopes = map(np.concatenate, zip(*_in_parts(partial(_slopes, distance), x, y), strict=True))
-    return distances, np.where(np.isfinite(slopes), slopes, 0.0)
+        at = tuple(bad[0])
+        x, y = (np.broadcast_to(points, (*distances.shape, 2))[at].tolist() for points in (x, y))
+        raise ValueError(f"distance gives {distances[at]} for {x} and {y}; use inf where no path joins them.")
+    of_pairs = np.stack(slopes, axis=-1).astype(np.float64)
+    return distances, np.where(np.isfinite(of_pairs), of_pairs, 0.0)
 
 
 @jax.jit
 def _slopes(
     distance: Any, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 2"]]:
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
     d, pull_back = jax.vjp(lambda x: distance(x, y), x)
-    return d, pull_back(jnp.ones_like(d))[0]
+    (slopes,) = pull_back(jnp.ones_like(d))  # each pair has a point of its own
+    return d, slopes[:, 0], slopes[:, 1]
 
 
-@partial(jax.jit, static_argnums=0)
-def nearest_and_pulls(
+@partial(jax.jit, static_argnums=(0, 5))
+def soft_pulls(
     objective: PlacementObjective,
-    distance: Any,
-    points: Float[Array, "n 2"],
     weights: Float[Array, "n"],
-    x: Float[Array, "restarts k 2"],
+    d: Float[Array, "restarts n near"],
+    slopes: Float[Array, "restarts n near 2"],
     near: Int[Array, "restarts n near"],
+    k: int,
     temperature: Float[Array, ""],
-) -> tuple[Float[Array, "restarts n"], Float[Array, "restarts k 2"]]:
-    """Distances of demand points to the nearest of some facilities, and gradients of soft costs, shares held.
+) -> Float[Array, "restarts k 2"]:
+    """Gradients of soft costs in the facilities, shares held, from distances of demand points to those that are near.
 
     Weights are at most 1: costs are compared by the temperature, too.
     """
-    restart = jnp.arange(len(x))[:, None, None]
-    y = jnp.broadcast_to(points[:, None], (*near.shape, 2)).reshape(-1, 2)
-    # Each pair has a facility of its own: one that has no gradient, such as a point and itself, spoils no other.
-    of_pairs = x[restart, near]
-    d, pull_back = jax.vjp(lambda x: distance(x.reshape(-1, 2), y).reshape(near.shape), of_pairs)
     share = jax.nn.softmax(-d / temperature, axis=2)
     if objective is PlacementObjective.SUM:
         share *= weights[:, None]
     else:
         soft = weights * jnp.where(share > 0, share * d, 0.0).sum(axis=2)
         share *= (weights * jax.nn.softmax(soft / temperature, axis=1))[..., None]
-    (pulls,) = pull_back(share)
-    return d.min(axis=2), jnp.zeros_like(x).at[restart, near].add(jnp.where(jnp.isfinite(pulls), pulls, 0.0))
+    pulls = share[..., None] * slopes
+    restart = jnp.arange(len(d))[:, None, None]
+    return jnp.zeros((len(d), k, 2), d.dtype).at[restart, near].add(jnp.where(jnp.isfinite(pulls), pulls, 0.0))

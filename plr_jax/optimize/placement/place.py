@@ -15,7 +15,7 @@ from plr_jax._arrays import as_numbers, as_points, require_integer, shortened
 from plr_jax._pytree import as_pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, require_workspace
-from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, nearest_and_pulls
+from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_slopes, soft_pulls
 from plr_jax.optimize.placement.search import moved, searched, starts
 from plr_jax.optimize.trajectory.optimize_paths import OptimizationInterrupted
 
@@ -96,6 +96,15 @@ def _pair_distance(distance: Callable[[Any, Any], Any]) -> Any:
         raise ValueError(
             f"{expected} to their distances (m,), got {found.dtype} of shape {shape} for {_TRIED} pairs."
         )
+    try:
+        jax.eval_shape(jax.grad(lambda x, y: distance(x, y).sum()), points, points)
+    except (
+        TypeError,
+        ValueError,
+        jax.errors.JAXTypeError,
+    ):  # a search without a gradient of its own: it does not pull
+        of_pairs = distance
+        distance = lambda x, y: of_pairs(*map(jax.lax.stop_gradient, (x, y)))  # noqa: E731
     return as_pytree(distance)
 
 
@@ -237,17 +246,16 @@ def _descend(problem: LocationProblem, incumbents: _Incumbents, unit: float, num
     """Adam from all starts at once, of which the incumbents keep the best iterates."""
     import optax
 
-    points, weights = jnp.asarray(problem.points), jnp.asarray(problem.weights / problem.weights.max())
-    x = incumbents.x
+    weights, x = jnp.asarray(problem.weights / problem.weights.max()), incumbents.x
     adam = optax.adam(optax.cosine_decay_schedule(_STEP * unit, num_iterations))
     state = adam.init(jnp.asarray(x))
     temperatures = unit * np.geomspace(*_TEMPERATURES, num_iterations)
-    near = jnp.asarray(problem.near(x))
+    near, restart = problem.near(x), np.arange(len(x))[:, None, None]
     for temperature in tqdm(temperatures, desc="place", unit=" steps", delay=2, leave=False, disable=None):
-        nearest, pulls = nearest_and_pulls(
-            problem.objective, problem.distance, points, weights, jnp.asarray(x), near, jnp.asarray(temperature)
-        )
-        incumbents.offer(x, problem.cost(np.asarray(nearest, np.float64)))
+        distances, slopes = pair_slopes(problem.distance, x[restart, near], problem.points[:, None])
+        incumbents.offer(x, problem.cost(distances.min(axis=2)))
+        of_near = (jnp.asarray(each) for each in (distances, slopes, near))
+        pulls = soft_pulls(problem.objective, weights, *of_near, x.shape[1], jnp.asarray(temperature))
         steps, state = adam.update(pulls, state)
         steps = np.asarray(steps, np.float64)
         x = moved(problem.workspace, x.reshape(-1, 2), steps.reshape(-1, 2)).reshape(x.shape)

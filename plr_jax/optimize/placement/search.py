@@ -13,7 +13,7 @@ import shapely
 from jaxtyping import Float, Int
 
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_distances, slopes_at
+from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_distances, pair_slopes
 
 # Steps in free space: what is blocked by a wall turns aside, is shortened, or is not taken.
 
@@ -120,7 +120,7 @@ def _minimax_steps(
     """
     from scipy.optimize import linprog
 
-    distances, slopes = slopes_at(problem.distance, x[nearest], problem.points)
+    distances, slopes = pair_slopes(problem.distance, x[nearest], problem.points)
     costs, slopes = problem.weights * distances, problem.weights[:, None] * slopes
     steps = np.zeros_like(x)
     for facility in np.unique(nearest):

@@ -2,6 +2,7 @@
 
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from plr_jax import Placement, VisibilityGraph, Workspace, construct_pairs, plac
 from plr_jax._pytree import as_pytree
 from plr_jax.optimize import OptimizationInterrupted
 from plr_jax.optimize.placement import place as driver
-from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, nearest_and_pulls, slopes_at
+from plr_jax.optimize.placement.costs import LocationProblem, PlacementObjective, pair_slopes, soft_pulls
 from plr_jax.optimize.placement.search import moved, starts
 
 SQUARE = Workspace(((0, 0), (1, 1)))
@@ -79,21 +80,34 @@ def test_starts_differ_and_the_cheapest_is_first(objective, n, k, count):
 def test_pulls_become_the_slopes_of_the_cost(objective, k):
     problem = problem_of(objective, n=30)
     weights, x = problem.weights / problem.weights.max(), np.random.default_rng(1).random((2, k, 2))
-    given = (jnp.asarray(each) for each in (problem.points, weights, x, problem.near(x), 1e-5))
-    nearest, pulls = nearest_and_pulls(problem.objective, problem.distance, *given)
+    near = problem.near(x)
+    distances, slopes = pair_slopes(problem.distance, x[np.arange(2)[:, None, None], near], problem.points[:, None])
+    given = (jnp.asarray(each) for each in (weights, distances, slopes, near))
+    pulls = soft_pulls(problem.objective, *given, k, jnp.asarray(1e-5))
 
     def cost(x):
         return COSTS[objective](weights * problem.distances(x).min(axis=1), axis=-1)
 
-    np.testing.assert_allclose(COSTS[objective](weights * np.asarray(nearest, float), axis=-1), cost(x), rtol=1e-6)
+    np.testing.assert_allclose(COSTS[objective](weights * distances.min(axis=2), axis=-1), cost(x), rtol=1e-6)
     for change in 1e-4 * np.eye(2 * k).reshape(2 * k, k, 2):  # all costs are linear up to the next kink
         slope = (cost(x + change) - cost(x - change)) / 2e-4
         np.testing.assert_allclose(np.asarray(pulls)[:, change != 0][:, 0], slope, atol=0.02)
 
 
+def test_distances_that_jax_cannot_differentiate_do_not_pull_but_are_compared():
+    def halved(x, y):
+        """The Manhattan distance by a loop, whose number of turns is not known beforehand."""
+        start = 2 * manhattan(x, y), 0
+        return jax.lax.while_loop(lambda state: state[1] < 1, lambda state: (state[0] / 2, state[1] + 1), start)[0]
+
+    demand = SQUARE.sample_free(12, seed=0)
+    found, pulled = (place(of, SQUARE, demand, k=2, num_iterations=5) for of in (halved, manhattan))
+    assert pulled.cost - 1e-6 <= found.cost <= found.start_costs.min() == pulled.start_costs.min()
+
+
 def test_slopes_of_pairs():
     x, y = np.array([[0.2, 0.3], [0.5, 0.5]]), np.array([[0.4, 0.1], [0.1, 0.1]])
-    distances, slopes = slopes_at(as_pytree(manhattan), x, y)
+    distances, slopes = pair_slopes(as_pytree(manhattan), x, y)
     np.testing.assert_allclose(distances, [0.4, 0.8], rtol=1e-6)
     assert slopes.tolist() == [[-1, 1], [1, 1]]
 
