@@ -15,7 +15,7 @@ from plr_jax.pairs.query import (
     at,
     bit_of,
     corner_of,
-    in_parts,
+    part_by_part,
     is_hidden,
     is_leg_hidden,
     legs,
@@ -90,7 +90,7 @@ def ways_to_goals(
     goal: UInt32[Array, "n"],
 ) -> tuple[Float[Array, "n"], Float[Array, "n 2"]]:
     """Lengths of shortest ways from points to others that are goals of some numbers, and where each goes first."""
-    return in_parts(partial(_ways, tables, onward), x, y, goal)
+    return part_by_part(partial(_ways, tables, onward), x, y, goal)
 
 
 def _ways(

@@ -103,12 +103,12 @@ class Ways:
 def shortest_ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Ways:
     """The shortest ways between points of the domain, counted from its middle; alike either way round."""
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
-    ways = in_parts(partial(_ways, tables), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    ways = part_by_part(partial(_ways, tables), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
     return replace(ways, from_x=from_x, from_y=from_y)
 
 
-def in_parts(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
+def part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
     """A pytree of what is found of each row of some arrays, of so many rows at a time as caches hold."""
     size = rows[0].shape[0]
     if is_symbolic_dim(size) or size <= _AT_ONCE:
