@@ -22,6 +22,7 @@ from plr_jax._deadline import deadline_after
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -156,6 +157,9 @@ def _corners(arrays: dict[str, Shaped[np.ndarray, "..."]], workspace: Workspace)
         raise ValueError("it names corners or walls that its workspace has not")
     table = VisibilityTable(workspace.boundary, workspace.tolerance, corners.points, cut, first, key, edge)
     return CornerVisibility(corners, views, table, edges)
+
+
+_LOST = 1e-6  # share of free space that rounding may lose
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -298,10 +302,24 @@ class VisibilityGraph:
 
         Returns:
             The pieces of free space in the box from which the goal can be reached, and their sources.
+
+        Raises:
+            ValueError: If not all of the free space around the goal is such: corners nearer to one another than the
+                workspace's tolerance may hide it.
         """
         shadows = shadows_of(joined_tables([self._goal_table, self._corners.table]))
         sight = Sight(GoalCones.of(self.sources, self._turns), shadows, self._turns, self.workspace.edge_tree)
-        return visible_sources(sight, self._regions, domain)
+        found = visible_sources(sight, self._regions, domain)
+        around: Any = shapely.get_parts(self.workspace.free_space)
+        around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
+        area = float(shapely.area(shapely.clip_by_rect(around, *domain.lo, *domain.hi)).sum())
+        if (reached := float(areas(found.pieces).sum())) < (1 - _LOST) * area:
+            raise ValueError(
+                f"The goal is found to be reached from {reached / area:.3g} of the free space that it lies in: where "
+                "obstacles all but touch, corners are nearer to one another than the workspace's tolerance, "
+                f"{self.workspace.tolerance:g}. Simplify the obstacles, or join them there."
+            )
+        return found
 
     @property
     def family(self) -> CornerVisibility:

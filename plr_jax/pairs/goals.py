@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
 from plr_jax.pairs.query import (
+    after_all_rounds,
     at,
     bit_of,
     corner_of,
-    part_by_part,
     is_hidden,
     is_leg_hidden,
+    leg_length,
     legs,
-    length_of,
-    searched,
+    part_by_part,
     smallest,
 )
 from plr_jax.pairs.tables import PairTables
@@ -103,7 +103,7 @@ def _ways(
     leaf, longest = lookup(tables.partition, x), tables.x.shape[1]
     rest = at(onward.ravel(), goal[:, None] * onward.shape[1] + tables.listed[leaf])
     points = _Points(x, leaf, jax.lax.optimization_barrier(legs(tables, leaf, x) + rest))
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, length_of(x - y))
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, leg_length(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     search = _Search(straight, jnp.full(x.shape[0], longest, jnp.uint32), points.way.min(axis=1), words)
 
@@ -118,6 +118,6 @@ def _ways(
             done=search.done | bit_of(first, search.is_open, search.done),
         )
 
-    search = searched(after_round, points, search)
+    search = after_all_rounds(after_round, points, search)
     corner = corner_of(tables, leaf, jnp.minimum(search.via, np.uint32(longest - 1)))
     return search.length, jnp.where((search.via == longest)[:, None], y, corner)

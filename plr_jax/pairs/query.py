@@ -124,19 +124,19 @@ def _ways(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) ->
     leaf_x, leaf_y = lookup(tables.partition, x), lookup(tables.partition, y)
     at_least = jax.lax.optimization_barrier(_at_least(tables, x, y, leaf_x, leaf_y))
     # Before the first round pairs that see one another are done.
-    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, length_of(x - y))
+    straight = jnp.where(is_hidden(tables, x, y), jnp.inf, leg_length(x - y))
     longest = tables.x.shape[1]
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
     search = Search(straight, behind, behind, at_least.min(axis=1), words, words)
-    search = searched(partial(_after_round, tables), Pairs(x, y, leaf_x, leaf_y, at_least), search)
+    search = after_all_rounds(partial(_after_round, tables), Pairs(x, y, leaf_x, leaf_y, at_least), search)
     is_straight = (search.via_x == longest)[:, None]
     from_x = jnp.where(is_straight, y, corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
     from_y = jnp.where(is_straight, x, corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
     return Ways(search.length, jnp.minimum(search.length, search.least), from_x, from_y)
 
 
-def searched(after_round: Callable[[Of, Found], Found], pairs: Of, search: Found) -> Found:
+def after_all_rounds(after_round: Callable[[Of, Found], Found], pairs: Of, search: Found) -> Found:
     """The search after all rounds.
 
     It ends, as each round strikes a corner off a list of each pair that is open.
@@ -188,7 +188,7 @@ def _after_round(tables: PairTables, pairs: Pairs, search: Search) -> Search:
     via_x, via_y = corner_of(tables, leaf_x, first), corner_of(tables, leaf_y, last)
     hidden_x = is_leg_hidden(tables, leaf_x, first, x, via_x)
     hidden_y = is_leg_hidden(tables, leaf_y, last, y, via_y)
-    length = jnp.where(hidden_x | hidden_y, jnp.inf, length_of(x - via_x) + rest)
+    length = jnp.where(hidden_x | hidden_y, jnp.inf, leg_length(x - via_x) + rest)
     is_open = search.is_open
     is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
     least = jnp.where(is_done, second, jnp.minimum(at_first, second))
@@ -243,7 +243,7 @@ def corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array,
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
-def length_of(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def leg_length(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
     """Lengths of vectors."""
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 

@@ -37,9 +37,10 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
         The same PLR with this proof instead of any it had, in ``max_error`` and ``bounds``.
 
     Raises:
-        ValueError: If it is no PLR in the plane, its domain has a periodic axis, ``leaf_bounds`` is no bool, the
-            oracle does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal:
-            then nothing can be proven.
+        ValueError: If it is no PLR in the plane, its domain has a periodic axis or lies so far from the origin that
+            free space is known worse than to a 10,000th of its shorter side, ``leaf_bounds`` is no bool, the oracle
+            does not answer for cells, or a leaf answers ``inf`` although some of its points reach the goal: then
+            nothing can be proven.
     """
     from plr_jax.plr._assembly import with_certificate
     from plr_jax.plr._plr import PLR  # and JAX, which no proof needs
@@ -72,9 +73,17 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
     return oracle
 
 
+_COARSEST = 1e-4  # of a domain's shorter side, to which its free space is known if something is to be proven
+
+
 def certificate_of(contents: Contents, root: CellSources, proof: Proof) -> Certificate:
     """The proof for leaves, from the sources of their grown domain."""
     domain, cells, leaf = contents.domain, contents.cells, contents.leaf
+    if root.slack > _COARSEST * domain.width.min():
+        raise ValueError(
+            f"Nothing is proven of {domain}: so far from the origin free space is known to {root.slack:.2g} only, "
+            f"above {_COARSEST:g} of the shorter side. Choose an origin that is near, or build it without a proof."
+        )
     coefficients = filled_coefficients(contents)
     visible = _of_leaves(root, contents)
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from experiments.baselines._brute_distance import MAZE, BruteDistance
-from experiments.proving import _astar, _bounds, _sizes
+from experiments.proving import _astar, _bounds, _degenerate, _sizes
 from plr_jax import VisibilityGraph, Workspace, construct, scenes
 
 
@@ -84,3 +84,16 @@ def test_a_star_crosses_an_open_grid_as_by_hand():
     expected = step.min() * (np.sqrt(2) * count.min() + np.ptp(count))
     cost, expanded, nodes = _astar.a_star(grid, a, b, [0.0] * len(grid.points))
     assert cost == pytest.approx(expected) and nodes <= expanded <= len(grid.points)
+
+
+@pytest.mark.parametrize(
+    ("number", "message"),
+    [(1206, "all but touch"), (3178, "all but touch"), (3776, "all but touch"), (993, "Choose an origin that is near")],
+)
+def test_what_an_oracle_does_not_see_of_a_nearly_degenerate_map_is_refused(number, message):
+    """The first of these was searched for minutes; of the others bounds that are not were told."""
+    rng = np.random.default_rng([0, number])
+    workspace = Workspace(*_degenerate.random_rings(rng))
+    goal = workspace.sample_free(_degenerate.POINTS, int(rng.integers(2**31)))[0]
+    with pytest.raises(ValueError, match=message):
+        construct(VisibilityGraph(workspace, goal), workspace.bounds, max_leaves=16, certified=True)
