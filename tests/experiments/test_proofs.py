@@ -88,7 +88,12 @@ def test_a_star_crosses_an_open_grid_as_by_hand():
 
 @pytest.mark.parametrize(
     ("number", "message"),
-    [(1206, "all but touch"), (3178, "all but touch"), (3776, "all but touch"), (993, "Choose an origin that is near")],
+    [
+        (1206, "all but touch"),
+        (3178, "all but touch"),
+        (3776, "all but touch"),
+        (993, "an origin that is near"),
+    ],
 )
 def test_what_an_oracle_does_not_see_of_a_nearly_degenerate_map_is_refused(number, message):
     """The first of these was searched for minutes; of the others bounds that are not were told."""
