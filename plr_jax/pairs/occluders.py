@@ -7,7 +7,6 @@ walls: those are taken that hide the most of some random pairs of points, as lon
 from typing import Any
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import padded
@@ -32,6 +31,8 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         Groups of them, counted from the middle of the domain: both ends, and a linear function that is 0 on the line
         through them and 1 at the distance at which a point is certainly beside it. The last ones are nothing.
     """
+    import shapely  # which PLRs do not need
+
     middle, width = (domain.lo + domain.hi) / 2, float(domain.width.max())
     rng = np.random.default_rng(0)
     chords = _chords(region, domain, depth, rng)
@@ -56,6 +57,8 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
 def _chords(region: Any, domain: Box, depth: float, rng: np.random.Generator) -> Float[np.ndarray, "chords 2 2"]:
     """The longest segments between vertices of obstacles that lie as deep inside them, some for each obstacle."""
+    import shapely
+
     solid = shapely.buffer(
         shapely.difference(shapely.box(*domain.lo, *domain.hi), region), -depth, join_style="mitre"
     )
