@@ -14,6 +14,7 @@ import re
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -175,7 +176,8 @@ def snippets(seed: int, smoke: bool) -> dict[str, Any]:
     rows = []
     for number, block in enumerate(blocks[:1] if smoke else blocks):
         began = time.perf_counter()
-        subprocess.run([sys.executable, "-c", block], check=True, capture_output=True)
+        with tempfile.TemporaryDirectory() as folder:
+            subprocess.run([sys.executable, "-c", block], check=True, capture_output=True, cwd=folder)
         rows.append({"block": number, "seconds": time.perf_counter() - began})
     return {"rows": rows}
 
