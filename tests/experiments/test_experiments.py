@@ -24,6 +24,7 @@ SECTIONED = (
     "edges",
     "wire",
     "grid_distance",
+    "shaping",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -36,6 +37,8 @@ FAMILIES = {
     "teams": ("--only", "unseen"),
     "wire": ("--only", "sizes"),
     "portable": ("--only", "query"),
+    "grid_distance": ("--only", "rooms"),
+    "shaping": ("--only", "learning"),
 }
 
 
