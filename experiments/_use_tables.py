@@ -316,3 +316,23 @@ def scale(results: dict[str, Any]) -> str:
         f"{', '.join(f'{share:.0%}' for share in shares)} "
         f"of the checkpoint written: {sum(row['same'] for row in kills)} were resumed to the same file.\n"
     )
+
+
+def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
+    """Success of agents under each reward, when they reach the target, and what a step costs them."""
+    rates = {(row["kind"], row["doing"]): row["steps_a_second"] for row in speed["rows"]}
+    head = ["reward", "mazes solved", "of seeds", f"steps to {learning['target']:.0%}"]
+    rows = [[*head, "steps a second, acting", "learning"]]
+    for kind in dict.fromkeys(row["kind"] for row in learning["rows"]):
+        runs = [row for row in learning["rows"] if row["kind"] == kind]
+        final = [row["success"][-1] for row in runs]
+        reached = [row["steps_to_target"] for row in runs if row["steps_to_target"] is not None]
+        when = f"{np.mean(reached):,.0f}" if len(reached) == len(runs) else f"{len(reached)} of {len(runs)} get there"
+        cells = [kind, f"{np.mean(final):.1%}", f"{min(final):.1%} to {max(final):.1%}", when]
+        rows.append(cells + [f"{rates[kind, doing]:,.0f}" for doing in ("acting", "learning")])
+    detours = learning["detours"]
+    return markdown(rows, numbers=5) + (
+        f"\nMeans of {len(runs)} seeds after {learning['steps'][-1]:,} steps, on {learning['mazes']} fresh mazes, whose "
+        f"goals are {detours['around']:.1f} cells away, {detours['straight']:.1f} in a straight line: "
+        f"{detours['mean_ratio']:.2f} times as far in the mean.\n"
+    )

@@ -25,6 +25,7 @@ SECTIONED = (
     "wire",
     "grid_distance",
     "everyday",
+    "shaping",
 )
 # Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
 FAMILIES = {
@@ -38,6 +39,8 @@ FAMILIES = {
     "wire": ("--only", "sizes"),
     "portable": ("--only", "query"),
     "everyday": ("--only", "steps"),
+    "grid_distance": ("--only", "rooms"),
+    "shaping": ("--only", "learning"),
 }
 
 
