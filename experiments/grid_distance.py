@@ -3,7 +3,9 @@
 Levels are square, with walls around and 40 % of the inner cells blocked, and a free cell of each is the goal. Their
 rivals are measured unmodified, where they can be imported: JaxNav's ``dikstra_path`` (package ``jaxmarl``), minimax's
 ``shortest_path_len`` (``minimax-lib``) and jaxgmg's ``maze_distances``. All are mapped over levels by ``jax.vmap``.
-The first two answer for one pair of cells a level, jaxgmg for all pairs, and so do we for its row. Seconds are given
+The first two answer for one pair of cells a level, jaxgmg for all pairs, and so do we for its row. Whole environments,
+CAMAR (``camar``) and JaxNav, are measured with rewards that know the way beside their own, of straight lines: a row's
+levels are then environments, each of which is reset where that is said, and then makes 100 steps. Seconds are given
 twice: elapsed, and of all cores together, which other programs on the machine do not lengthen as much.
 """
 
@@ -11,6 +13,7 @@ import importlib
 import time
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import jax
@@ -26,6 +29,7 @@ Goals = Float[np.ndarray, "levels 2"]
 
 _TURNS = 5
 _POINTS = 200
+_STEPS = 100
 
 
 def random_levels(number: int, size: int, seed: int) -> tuple[Levels, Goals]:
@@ -70,7 +74,7 @@ def timed(calls: dict[str, tuple[Callable, tuple]]) -> list[dict[str, Any]]:
     for name, (function, arguments) in calls.items():
         start = time.perf_counter()
         compiled[name] = jax.jit(jax.vmap(function)).lower(*arguments).compile()
-        rows.append({"what": name, "compile_seconds": time.perf_counter() - start, "levels": len(arguments[0])})
+        rows.append({"what": name, "compile_seconds": time.perf_counter() - start, "levels": len(arguments[-1])})
         jax.block_until_ready(compiled[name](*arguments))
     for row in rows:
         row["elapsed"], row["cpu"] = [], []
@@ -115,7 +119,9 @@ def small(seed: int, smoke: bool) -> dict[str, Any]:
     )
     held = jax.eval_shape(jax.vmap(grid_distance), free, goals)
     num_bytes = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(held)) / number
-    return {"rows": timed(calls | rivals(free, goals, few)), "any_angle_bytes_a_level": num_bytes}
+    rows = timed(calls | rivals(free, goals, few))
+    versions = versions_of("jaxmarl", "minimax-lib", "jaxgmg")
+    return {"rows": rows, "any_angle_bytes_a_level": num_bytes, "rivals": versions}
 
 
 def rivals(free: Levels, goals: Goals, few: int) -> dict[str, tuple[Callable, tuple]]:
@@ -139,6 +145,16 @@ def _module(name: str) -> Any:
     except ImportError as error:
         print(f"{name}: left out, {error}")
         return None
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    found = {}
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
 
 
 def large(seed: int, smoke: bool) -> dict[str, Any]:
@@ -196,6 +212,49 @@ def _on_the_host(name: str, calls: list[Callable]) -> dict[str, Any]:
         row["elapsed"].append(time.perf_counter() - elapsed)
         row["cpu"].append(time.process_time() - cpu)
     return _with_rates(row)
+
+
+# Environments.
+
+
+def environments(seed: int, smoke: bool) -> dict[str, Any]:
+    """Steps with rewards of the shortest path beside steps with those of the straight line; actions are random."""
+    number = 2 if smoke else 16
+    keys = jax.random.split(jax.random.key(seed), number)
+    calls: dict[str, tuple[Callable, tuple]] = {}
+    if (camar := _module("experiments.environments.camar")) is not None:
+        theirs, ours = camar.camar_v0(), camar.ShapedCamar()
+        act = theirs.action_spaces.sample
+        calls |= _rollouts("CAMAR", theirs.reset, theirs.step, ours.reset, ours.step, act, keys)
+    if (jaxnav := _module("experiments.environments.jaxnav")) is not None:
+        theirs, ours = jaxnav.JaxNav(num_agents=4), jaxnav.ShapedJaxNav(num_agents=4)
+        act = lambda key: {agent: jax.random.uniform(key, 2, minval=-1) for agent in theirs.agents}  # noqa: E731
+        calls |= _rollouts("JaxNav", theirs.reset, theirs.step_env, ours.reset, ours.step, act, keys)
+    rows = [row | {"steps_a_cpu_second": _STEPS * row["levels_a_cpu_second"]} for row in timed(calls)]
+    rate = {row["what"]: row["steps_a_cpu_second"] for row in rows}
+    ratios = {what: rate[what] / rate[what.replace("path", "line")] for what in rate if "path" in what}
+    return {"rows": rows, "path over line": ratios, "rivals": versions_of("camar", "jaxmarl")}
+
+
+def _rollouts(
+    name: str, reset: Callable, step: Callable, our_reset: Callable, our_step: Callable, act: Callable, keys: Any
+) -> dict[str, tuple[Callable, tuple]]:
+    calls: dict[str, tuple[Callable, tuple]] = {}
+    for reward, begin, advance in (("line", reset, step), ("path", our_reset, our_step)):
+
+        def steps(state: Any, key: Any, advance: Callable = advance) -> Any:
+            def one(state: Any, key: Any) -> Any:
+                return advance(key, state, act(key))[1:3]
+
+            return jax.lax.scan(one, state, jax.random.split(key, _STEPS))[1]
+
+        def episode(key: Any, begin: Callable = begin, steps: Callable = steps) -> Any:
+            return steps(begin(key)[1], key)
+
+        states = jax.jit(jax.vmap(begin))(keys)[1]
+        calls[f"{name}, {reward}, {_STEPS} steps"] = steps, (states, keys)
+        calls[f"{name}, {reward}, reset and {_STEPS} steps"] = episode, (keys,)
+    return calls
 
 
 # Truth.
@@ -280,6 +339,7 @@ SECTIONS = {
     "11 x 11": Section(small),
     "32 x 32": Section(large),
     "rooms": Section(of_rooms),
+    "environments": Section(environments),
     "differences": Section(differences),
 }
 

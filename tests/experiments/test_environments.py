@@ -1,18 +1,25 @@
-"""Environments of other packages, where they are installed."""
+"""Environments of other packages, each where it is installed."""
+
+import importlib
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid_helpers import dijkstra
+from scipy import sparse
 
+from experiments.grid_distance import graph_of
 from plr_jax import grid_distance
 
-pytest.importorskip("jaxmarl", reason="pip install '.[environments]'")
-jaxnav = pytest.importorskip("experiments.environments.jaxnav")
+
+def bridge(name, package):
+    pytest.importorskip(package, reason=f"{package} is not installed: see experiments/environments/__init__.py")
+    return importlib.import_module(f"experiments.environments.{name}")
 
 
 def test_rewards_of_jaxnav_are_those_of_the_way_around():
+    jaxnav = bridge("jaxnav", "jaxmarl")
     shaped = jaxnav.ShapedJaxNav(num_agents=2, discount=1.0, weight=1.0)
     unshaped = jaxnav.JaxNav(num_agents=2, weight_g=0.0)
     _, state = jax.jit(shaped.reset)(jax.random.key(0))
@@ -27,13 +34,156 @@ def test_rewards_of_jaxnav_are_those_of_the_way_around():
 
 def test_where_a_map_is_wider_than_high_its_path_length_is_another():
     """``dikstra_path`` of JaxNav numbers cells ``x * w + y``, of which there are fewer than that if ``w > h``."""
-    from jaxmarl.environments.jaxnav.maps.grid_map import GridMapCircleAgents
-
+    maps = bridge("jaxnav", "jaxmarl") and importlib.import_module("jaxmarl.environments.jaxnav.maps.grid_map")
     for h, w in ((12, 12), (5, 12)):
         free = np.zeros((h, w), bool)
         free[1:-1, 1:-1] = True
         start, end = np.array([1.5, 1.5]), np.array([w - 1.5, h - 1.5])
-        theirs = GridMapCircleAgents.dikstra_path(None, jnp.asarray(~free, int), start, end)
+        theirs = maps.GridMapCircleAgents.dikstra_path(None, jnp.asarray(~free, int), start, end)
         truth = dijkstra(free, (1, 1), 4)[h - 2, w - 2]
         assert grid_distance(free, end, moves=4)(start) == truth
         assert (float(theirs[1]) == truth) == (w <= h)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"map_kwargs": {"num_rows": 8, "num_cols": 10, "num_agents": 6, "obstacle_density": 0.3}},
+        {
+            "map_generator": "string_grid",
+            "map_kwargs": {"num_agents": 6, "map_str": "..#..#\n.#..#.\n#..#..\n...#.#\n.#...."},
+        },
+    ],
+)
+def test_lengths_in_camar_are_at_most_those_of_its_round_agents_among_its_round_obstacles(options):
+    """And infinite for the same: beside obstacles that touch, corners of cells are rounded by agents at most."""
+    env, fine = bridge("camar", "camar").ShapedCamar(**options), 9
+    for seed in range(4):
+        _, state = jax.jit(env.reset)(jax.random.key(seed))
+        h, w = (round(size / env.side) * fine for size in (env.map.height, env.map.width))
+        x = (np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1) + 0.5) / fine * env.side
+        x -= np.array([env.map.width, env.map.height]) / 2
+        gap = np.linalg.norm(x[:, :, None] - np.asarray(state.landmark_pos), axis=-1).min(axis=-1)
+        steps = graph_of(gap > env.map.agent_rad + env.map.landmark_rad, 8)
+        starts, goals = (
+            np.floor(np.asarray(env.in_cells(each)) * fine).astype(int) @ [1, w]
+            for each in (state.physical_state.agent_pos, state.goal_pos)
+        )
+        truth = np.diag(sparse.csgraph.dijkstra(steps, indices=goals)[:, starts]) / fine
+        ours = jax.vmap(lambda field, x: field(x))(state.distance, env.in_cells(state.physical_state.agent_pos))
+        assert (np.isinf(ours) == np.isinf(truth)).all()
+        finite = np.isfinite(truth)
+        assert (ours[finite] <= truth[finite] + 1e-4).all() and (truth[finite] <= 1.5 * ours[finite]).all()
+
+
+def test_camar_is_shaped_by_that_and_goes_on_into_its_own_wrappers():
+    camar = bridge("camar", "camar")
+    options = {"map_kwargs": {"num_rows": 6, "num_cols": 6, "num_agents": 3}}
+    env, plain = camar.ShapedCamar(discount=0.9, **options), camar.camar_v0(pos_shaping_factor=0.0, **options)
+    _, state = env.reset(jax.random.key(0))
+    actions = jnp.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5]])
+    _, after, reward, _, _ = jax.jit(env.step)(jax.random.key(1), state, actions)
+    *_, without, _, _ = plain.step(jax.random.key(1), state, actions)
+    assert not np.any(state.potential == after.potential)
+    np.testing.assert_allclose((reward - without)[:, 0], 0.9 * after.potential - state.potential, atol=1e-6)
+    many = importlib.import_module("camar.wrappers").OptimisticResetVecEnvWrapper(env, num_envs=4, reset_ratio=2)
+    _, states = many.reset(jax.random.key(0))
+    _, states, rewards, _, _ = many.step(jax.random.key(1), states, jnp.zeros((4, 3, 2)))
+    assert rewards.shape == (4, 3, 1) and np.isfinite(rewards).all() and states.potential.shape == (4, 3)
+
+
+def test_minimax_is_told_the_steps_that_breadth_first_search_finds():
+    """Its own are right where its flood fill, which goes on from cell (0, 0) when it is done, finds nothing there."""
+    maze = bridge("minimax", "minimax")
+    theirs = importlib.import_module("minimax.util.graph").shortest_path_len
+    env = maze.ShapedMaze(n_walls=60, discount=0.9, weight=1.0)
+    kinds = set()
+    for seed in range(30):
+        _, state = env.reset_env(jax.random.key(seed))
+        free = ~np.asarray(state.wall_map)
+        (x, y), (x_goal, y_goal) = (np.asarray(each, int) for each in (state.agent_pos, state.goal_pos))
+        lengths = dijkstra(free, (y, x), 4)
+        truth = lengths[y_goal, x_goal]
+        metrics = env.get_env_metrics(state)
+        assert metrics["passable"] == np.isfinite(truth)
+        assert metrics["shortest_path_length"] == (truth if np.isfinite(truth) else 0)
+        is_filled = np.isfinite(lengths[0, 0])
+        length = int(theirs(state.wall_map, state.agent_pos, state.goal_pos))
+        if is_filled and np.isfinite(truth):
+            assert length == truth
+        kinds.add((bool(is_filled), bool(np.isfinite(truth)), bool(length == metrics["shortest_path_length"])))
+    assert {(True, True, True), (True, False, False), (False, True, False)} <= kinds
+
+
+def test_minimax_is_paid_for_steps_on_the_way():
+    maze = bridge("minimax", "minimax")
+    env, plain = maze.ShapedMaze(discount=0.9, weight=1.0), maze.Maze()
+    _, state = env.reset_env(jax.random.key(1))
+    forward = jnp.array(2)
+    _, after, reward, done, _ = env.step_env(jax.random.key(0), state, forward)
+    *_, without, _, _ = plain.step_env(jax.random.key(0), state, forward)
+    to_goal = dijkstra(~np.asarray(state.wall_map), tuple(np.asarray(state.goal_pos, int)[::-1]), 4)
+    before, then = (to_goal[tuple(np.asarray(each.agent_pos, int)[::-1])] for each in (state, after))
+    assert not done and before != then
+    assert reward - without == pytest.approx(before - 0.9 * then, abs=1e-5)
+
+
+def check_maze(pairs, free, center, unit):
+    """Between the centers of a cell and all others: as long as a path on a grid of finer cells, or a little shorter."""
+    fine = 5
+    row, column = np.argwhere(free)[0]
+    octile = dijkstra(np.kron(free, np.ones((fine, fine), bool)), (row * fine + 2, column * fine + 2), 8) * unit / fine
+    cells = np.argwhere(free)
+    ours = np.asarray(pairs(center((row, column)), np.array([center(cell) for cell in cells])))
+    truth = octile[tuple(cells.T * fine + 2)]
+    assert np.isfinite(truth).all()
+    assert (ours <= truth + 1e-4).all() and (truth <= 1.1 * ours + unit).all()
+    straight = (cells == (row, column)).any(axis=1) & (truth < unit * 1.5)
+    np.testing.assert_allclose(ours[straight], truth[straight], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["PointMaze_UMaze-v3", "PointMaze_Large_Diverse_G-v3", "AntMaze_UMaze-v5"])
+def test_mazes_of_gymnasium_robotics(name):
+    robotics = bridge("gymnasium_robotics", "gymnasium_robotics")
+    env = robotics.gymnasium.make(name, continuing_task=False)
+    maze = env.unwrapped.maze
+    free = np.array([[cell != 1 for cell in row] for row in maze.maze_map])
+    pairs = robotics.maze_distance(env)
+    check_maze(pairs, free, maze.cell_rowcol_to_xy, maze.maze_size_scaling)
+    shaped = robotics.ShapedMaze(env, discount=0.9)
+    before, _ = shaped.reset(seed=0)
+    after, reward, *_ = shaped.step(env.action_space.sample())
+    distances = [float(pairs(each["achieved_goal"], after["desired_goal"])) for each in (before, after)]
+    assert reward == pytest.approx(distances[0] - 0.9 * distances[1], abs=1e-5)  # sparse: 0 else
+
+
+@pytest.mark.parametrize("name", ["pointmaze-medium-v0", "pointmaze-giant-v0", "antmaze-large-v0"])
+def test_mazes_of_ogbench(name):
+    ogbench = bridge("ogbench", "ogbench")
+    env = ogbench.WithDistance(ogbench.gymnasium.make(name))
+    maze = env.unwrapped
+    check_maze(env.distance, maze.maze_map == 0, maze.ij_to_xy, maze._maze_unit)
+    env.reset(seed=0)
+    *_, info = env.step(env.action_space.sample())
+    _, steps = maze.get_oracle_subgoal(maze.get_xy(), maze.cur_goal_xy)
+    line = np.linalg.norm(maze.get_xy() - maze.cur_goal_xy)
+    assert line - 1e-4 <= info["distance"] <= (steps[maze.xy_to_ij(maze.get_xy())] + 1) * maze._maze_unit
+
+
+@pytest.mark.parametrize("layout", ["u_maze", "big_maze_eval", "hardest_maze"])
+def test_mazes_of_jaxgcrl(layout):
+    jaxgcrl = bridge("jaxgcrl", "jaxgcrl")
+    free = np.array([[cell != 1 for cell in row] for row in getattr(jaxgcrl.ant_maze, layout.upper())])
+    check_maze(jaxgcrl.maze_distance(layout), free, lambda cell: 4.0 * np.asarray(cell), 4.0)
+
+
+def test_jaxgcrl_is_shaped_by_them():
+    jaxgcrl = bridge("jaxgcrl", "jaxgcrl")
+    pairs = jaxgcrl.maze_distance("u_maze")
+    plain = importlib.import_module("jaxgcrl.envs.simple_maze").SimpleMaze(backend="spring")
+    env = jaxgcrl.ShapedMaze(plain, pairs, discount=0.9)
+    state = jax.jit(env.reset)(jax.random.key(0))
+    action = jnp.ones(env.action_size)
+    after, without = jax.jit(env.step)(state, action), jax.jit(plain.step)(state, action)
+    distances = [float(pairs(each.obs[:2], each.obs[-2:])) for each in (state, after)]
+    assert after.reward - without.reward == pytest.approx(distances[0] - 0.9 * distances[1], abs=1e-4)
