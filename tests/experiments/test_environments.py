@@ -93,7 +93,7 @@ def test_camar_is_shaped_by_that_and_goes_on_into_its_own_wrappers():
 
 
 def test_minimax_is_told_the_steps_that_breadth_first_search_finds():
-    """Its own are right where its flood fill, which goes on from cell (0, 0) when it is done, finds nothing there."""
+    """Its own are right where cell (0, 0), from which its flood fill goes on when it is done, is in the same part."""
     maze = bridge("minimax", "minimax")
     theirs = importlib.import_module("minimax.util.graph").shortest_path_len
     env = maze.ShapedMaze(n_walls=60, discount=0.9, weight=1.0)
