@@ -332,7 +332,7 @@ def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
         rows.append(cells + [f"{rates[kind, doing]:,.0f}" for doing in ("acting", "learning")])
     detours = learning["detours"]
     return markdown(rows, numbers=5) + (
-        f"\nMeans of {len(runs)} seeds after {learning['steps'][-1]:,} steps, on {learning['mazes']} fresh mazes, whose "
-        f"goals are {detours['around']:.1f} cells away, {detours['straight']:.1f} in a straight line: "
+        f"\nMeans of {len(runs)} seeds after {learning['steps'][-1]:,} steps, on {learning['mazes']} fresh mazes, "
+        f"whose goals are {detours['around']:.1f} cells away, {detours['straight']:.1f} in a straight line: "
         f"{detours['mean_ratio']:.2f} times as far in the mean.\n"
     )

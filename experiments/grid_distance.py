@@ -3,8 +3,8 @@
 Levels are square, with walls around and 40 % of the inner cells blocked, and a free cell of each is the goal. Their
 rivals are measured unmodified, where they can be imported: JaxNav's ``dikstra_path`` (package ``jaxmarl``), minimax's
 ``shortest_path_len`` (``minimax-lib``) and jaxgmg's ``maze_distances``. All are mapped over levels by ``jax.vmap``.
-The first two answer for one pair of cells a level, jaxgmg for all pairs, and so do we for its row. Whole environments,
-CAMAR (``camar``) and JaxNav, are measured with rewards that know the way beside their own, of straight lines: a row's
+The first two answer for one pair of cells a level, jaxgmg for all pairs, and so do we for its row. Environments of
+CAMAR (``camar``) and JaxNav are measured with rewards that know the way beside their own, of straight lines: a row's
 levels are then environments, each of which is reset where that is said, and then makes 100 steps. Seconds are given
 twice: elapsed, and of all cores together, which other programs on the machine do not lengthen as much.
 """

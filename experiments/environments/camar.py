@@ -60,7 +60,8 @@ class ShapedCamar(GymnaxWrapper):
 
     def _with_potential(self, state: Any, distance: GridDistance) -> ShapedState:
         """Of each agent; 0 where its goal is reached, or where it cannot be."""
-        length = self.side * jax.vmap(lambda field, x: field(x))(distance, self.in_cells(state.physical_state.agent_pos))
+        cells = self.in_cells(state.physical_state.agent_pos)
+        length = self.side * jax.vmap(lambda field, x: field(x))(distance, cells)
         potential = jnp.where(jnp.isfinite(length) & ~state.on_goal, -self.weight * length, 0)
         return ShapedState(**{**vars(state), "distance": distance, "potential": potential})
 

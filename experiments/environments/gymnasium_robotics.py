@@ -1,4 +1,4 @@
-"""Mazes of Gymnasium-Robotics (package ``gymnasium-robotics``), PointMaze and AntMaze, with rewards that know the way.
+"""Mazes of Gymnasium-Robotics (package ``gymnasium-robotics``), point and ant, with rewards that know the way.
 
 ``maze_distance(env)(observation["achieved_goal"], observation["desired_goal"])`` is what an agent still has to go.
 """

@@ -129,10 +129,11 @@ def test_minimax_is_paid_for_steps_on_the_way():
 
 
 def check_maze(pairs, free, center, unit):
-    """Between the centers of a cell and all others: as long as a path on a grid of finer cells, or a little shorter."""
+    """Between the centers of a cell and all others: as long as a path on a grid of finer cells, or little less."""
     fine = 5
     row, column = np.argwhere(free)[0]
-    octile = dijkstra(np.kron(free, np.ones((fine, fine), bool)), (row * fine + 2, column * fine + 2), 8) * unit / fine
+    finer = np.kron(free, np.ones((fine, fine), bool))
+    octile = dijkstra(finer, (row * fine + 2, column * fine + 2), 8) * unit / fine
     cells = np.argwhere(free)
     ours = np.asarray(pairs(center((row, column)), np.array([center(cell) for cell in cells])))
     truth = octile[tuple(cells.T * fine + 2)]
