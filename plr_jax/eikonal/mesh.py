@@ -185,14 +185,14 @@ class Mesh:
 
 def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int) -> Mesh:
     """A mesh of at least so many cells, if the most allow it, about as wide along every axis by a scale."""
-    depth = _coarse_depth(space.domain, scale, num_cells, max_cells)
+    depth = even_depth(space.domain, scale, num_cells, max_cells)
     position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
     position = position.reshape(-1, space.domain.dim)
     cells = Cells(np.tile(depth, (len(position), 1)), position)
     return _mesh(space.domain, cells, _classify(cells, space.domain, space))
 
 
-def _coarse_depth(
+def even_depth(
     domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
 ) -> Int[np.ndarray, "dim"]:
     width = domain.width * scale

@@ -1,0 +1,214 @@
+"""An estimate of the cost-to-go on a dyadic grid: what is given at its nodes, the sweeps, and what is between nodes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int8
+
+from plr_jax.eikonal.mesh import even_depth
+from plr_jax.eikonal.sweeping import Costs, Grid, Metric, Swept, half_offsets, sweep
+from plr_jax.plr.partition.cells import corner_bits
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds
+
+MOST_AXES = 4
+_NEAR = 2  # nodes, on each side of the goal, from which one goes straight to it
+
+Fractions = Float[np.ndarray, "n dim"]
+
+
+@dataclass(frozen=True, eq=False)
+class GridEstimate:
+    """The cost-to-go at the nodes of a grid, and between them.
+
+    Attributes:
+        space: The configuration space.
+        depth: How often the domain is halved along each axis.
+        goal: The goal, a fraction of the domain.
+        ratio: The cost-to-go over the straight cost to the goal, at each node; ``inf`` where no way was found.
+        way: The motion from each node, along each axis, in steps of the grid.
+        box: What is known of the boxes between nodes.
+    """
+
+    space: ConfigurationSpace
+    depth: Int[np.ndarray, "dim"]
+    goal: Float[np.ndarray, "dim"]
+    ratio: Float[np.ndarray, "*shape"]
+    way: Float[np.ndarray, "*shape dim"]
+    box: Int8[np.ndarray, "*boxes"]
+
+    def __call__(self, x: Fractions) -> Float[np.ndarray, "n"]:
+        """The estimate at fractions of the domain; ``inf`` where no node of the box around has a way.
+
+        Multilinear in the ratio. Beside walls only nodes count to which a straight motion is free.
+        """
+        first, t = self._boxes(x)
+        is_open = self.box[tuple(first.T)] == CellState.FREE
+        total, weights = np.zeros(len(x)), np.zeros(len(x))
+        for corner in corner_bits(len(self.depth)):
+            node = self._node(first + corner)
+            ratio = self.ratio[tuple(node.T)]
+            weight = np.where(corner, t, 1 - t).prod(axis=1) * np.isfinite(ratio)
+            doubtful = np.flatnonzero(~is_open & (weight > 0))
+            weight[doubtful] *= self.space.are_free(self._at(x[doubtful]), self._at(self._of(node[doubtful])))
+            total += weight * np.where(weight > 0, ratio, 0.0)
+            weights += weight
+        straight = self._straight(x)
+        return np.where(weights > 0, total / np.maximum(weights, np.finfo(float).tiny) * straight, np.inf)
+
+    def along(self, x: Fractions, num_steps: int) -> list[Fractions]:
+        """Where ways lead from fractions of the domain, after each of so many steps; they end at the goal."""
+        size, places = np.ldexp(1.0, -self.depth), []
+        for _ in range(num_steps):
+            node = self._node(np.rint(x / size).astype(np.int64))
+            x = x + self.way[tuple(node.T)] * size
+            x = np.where(self.space.domain.periodic, x % 1.0, np.clip(x, 0.0, 1.0))
+            places.append(x)
+        return places
+
+    def _boxes(self, x: Fractions) -> tuple[Int[np.ndarray, "n dim"], Fractions]:
+        place = np.ldexp(x, self.depth)
+        first = np.clip(np.floor(place).astype(np.int64), 0, np.array(self.box.shape) - 1)
+        return first, np.clip(place - first, 0.0, 1.0)
+
+    def _node(self, index: Int[np.ndarray, "n dim"]) -> Int[np.ndarray, "n dim"]:
+        shape = np.array(self.ratio.shape)
+        return np.where(self.space.domain.periodic, index % shape, np.clip(index, 0, shape - 1))
+
+    def _of(self, node: Int[np.ndarray, "n dim"]) -> Fractions:
+        return np.ldexp(node.astype(float), -self.depth)
+
+    def _at(self, x: Fractions) -> Float[np.ndarray, "n dim"]:
+        return self.space.domain.lo + self.space.domain.width * x
+
+    def _straight(self, x: Fractions) -> Float[np.ndarray, "n"]:
+        domain = self.space.domain
+        return self.space.motion_cost.norm(domain.difference(self._at(x), self._at(self.goal[None])))
+
+
+def swept_estimate(
+    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], num_nodes: int
+) -> GridEstimate:
+    """The estimate on a grid of about so many nodes, at most twice that a axis."""
+    domain, motion = space.domain, space.motion_cost
+    depth = even_depth(domain, motion.scale, num_nodes, num_nodes)
+    periodic = np.array(domain.periodic)
+    shape = tuple((1 << depth) + ~periodic)
+    box = _box_states(space, depth)
+    x = np.ldexp(np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).astype(float), -depth)
+    q = domain.lo + domain.width * x
+    is_free = _free_motions(space, box, q, depth)
+    may_go = np.zeros(shape, bool)
+    for offset, free in zip(half_offsets(domain.dim), is_free, strict=True):
+        may_go |= free
+        ends = tuple((index + step) % size for index, step, size in zip(np.nonzero(free), offset, shape, strict=True))
+        may_go[ends] = True
+    costs_of = _point_costs(motion, cost_map)
+    factor, pulls = np.ones(shape), None
+    of_free, pulls_of_free = costs_of(q[may_go])
+    factor[may_go] = of_free
+    if pulls_of_free is not None:
+        pulls = np.zeros((2, domain.dim, *shape))
+        pulls[:, :, may_go] = np.moveaxis(pulls_of_free, 2, 1)
+    ratio, way = _near_goal(space, depth, goal, costs_of, shape)
+    # In units in which nodes are about 1 apart, motions of length 1 along an axis cost 1 at the mean.
+    size = domain.width * np.ldexp(1.0, -depth) * motion.scale
+    unit, rate = np.exp(np.log(size).mean()), float(np.mean(of_free)) if len(of_free) else 1.0
+    grid = Grid(
+        jnp.asarray(size / unit, jnp.float32),
+        jnp.asarray(goal * domain.width * motion.scale / unit, jnp.float32),
+        Costs(jnp.asarray(factor / rate, jnp.float32), None if pulls is None else _scaled(pulls, motion, rate)),
+        jnp.asarray(is_free),
+    )
+    blocks = tuple(axes for axes, _ in motion.blocks)
+    periods = tuple(int(size) if wraps else None for size, wraps in zip(shape, periodic, strict=True))
+    start = Swept(jnp.asarray(ratio / rate, jnp.float32), jnp.asarray(np.moveaxis(way, -1, 0), jnp.float32))
+    found = sweep(start, grid, Metric(blocks, periods))
+    ratio = rate * np.asarray(found.ratio, np.float64)
+    return GridEstimate(space, depth, goal, ratio, np.moveaxis(np.asarray(found.way, np.float64), 0, -1), box)
+
+
+def _scaled(pulls: Float[np.ndarray, "2 dim *shape"], motion: MotionCost, rate: float):
+    return jnp.asarray(pulls / (motion.scale.reshape(-1, *[1] * len(motion.scale)) * rate), jnp.float32)
+
+
+PointCosts = Callable[[Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]]
+
+
+def _point_costs(motion: MotionCost, cost_map: CostMap | None) -> PointCosts:
+    """What motions cost at points: a factor, and vectors of which they cost the larger product besides."""
+
+    def costs_of(q):
+        if cost_map is None:
+            return np.ones(len(q)), None
+        if not isinstance(cost_map, DirectionalCost):
+            return np.asarray(cost_map(q), np.float64), None
+        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
+        return (lower + upper) / 2, pulls
+
+    return costs_of
+
+
+def _box_states(space: ConfigurationSpace, depth: Int[np.ndarray, "dim"]) -> Int8[np.ndarray, "*boxes"]:
+    """What is proven of the boxes between nodes: of the mixed ones of a coarser grid, part by part."""
+    at = np.maximum(depth - depth.max(), 0)
+    state = np.full(tuple(1 << at), CellState.MIXED, np.int8)
+    while True:
+        mixed = np.argwhere(state == CellState.MIXED)
+        lo, hi = (space.domain.lo + space.domain.width * np.ldexp(mixed + float(end), -at) for end in (0, 1))
+        state[tuple(mixed.T)] = space.classify(lo, hi)
+        if (at == depth).all():
+            return state
+        for axis in np.flatnonzero(at < depth):
+            state = np.repeat(state, 2, axis=axis)
+        at = np.minimum(at + 1, depth)
+
+
+def _free_motions(
+    space: ConfigurationSpace,
+    box: Int8[np.ndarray, "*boxes"],
+    q: Float[np.ndarray, "*shape dim"],
+    depth: Int[np.ndarray, "dim"],
+) -> Bool[np.ndarray, "half *shape"]:
+    """Which motions to the nodes around are free: in a free box, or else tested."""
+    domain, shape, padded = space.domain, q.shape[:-1], box
+    for axis, wraps in enumerate(domain.periodic):
+        width = [(int(each == axis),) * 2 for each in range(domain.dim)]
+        padded = np.pad(padded, width, "wrap") if wraps else np.pad(padded, width, constant_values=CellState.BLOCKED)
+    result = []
+    for offset in half_offsets(domain.dim):
+        free, mixed = np.zeros(shape, bool), np.zeros(shape, bool)
+        for sides in product(*((0, -1) if step == 0 else ((0,) if step > 0 else (-1,)) for step in offset)):
+            beside = padded[tuple(slice(1 + side, 1 + side + n) for side, n in zip(sides, shape, strict=True))]
+            free |= beside == CellState.FREE
+            mixed |= beside == CellState.MIXED
+        at = np.nonzero(mixed & ~free)
+        begin = q[at]
+        free[at] = space.are_free(begin, begin + np.array(offset) * np.ldexp(domain.width, -depth))
+        result.append(free)
+    return np.stack(result)
+
+
+def _near_goal(
+    space: ConfigurationSpace, depth: Int[np.ndarray, "dim"], goal: Float[np.ndarray, "dim"], costs_of: PointCosts, shape
+) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape dim"]]:
+    """What straight motions to the goal cost over their lengths, and these motions, from the nodes around it."""
+    domain, place = space.domain, np.ldexp(goal, depth)
+    around = np.array(list(product(range(1 - _NEAR, _NEAR + 1), repeat=domain.dim)))
+    node = np.floor(place).astype(np.int64) + around
+    node = node[((node >= 0) & (node < np.array(shape)) | domain.periodic).all(axis=1)]
+    to_goal = place - node
+    q, change = domain.lo + domain.width * np.ldexp(node.astype(float), -depth), np.ldexp(domain.width, -depth) * to_goal
+    free = space.are_free(q, q + change)
+    node, to_goal, q, change = node[free] % np.array(shape), to_goal[free], q[free], change[free]
+    (here, pulls), (there, pulls_there) = costs_of(q), costs_of(domain.lo + domain.width * goal[None])
+    ratio = (here + there) / 2
+    if pulls is not None and pulls_there is not None:
+        length = space.motion_cost.norm(change)
+        pulled = np.einsum("kij,ij->ki", (pulls + pulls_there) / 2, change).max(axis=0)
+        ratio = ratio + np.divide(pulled, length, out=np.zeros(len(q)), where=length > 0)
+    ratios, way = np.full(shape, np.inf), np.zeros((*shape, domain.dim))
+    ratios[tuple(node.T)], way[tuple(node.T)] = ratio, to_goal
+    return ratios, way
