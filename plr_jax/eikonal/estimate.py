@@ -1,6 +1,6 @@
-"""An estimate of the cost-to-go on a dyadic grid: what is given at its nodes, the sweeps, and what is between nodes."""
+"""An estimate of the cost-to-go on a dyadic grid: what is given at nodes, swept, and what is between them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from plr_jax.eikonal.mesh import even_depth
-from plr_jax.eikonal.sweeping import Costs, Grid, Metric, Swept, half_offsets, sweep
+from plr_jax.eikonal.sweeping import CostGrid, GridMetric, NodeCosts, Swept, half_offsets, sweep
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds
 
@@ -58,15 +58,15 @@ class GridEstimate:
         straight = self._straight(x)
         return np.where(weights > 0, total / np.maximum(weights, np.finfo(float).tiny) * straight, np.inf)
 
-    def along(self, x: Fractions, num_steps: int) -> list[Fractions]:
-        """Where ways lead from fractions of the domain, after each of so many steps; they end at the goal."""
-        size, places = np.ldexp(1.0, -self.depth), []
-        for _ in range(num_steps):
+    def along(self, x: Fractions, strides: Sequence[int]) -> Iterator[Fractions]:
+        """Where ways lead from fractions of the domain, after each of some numbers of steps; they end at the goal."""
+        size = np.ldexp(1.0, -self.depth)
+        for step in range(1, max(strides) + 1):
             node = self._node(np.rint(x / size).astype(np.int64))
             x = x + self.way[tuple(node.T)] * size
             x = np.where(self.space.domain.periodic, x % 1.0, np.clip(x, 0.0, 1.0))
-            places.append(x)
-        return places
+            if step in strides:
+                yield x
 
     def _boxes(self, x: Fractions) -> tuple[Int[np.ndarray, "n dim"], Fractions]:
         place = np.ldexp(x, self.depth)
@@ -116,16 +116,16 @@ def swept_estimate(
     # In units in which nodes are about 1 apart, motions of length 1 along an axis cost 1 at the mean.
     size = domain.width * np.ldexp(1.0, -depth) * motion.scale
     unit, rate = np.exp(np.log(size).mean()), float(np.mean(of_free)) if len(of_free) else 1.0
-    grid = Grid(
+    grid = CostGrid(
         jnp.asarray(size / unit, jnp.float32),
         jnp.asarray(goal * domain.width * motion.scale / unit, jnp.float32),
-        Costs(jnp.asarray(factor / rate, jnp.float32), None if pulls is None else _scaled(pulls, motion, rate)),
+        NodeCosts(jnp.asarray(factor / rate, jnp.float32), None if pulls is None else _scaled(pulls, motion, rate)),
         jnp.asarray(is_free),
     )
     blocks = tuple(axes for axes, _ in motion.blocks)
     periods = tuple(int(size) if wraps else None for size, wraps in zip(shape, periodic, strict=True))
     start = Swept(jnp.asarray(ratio / rate, jnp.float32), jnp.asarray(np.moveaxis(way, -1, 0), jnp.float32))
-    found = sweep(start, grid, Metric(blocks, periods))
+    found = sweep(start, grid, GridMetric(blocks, periods))
     ratio = rate * np.asarray(found.ratio, np.float64)
     return GridEstimate(space, depth, goal, ratio, np.moveaxis(np.asarray(found.way, np.float64), 0, -1), box)
 
@@ -134,7 +134,9 @@ def _scaled(pulls: Float[np.ndarray, "2 dim *shape"], motion: MotionCost, rate: 
     return jnp.asarray(pulls / (motion.scale.reshape(-1, *[1] * len(motion.scale)) * rate), jnp.float32)
 
 
-PointCosts = Callable[[Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]]
+PointCosts = Callable[
+    [Float[np.ndarray, "n dim"]], tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]
+]
 
 
 def _point_costs(motion: MotionCost, cost_map: CostMap | None) -> PointCosts:
@@ -192,7 +194,11 @@ def _free_motions(
 
 
 def _near_goal(
-    space: ConfigurationSpace, depth: Int[np.ndarray, "dim"], goal: Float[np.ndarray, "dim"], costs_of: PointCosts, shape
+    space: ConfigurationSpace,
+    depth: Int[np.ndarray, "dim"],
+    goal: Float[np.ndarray, "dim"],
+    costs_of: PointCosts,
+    shape,
 ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape dim"]]:
     """What straight motions to the goal cost over their lengths, and these motions, from the nodes around it."""
     domain, place = space.domain, np.ldexp(goal, depth)
@@ -200,7 +206,10 @@ def _near_goal(
     node = np.floor(place).astype(np.int64) + around
     node = node[((node >= 0) & (node < np.array(shape)) | domain.periodic).all(axis=1)]
     to_goal = place - node
-    q, change = domain.lo + domain.width * np.ldexp(node.astype(float), -depth), np.ldexp(domain.width, -depth) * to_goal
+    q, change = (
+        domain.lo + domain.width * np.ldexp(node.astype(float), -depth),
+        np.ldexp(domain.width, -depth) * to_goal,
+    )
     free = space.are_free(q, q + change)
     node, to_goal, q, change = node[free] % np.array(shape), to_goal[free], q[free], change[free]
     (here, pulls), (there, pulls_there) = costs_of(q), costs_of(domain.lo + domain.width * goal[None])

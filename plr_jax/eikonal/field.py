@@ -19,6 +19,36 @@ _HALVES = np.array([0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
+class MeshEstimate:
+    """An estimate of the cost-to-go on a mesh.
+
+    Attributes:
+        mesh: The cells.
+        corner_values: At the corners of open cells; 0 at those of blocked ones.
+    """
+
+    mesh: Mesh
+    corner_values: Float[np.ndarray, "cells corners"]
+
+    @classmethod
+    def of_nodes(cls, mesh: Mesh, costs: Float[np.ndarray, "nodes"]) -> "MeshEstimate":
+        """That of an estimate at the nodes of a mesh; at nodes where it is ``inf``, what is known near by."""
+        node, num_corners = mesh.corners[mesh.open_cells].ravel(), 2**mesh.dim
+        known = np.where(np.isfinite(costs[node]), costs[node], np.nan)
+        values = np.zeros((len(mesh.state), num_corners))
+        values[mesh.open_cells] = _filled(known, node, num_corners).reshape(-1, num_corners)
+        return cls(mesh, values)
+
+    def __call__(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+        """At points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
+        mesh = self.mesh
+        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
+        cell = mesh.locate(at)
+        values = np.sum(basis(1, np.clip(mesh.local(cell, at), 0, 1)) * self.corner_values[cell], axis=1)
+        return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
+
+
+@dataclass(frozen=True, eq=False)
 class CostToGoField:
     """A proven lower bound of the cost-to-go on a mesh, a proven upper one, and an estimate between them.
 
@@ -26,14 +56,14 @@ class CostToGoField:
         program: The program whose solution bounds it from below.
         values: That solution, 0 at the goal; its slopes may be a little too steep.
         paths: The paths that bound it from above.
-        likely: Paths through cells that are likely free, which estimate it.
+        likely: An estimate at the nodes of the mesh; ``inf`` where there is none.
         space: The configuration space.
     """
 
     program: SlopeProgram
     values: Float[np.ndarray, "dofs"]
     paths: NodePaths
-    likely: NodePaths
+    likely: Float[np.ndarray, "nodes"]
     space: ConfigurationSpace
 
     @property
@@ -55,20 +85,17 @@ class CostToGoField:
         return self._rescaling(np.sum(basis(self.program.space.degree, t) * self._nodal[cell], axis=1))
 
     @cached_property
-    def corner_values(self) -> Float[np.ndarray, "cells corners"]:
-        """An estimate at the corners of open cells; 0 at those of blocked ones.
-
-        By likely paths; where there is none, the lower bound and what costs near by are above theirs.
-        """
+    def estimate(self) -> "MeshEstimate":
+        """The estimate, within the bounds; where there is none, as far above the lower one as near by."""
         mesh, corners = self.mesh, corner_bits(self.mesh.dim)
         cell, corner = np.divmod(np.arange(len(mesh.open_cells) * len(corners)), len(corners))
         lower = self.lower_at(mesh.open_cells[cell], corners[corner].astype(float))
         node = mesh.corners[mesh.open_cells].ravel()
-        excess = np.maximum(self.likely.cost[node] - lower, 0.0)
+        excess = np.maximum(self.likely[node] - lower, 0.0)
         excess = _filled(np.where(np.isfinite(excess), excess, np.nan), node, len(corners))
         values = np.zeros((len(mesh.state), len(corners)))
         values[mesh.open_cells[cell], corner] = np.minimum(lower + excess, self.paths.cost[node])
-        return values
+        return MeshEstimate(mesh, values)
 
     @cached_property
     def mean_gap(self) -> float:
@@ -77,14 +104,6 @@ class CostToGoField:
         cell, corner = np.nonzero(np.isfinite(self._corner_costs))
         gap = self._corner_costs[cell, corner] - self.lower_at(cell, corners[corner])
         return float(gap.mean()) if len(gap) else 0.0
-
-    def estimates(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-        """The estimate at points of the domain, multilinear in every cell; ``inf`` in blocked ones."""
-        mesh = self.mesh
-        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
-        cell = mesh.locate(at)
-        values = np.sum(basis(1, np.clip(mesh.local(cell, at), 0, 1)) * self.corner_values[cell], axis=1)
-        return np.where(mesh.state[cell] == CellState.BLOCKED, np.inf, values)
 
     @cached_property
     def _corner_costs(self) -> Float[np.ndarray, "cells corners"]:
@@ -154,7 +173,7 @@ class CostToGoField:
         most = np.full((len(cell), len(vertices)), np.inf)
         for corner, place in enumerate(corner_bits(dim)):
             change = ((place - at) * mesh.widths[cell][:, None]).reshape(-1, dim)
-            straight = self.program.costs.most(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
+            straight = self.program.costs.of_motions(change, np.repeat(cell, at.shape[1])).reshape(at.shape[:2])
             above = self._corner_costs[cell, corner, None] + straight - function
             above[~self._sees[cell, corner]] = np.inf
             most = np.minimum(most, above[:, vertices].max(axis=2))

@@ -126,7 +126,7 @@ class SlopeSolver:
         at_corners = graph_costs(self.likely_mesh(), costs, self.goal, self.space)[mesh.corners[mesh.open_cells]]
         is_reached = np.isfinite(at_corners)
         highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
-        across = costs.most(mesh.widths[mesh.open_cells], mesh.open_cells)
+        across = costs.of_motions(mesh.widths[mesh.open_cells], mesh.open_cells)
         share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
         return np.where(mesh.state[mesh.open_cells] == CellState.MIXED, np.clip(share, 1.0, _DETOUR), 1.0) * loss
 
@@ -191,7 +191,7 @@ def loss_at_goal(program: SlopeProgram, iterate: Iterate, goal: Float[np.ndarray
     home = int(mesh.locate(goal[None])[0])
     change = mesh.domain.difference(mesh.domain.width * goal, mesh.domain.width * space.points)
     values = iterate.values - program.at_goal(iterate.values)
-    excess = program.costs.most(change, np.full(len(change), home)) - values
+    excess = program.costs.of_motions(change, np.full(len(change), home)) - values
     within = np.repeat(mesh.open_cells == home, len(space.lattice))
     climbed = np.sum((iterate.flow * program.gradients(excess))[:, within], axis=0)
     return float(program.volume[within] @ climbed + program.weight.sum() * program.at_goal(excess))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Num
@@ -13,7 +14,16 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.partition.cells import Cells, Tree, corner_bits, tree_of
 from plr_jax.plr.partition.faces import SharedFaces, shared_faces
 from plr_jax.plr.sampling.cell_fit import sample_pattern
-from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, MotionCost, cost_bounds, pulled
+from plr_jax.spaces import (
+    CellState,
+    CheckedSpace,
+    ConfigurationSpace,
+    CostMap,
+    DirectionalCost,
+    MotionCost,
+    cost_bounds,
+    pulled,
+)
 
 _OF_CELLS = ("cells", "all_faces", "boxes", "widths", "_finest", "_curve", "_splits", "_spread", "_corners")
 _LEAST_PERIODIC = 2  # splits of a periodic axis, so that no cell touches another on both sides
@@ -113,6 +123,11 @@ class Mesh:
         """Fractions of the domain as points of cells, the inverse of :meth:`fractions`."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
+    def within(self, cell: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:
+        """Fractions of the domain that lie in cells as points of these, also across the seam of a periodic axis."""
+        t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
+        return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
+
     def locate(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
         """The cells that hold fractions of the domain, the upper one of several; the nearest outside."""
         most = (1 << self._finest) - 1
@@ -195,6 +210,10 @@ def coarse_mesh(space: ConfigurationSpace, scale: Float[np.ndarray, "dim"], num_
 def even_depth(
     domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int, max_cells: int
 ) -> Int[np.ndarray, "dim"]:
+    """How often to halve a domain along each axis for cells about as wide along every one by a scale.
+
+    At least so many cells, if the most allow it.
+    """
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
@@ -241,18 +260,22 @@ def _grown_boxes(cells: Cells, domain: Box) -> tuple[Float[np.ndarray, "cells di
 #
 # In a cell, a motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``. Here
 # ``|dq|`` is what the space's ``motion_cost`` says, and the pulls are two vectors, 0 unless costs depend on which way
-# a motion goes.
+# a motion goes. Where they do not, the factor of ``|dq|`` is between two linear functions of the place as well, which
+# are the closer the smaller the cell, beside what the factor changes over it.
 
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell.
+    """Bounds of the cost of motions in each cell, and beside it where a query may place points in it.
 
     Attributes:
         motion: The cost of a motion, times a factor.
         cost_map: The factor, or None if it is 1 everywhere.
         lower: The least factor in each cell.
-        upper: The largest in each cell, and beside it where a query may place points in it.
+        upper: The largest.
+        slope: How much linear bounds of the factor change from one side of the cell to the other, along each axis.
+        least: The lower one of them in the middle of the cell.
+        most: The upper one.
         pulls: Two vectors a cell, of which a motion costs the larger product besides; None for none.
     """
 
@@ -260,6 +283,9 @@ class CellCosts:
     cost_map: CostMap | None
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
+    slope: Float[np.ndarray, "cells dim"]
+    least: Float[np.ndarray, "cells"]
+    most: Float[np.ndarray, "cells"]
     pulls: Float[np.ndarray, "2 cells dim"] | None = None
 
     @property
@@ -269,8 +295,9 @@ class CellCosts:
             self.lower
             if self.pulls is None
             else np.maximum(self.lower, np.linalg.norm(self.pulls, axis=2).max(axis=0))
-        )
-        return replace(self, upper=(least + self.upper) / 2)  # so that no motion costs less than nothing
+        )  # so that no motion costs less than nothing
+        middle = np.maximum(self.least, least) if self.pulls is not None else self.least
+        return replace(self, upper=(least + self.upper) / 2, most=(middle + self.most) / 2)
 
     @property
     def least_rates(self) -> Float[np.ndarray, "cells"]:
@@ -279,21 +306,68 @@ class CellCosts:
             return self.lower
         return np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0)
 
-    def most(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """What straight motions within cells cost at the most."""
+    def least_at(self, t: Float[np.ndarray, "k dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        """The lower linear bound at points, from 0 to 1, of each cell."""
+        return self.least[cell, None] + self.slope[cell] @ (t - 0.5).T
+
+    def most_at(self, t: Float[np.ndarray, "k dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        """The upper linear bound there."""
+        return self.most[cell, None] + self.slope[cell] @ (t - 0.5).T
+
+    def of_motions(self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """What straight motions cost at the most, wherever they are in their cells."""
+        return self._with_pulls(self.upper[cell], change, cell)
+
+    def of_placed_motions(
+        self, change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"], middle: Float[np.ndarray, "n dim"]
+    ) -> Float[np.ndarray, "n"]:
+        """What straight motions whose middles are known, from 0 to 1 in their cells, cost at the most."""
+        factor = self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1)
+        return self._with_pulls(np.minimum(factor, self.upper[cell]), change, cell)
+
+    def _with_pulls(
+        self, factor: Float[np.ndarray, "n"], change: Float[np.ndarray, "n dim"], cell: Int[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n"]:
         pulls = None if self.pulls is None else self.pulls[:, cell]
-        return self.motion.norm(change) * self.upper[cell] + pulled(pulls, change)
+        return self.motion.norm(change) * factor + pulled(pulls, change)
+
+
+_PARTS = {1: 16, 2: 8, 3: 3, 4: 2}  # of a cell along each axis, in which the factor is bounded
+_LEAST_SHARE = 0.5  # of the least factor, below which linear bounds fall nowhere in the cell
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bounds of what motions cost in each cell of a mesh; ``ValueError`` if they are none."""
-    motion = space.motion_cost
+    motion, num = space.motion_cost, len(mesh.state)
+    flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
-        return CellCosts(motion, None, np.ones(len(mesh.state)), np.ones(len(mesh.state)))
-    lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
-    if pulls is None:
-        lower, _, _ = cost_bounds(motion, cost_map, *mesh.boxes)
-    return CellCosts(motion, cost_map, lower, upper, pulls)
+        return CellCosts(motion, None, ones, ones, flat, ones, ones)
+    if isinstance(cost_map, DirectionalCost):
+        lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
+        return CellCosts(motion, cost_map, lower, upper, flat, lower, upper, pulls)
+    # Linear functions are bounds of the factor in a cell if they are so in each of its parts.
+    parts = _PARTS.get(mesh.dim, 1)
+    place = np.array(list(product(range(parts), repeat=mesh.dim)))
+
+    def bounds_of_parts(lo, hi):
+        ends = (lo[:, None] + (hi - lo)[:, None] * (place + end) / parts for end in (0, 1))
+        bounds = cost_bounds(motion, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
+        return (bound.reshape(num, -1) for bound in bounds[:2])
+
+    lo, hi = mesh.grown_boxes
+    (lower, _), (_, upper) = bounds_of_parts(*mesh.boxes), bounds_of_parts(lo, hi)
+    at = (place + 0.5) / parts - 0.5
+    slope = (lower + upper) / 2 @ at / np.maximum(np.sum(at**2, axis=0), np.finfo(float).tiny)
+    # Parts of boxes that are a little larger than cells: what they are beyond their part of the cell counts.
+    half = (hi - lo) / (2 * parts) + (hi - lo - mesh.widths)
+    within, linear = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True), slope @ at.T
+    least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
+    lower, upper = lower.min(axis=1), upper.max(axis=1)
+    # Where the factor jumps they say less than its least and its largest value.
+    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_SHARE * lower) | (least < lower) | (most > upper)
+    slope[is_flat] = 0.0
+    least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
+    return CellCosts(motion, cost_map, lower, upper, slope, least, most)
 
 
 # Cells classified by samples: all that can be said where configurations alone can be tested.

@@ -19,6 +19,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, runs
+from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.mesh import CellCosts, Mesh
 from plr_jax.plr.partition.cells import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
@@ -29,6 +30,7 @@ _ENOUGH = 1e-5  # share of all costs below which another round is not worth its 
 _AHEAD = 2.0**-44  # of the domain, how far beyond a face the next cell is looked for
 _ROUNDING = 1e-12  # of costs
 _EDGES_AT_ONCE = 1 << 18  # which bounds the memory
+_STRIDES = (2, 4, 8, 16, 32)  # steps of the grid of an estimate, after which nodes near ways are looked for
 _NEAR_GOAL = 512  # nodes, the nearest, that may go straight to a goal whose cell is not free
 
 Nodes = Int[np.ndarray, "nodes"]
@@ -56,6 +58,22 @@ def graph_costs(
 ) -> Float[np.ndarray, "nodes"]:
     """What the cheapest ways to a goal cost from the nodes of a mesh along the graph; ``inf`` where there is none."""
     return _along(*_FreeGraph(mesh, costs, goal, space).cheapest_edges())[:-1]
+
+
+def guided_paths(
+    mesh: Mesh, costs: CellCosts, goal: Float[np.ndarray, "dim"], space: ConfigurationSpace, guide: GridEstimate
+) -> NodePaths:
+    """Short paths to a goal, a fraction of the domain, from the corners of free cells, on the ways of an estimate.
+
+    From each node straight motions lead along edges of the graph, and to nodes near its way, nearer ones and farther.
+    """
+    graph = _FreeGraph(mesh, costs, goal, space)
+    node = np.arange(graph.goal)
+    for place in guide.along(mesh.nodes, _STRIDES):
+        ahead = graph.nearest(place)
+        graph.join(node, ahead, graph.straight_costs(node, ahead))
+    next_, leg = graph.cheapest_edges()
+    return NodePaths(graph.points, (1 + _ROUNDING) * _along(next_, leg), next_)
 
 
 def shortest_paths(
@@ -106,6 +124,21 @@ class _FreeGraph:
             self.cost = np.insert(self.cost, place, straight)
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # edge of each node that has some
 
+    def nearest(self, x: Float[np.ndarray, "n dim"]) -> Nodes:
+        """The nearest corners of the cells that hold fractions of the domain; the goal where it is as near."""
+        cell = self.mesh.locate(x)
+        upper = self.mesh.local(cell, x) > 0.5
+        node = self.mesh.corners[cell, upper @ (1 << np.arange(self.mesh.dim)[::-1])]
+        from_goal, from_node = (np.abs(x - self.points[at]).max(axis=-1) for at in (np.full(len(x), self.goal), node))
+        return np.where(from_goal <= from_node, self.goal, node)
+
+    def join(self, begin: Edges, end: Edges, cost: Costs) -> None:
+        """Straight motions between other nodes."""
+        some = np.flatnonzero(np.isfinite(cost) & (begin != end))
+        self.begin, self.end, self.cost = (
+            np.append(old, new[some]) for old, new in ((self.begin, begin), (self.end, end), (self.cost, cost))
+        )
+
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
         """Motions between nodes, around periodic axes the short way."""
         change = self.points[end] - self.points[begin]
@@ -145,7 +178,9 @@ class _FreeGraph:
             a, c = begin[rows][row], of[rows][row]
             b = in_cells[np.where(place < num, c * num + place, first[c] + place - num)]
             a, b, c = (each[a != b] for each in (a, b, c))
-            cost = self.costs.most(self._changes(a, b), c)
+            change = self._changes(a, b)
+            middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
+            cost = self.costs.of_placed_motions(change, c, middle)
             order = np.lexsort((cost, b, a))
             order = order[np.diff(a[order] * len(self.points) + b[order], prepend=-1) != 0]  # the cheapest of each
             yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
@@ -172,7 +207,10 @@ class _FreeGraph:
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """The first edge of the cheapest way along edges from each node: its end, and its cost."""
         num = len(self.points)
-        graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
+        order = np.lexsort((self.cost, self.end, self.begin))
+        begin, end, cost = self.begin[order], self.end[order], self.cost[order]
+        first = np.append(True, (begin[1:] != begin[:-1]) | (end[1:] != end[:-1]))
+        graph = csc_array((cost[first], end[first], np.searchsorted(begin[first], np.arange(num + 1))), (num, num))
         cost, previous = dijkstra(graph, indices=self.goal, return_predecessors=True)
         next_ = np.where(previous < 0, self.goal, previous)
         leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
@@ -225,7 +263,8 @@ class _FreeGraph:
             with np.errstate(divide="ignore", invalid="ignore"):
                 to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
             step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
-            total[going] += self.costs.most(step[:, None] * change[going], cell)
+            middle = within + speed * (step / 2 - ahead[going])[:, None]
+            total[going] += self.costs.of_placed_motions(step[:, None] * change[going], cell, middle)
             t[going] += step
             going = going[t[going] < 1.0]
         return total

@@ -181,12 +181,14 @@ class SlopeProgram:
         """How steep the functions may be at each control point."""
         blocks = [axes for axes, _ in self.costs.motion.blocks]
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, self._cell], 2, 1)
-        return SlopeSets(blocks, self.costs.lower[self._cell], pulls)
+        radius = self.costs.least_at(self.space.lattice, self.space.mesh.open_cells).ravel()
+        return SlopeSets(blocks, radius, pulls)
 
     @cached_property
     def doubt(self) -> Float[np.ndarray, "controls"]:
         """Largest over least cost of a step in each control point's cell."""
-        return self.costs.upper[self._cell] / self.costs.lower[self._cell]
+        most = self.costs.most_at(self.space.lattice, self.space.mesh.open_cells).ravel()
+        return most / self.sets.radius
 
     def slopes(self, u: Float[np.ndarray, "dofs"]) -> Float[np.ndarray, "controls"]:
         """By what slopes at the control points are too steep, below 1 where they are not."""

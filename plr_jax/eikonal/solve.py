@@ -6,13 +6,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_finite, as_finite_point, require_integer, shortened
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.elements import basis
-from plr_jax.eikonal.field import CostToGoField
+from plr_jax.eikonal.estimate import MOST_AXES, swept_estimate
+from plr_jax.eikonal.field import CostToGoField, MeshEstimate
 from plr_jax.eikonal.lower import SlopeSolver
-from plr_jax.eikonal.mesh import SampledSpace
-from plr_jax.eikonal.paths import shortest_paths
+from plr_jax.eikonal.mesh import SampledSpace, coarse_mesh
+from plr_jax.eikonal.paths import guided_paths, shortest_paths
 from plr_jax.plr._assembly import plr_of_leaves
 from plr_jax.plr._file import Contents, filled_coefficients
 from plr_jax.plr._plr import PLR
@@ -32,40 +33,38 @@ from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, FreeTest, req
 
 
 _STEP_PER_GAP = 0.02  # of stored values, over the mean distance of the bounds
+_SMALLEST_STEP_UNPROVEN = 2.0**-15  # of the largest value, which estimates are not worth
 _SMALLEST_STEP = 2.0**-22  # of the largest value
 
 
-def plr_on_mesh(field: CostToGoField, is_proven: bool) -> PLR:
+def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None) -> PLR:
     """One leaf a cell of the mesh: estimates at corners, tied across open faces."""
-    mesh, model = field.mesh, _model()
-    closed, values = mesh.state == CellState.BLOCKED, field.corner_values
-    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, _step(field))
+    mesh, model = estimate.mesh, _model()
+    closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
+    step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
+    step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
+    stored = model.of_corners(mesh.tree, mesh.all_faces, mesh.is_open_face, closed, values, step)
     contents = Contents(mesh.domain, model, levels_of(mesh.cells)[0], mesh.cells, stored)
-    return plr_of_leaves(_with_proof(contents, mesh.tree, field) if is_proven else contents)
+    return plr_of_leaves(contents if field is None else _with_proof(contents, mesh.tree, field))
 
 
-def plr_of_bytes(field: CostToGoField, max_bytes: int, seed: int, is_proven: bool) -> PLR:
+def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
     """The best partition whose file has at most so many bytes, grown from the estimate."""
-    model, domain = _model(), field.mesh.domain
-    proof = Proof.OPEN_LEAVES if is_proven else Proof.NONE
+    model, domain = _model(), estimate.mesh.domain
+    proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     unit, frame = (model.least_bytes, False, model.bytes_without_budget), frame_size(domain)
     limits = check_limits(domain.dim, *unit, None, None, max_bytes, None, proof, frame)
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
-    sampler = Sampler(field.estimates, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
+    sampler = Sampler(estimate, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
     cells, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
     contents = Contents(domain, model, levels_of(cells)[0], cells, stored)
-    return plr_of_leaves(_with_proof(contents, tree_of(cells), field) if is_proven else contents)
+    return plr_of_leaves(contents if field is None else _with_proof(contents, tree_of(cells), field))
 
 
 def _model() -> CornerLeafModel:
     model = leaf_model("continuous")
     assert isinstance(model, CornerLeafModel)
     return model
-
-
-def _step(field: CostToGoField) -> float:
-    least = max(_SMALLEST_STEP * float(np.abs(field.corner_values).max()), float(np.finfo(np.float32).tiny))
-    return max(_STEP_PER_GAP * field.mean_gap, least)
 
 
 def _with_proof(contents: Contents, tree: Tree, field: CostToGoField) -> Contents:
@@ -118,6 +117,7 @@ def _intersections(
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}
 _MAX_CELLS_BEYOND = 50_000
+_NODES_PER_CELL = 4  # of the grid of the estimate
 _BESIDE = 1e-6  # of the domain, by which a goal that is free to a tolerance may be outside
 
 
@@ -129,6 +129,7 @@ def solve_eikonal(
     max_leaves: int | None = None,
     max_bytes: int | None = None,
     tolerance: int | float | None = None,
+    certified: bool = True,
     seed: int = 0,
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space: no oracle, no roadmap.
@@ -136,7 +137,8 @@ def solve_eikonal(
     Cells are halved where that matters, and proven free, blocked, or neither. The largest function that is 0 at the
     goal, continuous across every face that is not proven blocked, and nowhere steeper than a step costs, is a lower
     bound of the cost of every path, in any dimension. Paths through cells that are proven free bound it from above.
-    Mixed cells count as free or blocked by one motion each for the PLR itself, an estimate between the two.
+    The PLR itself is an estimate between the two. Where costs vary, that is a semi-Lagrangian one of second order, on a
+    grid of four times as many nodes; else mixed cells count as free or blocked for it, by one motion each.
     ``plr.bounds`` has both bounds: as what is proven of a PLR always, they hold for every point from which the goal
     can be reached.
 
@@ -151,6 +153,9 @@ def solve_eikonal(
             from what was found on the cells. None: a leaf a cell, in as many bytes as that takes.
         tolerance: The mean distance of the lower bound to the truth, as estimated, at which no more cells are halved,
             in units of cost, at least 0; None: 0, so that all of ``max_leaves`` are used.
+        certified: Whether bounds are proven. If not, the PLR is an estimate alone, found by sweeps over a grid within
+            milliseconds, but for their compilation (beyond four axes: in the same way and time as with bounds); its
+            cells are about equally wide along every axis, and ``tolerance`` does not matter.
         seed: Seed of samples.
 
     Returns:
@@ -177,14 +182,19 @@ def solve_eikonal(
         most = int(max_leaves)
     if max_bytes is not None:
         require_integer("max_bytes", max_bytes, 1)
+    certified = as_bool("certified", certified)
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
     at = _fraction(space, goal)
-    is_proven = isinstance(space, ConfigurationSpace)
+    is_proven = isinstance(space, ConfigurationSpace) and certified
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
-    field = _field(cells, cost_map, at, most, tolerance)
+    if certified or space.domain.dim > MOST_AXES:
+        field = _field(cells, cost_map, at, most, tolerance)
+        estimate, proven = field.estimate, field if is_proven else None
+    else:
+        estimate, proven = _swept(cells, cost_map, at, most), None
     if max_bytes is None:
-        return plr_on_mesh(field, is_proven)
-    return plr_of_bytes(field, int(max_bytes), int(seed), is_proven)
+        return plr_on_mesh(estimate, proven)
+    return plr_of_bytes(estimate, int(max_bytes), int(seed), proven)
 
 
 def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
@@ -197,6 +207,17 @@ def _fraction(space: FreeTest, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
     if not (np.abs(at - 0.5) <= 0.5 + _BESIDE).all() or not space.is_free(goal[None])[0]:
         raise ValueError(f"goal must be a free configuration of the space, {goal.tolist()} is not.")
     return np.clip(at, 0.0, 1.0)
+
+
+def _swept(
+    space: ConfigurationSpace, cost_map: CostMap | None, goal: Float[np.ndarray, "dim"], most: int
+) -> MeshEstimate:
+    """The estimate alone, on cells that are about equally wide along every axis."""
+    mesh = coarse_mesh(space, space.motion_cost.scale, most, most)
+    costs = swept_estimate(space, cost_map, goal, _NODES_PER_CELL * most)(mesh.nodes)
+    reached = np.isfinite(costs)[mesh.corners].any(axis=1)
+    mesh = mesh.without(~reached)
+    return MeshEstimate.of_nodes(mesh, costs)
 
 
 def _field(
@@ -212,6 +233,10 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR is of these."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh = solver.program, solver.mesh
-    paths = shortest_paths(mesh, program.costs, goal, space)
-    likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space)
+    if cost_map is None or mesh.dim > MOST_AXES:
+        paths = shortest_paths(mesh, program.costs, goal, space)
+        likely = shortest_paths(solver.likely_mesh(), program.costs.midway, goal, space).cost[:-1]
+    else:
+        guide = swept_estimate(space, cost_map, goal, _NODES_PER_CELL * most)
+        paths, likely = guided_paths(mesh, program.costs, goal, space, guide), guide(mesh.nodes)
     return CostToGoField(program, solver.values, paths, likely, space)

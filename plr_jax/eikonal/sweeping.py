@@ -1,10 +1,10 @@
 """The cost-to-go at the nodes of a regular grid, of second order, within milliseconds: an estimate.
 
 Nodes are visited plane by plane. From a node a straight motion leads to the plane before, to where the cost of the
-motion and the cost-to-go are least together. There, between nodes, the cost-to-go over the straight length to the goal
-is a parabola along each axis: that ratio is smooth where the cost-to-go has the tip of a cone. Planes are updated along
-every axis, there and back, until nothing changes. Motions that walls are in the way of are left out, so that walls may
-be anywhere between nodes.
+motion and the cost-to-go are least together. There, between nodes, the cost-to-go over the straight length to the
+goal is a parabola along each axis: that ratio is smooth where the cost-to-go has the tip of a cone. Planes are updated
+along every axis, there and back, until nothing changes. Motions that meet walls are left out, so that walls may be
+anywhere between nodes.
 
 References:
     Zhao, "A fast sweeping method for eikonal equations", 2005. Falcone and Ferretti, "Semi-Lagrangian approximation
@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 Offset = tuple[int, ...]
 """Steps along each axis, from a node to one of those around it."""
@@ -34,7 +35,7 @@ _LEAST_CURVATURE = 0.1  # over that of the length of a motion, where the sum is 
 _TINY = 1e-6  # of a step, below which a length has no direction
 
 
-class Metric(NamedTuple):
+class GridMetric(NamedTuple):
     """How motions are measured: blocks of axes, and after how many nodes each axis is periodic, if it is."""
 
     blocks: tuple[tuple[int, ...], ...]
@@ -42,10 +43,12 @@ class Metric(NamedTuple):
 
     @property
     def dim(self) -> int:
+        """Number of axes."""
         return len(self.periods)
 
     @property
     def periodic(self) -> tuple[bool, ...]:
+        """Which axes are."""
         return tuple(period is not None for period in self.periods)
 
     def length(self, change: Sequence[Any]) -> Any:
@@ -60,20 +63,24 @@ class Metric(NamedTuple):
         return change[axis] / length, (square - change[axis] ** 2) / (square * length)
 
 
-class Costs(NamedTuple):
-    """What motions cost at points: a factor of their length, and the larger product with two vectors besides, or none.
+class NodeCosts(NamedTuple):
+    """What motions cost at points: a factor of their length, and the larger product with two vectors besides.
 
-    Those of a grid's nodes have its shape last.
+    Attributes:
+        factor: Of the points' shape.
+        pulls: The vectors, that shape last, ``(2, dim, ...)``; None for none.
     """
 
     factor: Array
-    pulls: Array | None  # (2, dim, ...)
+    pulls: Array | None
 
-    def of(self, metric: Metric, change: Sequence[Any]) -> Any:
+    def of(self, metric: GridMetric, change: Sequence[Any]) -> Any:
+        """What motions cost."""
         cost = self.factor * metric.length(change)
         return cost if self.pulls is None else cost + self._products(change).max(axis=0)
 
-    def derivatives(self, metric: Metric, change: Sequence[Any], axis: int) -> tuple[Any, Any]:
+    def derivatives(self, metric: GridMetric, change: Sequence[Any], axis: int) -> tuple[Any, Any]:
+        """The first and the second one of that along an axis of the motion."""
         first, second = (self.factor * each for each in metric.derivatives(change, axis))
         if self.pulls is None:
             return first, second
@@ -84,7 +91,7 @@ class Costs(NamedTuple):
         return sum(self.pulls[:, axis] * each for axis, each in enumerate(change))
 
 
-class Grid(NamedTuple):
+class CostGrid(NamedTuple):
     """What is given on a grid, in units in which nodes are about 1 apart.
 
     Attributes:
@@ -96,7 +103,7 @@ class Grid(NamedTuple):
 
     spacing: Float[Array, "dim"]
     goal: Float[Array, "dim"]
-    costs: Costs
+    costs: NodeCosts
     is_free: Bool[Array, "half *shape"]
 
 
@@ -118,7 +125,7 @@ def half_offsets(dim: int) -> list[Offset]:
 
 
 @partial(jax.jit, static_argnames="metric")
-def sweep(start: Swept, grid: Grid, metric: Metric) -> Swept:
+def sweep(start: Swept, grid: CostGrid, metric: GridMetric) -> Swept:
     """The cost-to-go everywhere, from where it is known."""
     is_free = {}
     for offset, free in zip(half_offsets(metric.dim), grid.is_free, strict=True):
@@ -148,7 +155,7 @@ def _at(offset: Offset, values: Array, fill: Any, periodic: Sequence[bool]) -> A
 
 
 def _swept_along(
-    state: Swept, grid: Grid, is_free: dict[Offset, Bool[Array, "*shape"]], metric: Metric, axis: int
+    state: Swept, grid: CostGrid, is_free: dict[Offset, Bool[Array, "*shape"]], metric: GridMetric, axis: int
 ) -> Swept:
     """Planes across an axis, one after the other, forth and back, each updated from the one before."""
 
@@ -166,12 +173,9 @@ def _swept_along(
         def updated(before, here, sides=sides, offsets=offsets):
             ratio_before, costs_before = before
             (old, old_way), costs_here, may_go, x = here
-            known = {}
-            for side, offset, free in zip(sides, offsets, may_go, strict=True):
-                reached = jnp.where(free, _at(side, ratio_before, jnp.inf, wraps), jnp.inf)
-                known[offset] = reached, jax.tree.map(lambda of, side=side: _at(side, of, 0.0, wraps), costs_before)
             place = [*across[:axis], x, *across[axis:]]
-            new, new_way = _cheapest(metric, axis, grid.spacing, place, costs_here, known)
+            plane = _PlaneBefore.of(ratio_before, costs_before, may_go, sides, wraps)
+            new, new_way = _cheapest(metric, axis, grid.spacing, place, costs_here, np.array(offsets), plane)
             gains = new < old
             new = jnp.where(gains, new, old)
             return (new, costs_here), (new, jnp.where(gains, new_way, old_way))
@@ -179,18 +183,58 @@ def _swept_along(
         last = -1 if step < 0 else 0
         before = ratio[last] if metric.periodic[axis] else jnp.full_like(ratio[last], jnp.inf)
         start = before, jax.tree.map(lambda each, last=last: each[last], costs)
-        planes = (ratio, way), costs, [by_planes(is_free[each]) for each in offsets], to_goal[axis]
+        may_go = jnp.stack([by_planes(is_free[each]) for each in offsets], axis=1)
+        planes = (ratio, way), costs, may_go, to_goal[axis]
         _, (ratio, way) = lax.scan(updated, start, planes, reverse=step > 0)
     return Swept(jnp.moveaxis(ratio, 0, axis), jnp.moveaxis(way, 0, axis + 1))
 
 
+class _PlaneBefore(NamedTuple):
+    """What the nodes of a plane find in the one before.
+
+    Attributes:
+        ratio: Of the nodes around there, side by side; ``inf`` where no motion leads to.
+        costs: Of motions at these.
+        bends: Second differences of the ratio along each axis of the plane, at the node before and on both sides of it.
+    """
+
+    ratio: Float[Array, "sides *plane"]
+    costs: NodeCosts
+    bends: list[dict[int, Plane]]
+
+    @classmethod
+    def of(
+        cls,
+        ratio: Plane,
+        costs: NodeCosts,
+        may_go: Bool[Array, "sides *plane"],
+        sides: Sequence[Offset],
+        wraps: Sequence[bool],
+    ) -> "_PlaneBefore":
+        """That of a plane, to which some motions lead."""
+        around = jnp.where(may_go, jnp.stack([_at(side, ratio, jnp.inf, wraps) for side in sides]), jnp.inf)
+        factor = jnp.stack([_at(side, costs.factor, 1.0, wraps) for side in sides])
+        pulls = costs.pulls
+        if pulls is not None:
+            pulls = jnp.stack([_at(side, pulls, 0.0, wraps) for side in sides], axis=2)
+        bends = []
+        for axis in range(len(wraps)):
+            unit = tuple(int(each == axis) for each in range(len(wraps)))
+            back = tuple(-step for step in unit)
+            bend = _at(unit, ratio, jnp.inf, wraps) + _at(back, ratio, jnp.inf, wraps) - 2 * ratio
+            bend = jnp.where(jnp.isfinite(bend), bend, 0.0)
+            bends.append({0: bend, 1: _at(unit, bend, 0.0, wraps), -1: _at(back, bend, 0.0, wraps)})
+        return cls(around, NodeCosts(factor, pulls), bends)
+
+
 def _cheapest(
-    metric: Metric,
+    metric: GridMetric,
     across: int,
     spacing: Float[Array, "dim"],
     place: Sequence[Array],
-    costs: Costs,
-    known: dict[Offset, tuple[Plane, Costs]],
+    costs: NodeCosts,
+    offsets: Int[np.ndarray, "sides dim"],
+    before: _PlaneBefore,
 ) -> tuple[Plane, Float[Array, "dim *plane"]]:
     """What the best motions from the nodes of a plane to the one before lead to, and these motions.
 
@@ -200,58 +244,83 @@ def _cheapest(
         spacing: Of nodes along each axis.
         place: Where the nodes are from the goal, along each axis.
         costs: Of motions there.
-        known: At each offset to a node of the plane before: its ratio, ``inf`` where no motion leads to, and costs.
+        offsets: To the nodes around in the plane before.
+        before: What is known of these.
 
     Returns:
         The cost-to-go over the straight length to the goal, and the motions in steps along each axis.
     """
-    axes = range(metric.dim)
-
-    def change_of(steps):
-        return [spacing[axis] * steps[axis] for axis in axes]
+    axes, shape = range(metric.dim), jnp.shape(costs.factor)
 
     def total(steps, ratio, costs_there):
-        change, mean = change_of(steps), jax.tree.map(lambda a, b: (a + b) / 2, costs, costs_there)
-        return ratio * metric.length(_from_goal(metric, spacing, place, change)) + mean.of(metric, change)
+        change = [spacing[axis] * steps[axis] for axis in axes]
+        return ratio * metric.length(_from_goal(metric, spacing, place, change)) + costs_there.of(metric, change)
 
     # To one of the nodes.
-    shape = jnp.shape(costs.factor)
-    least, way = jnp.full(shape, jnp.inf), jnp.zeros((metric.dim, *shape))
-    for offset, there in known.items():
-        value = total(offset, *there)
-        way = jnp.where(value < least, jnp.array(offset, way.dtype).reshape(-1, *[1] * len(shape)), way)
-        least = jnp.minimum(least, value)
+    beside = NodeCosts(
+        (costs.factor + before.costs.factor) / 2,
+        None if costs.pulls is None else (costs.pulls[:, :, None] + before.costs.pulls) / 2,
+    )
+    steps = offsets.T.reshape(metric.dim, -1, *[1] * len(shape)).astype(np.float32)
+    totals = total(steps, before.ratio, beside)
+    best = jnp.argmin(totals, axis=0)
+    least, way = jnp.min(totals, axis=0), jnp.moveaxis(jnp.asarray(steps.reshape(metric.dim, -1))[:, best], 0, 0)
 
     # To between them, by Newton's method along all axes of the plane at once.
-    center = tuple(int(next(iter(known))[axis]) if axis == across else 0 for axis in axes)
-    ratio, costs_there = known[center]
-    is_known = jnp.isfinite(ratio)
-    ratio = jnp.where(is_known, ratio, 0.0)
-    parabolas = {}
-    for axis in axes:
-        if axis != across:
-            up, down = (tuple(side if each == axis else center[each] for each in axes) for side in (1, -1))
-            parabolas[axis] = _parabola(ratio, costs_there, known[up], known[down])
-    steps = [jnp.full(shape, float(step)) for step in center]
+    row = {tuple(offset): number for number, offset in enumerate(offsets.tolist())}
+    center = [int(offsets[0, axis]) if axis == across else 0 for axis in axes]
+    middle = row[tuple(center)]
+    is_known = jnp.isfinite(before.ratio[middle])
+    ratio = jnp.where(is_known, before.ratio[middle], 0.0)
+    lines = {}
+    for axis, bends in zip([each for each in axes if each != across], before.bends, strict=True):
+        ends = {side: row[tuple(side if each == axis else center[each] for each in axes)] for side in (1, -1)}
+        has = {side: jnp.isfinite(before.ratio[end]) for side, end in ends.items()}
+        both = has[1] & has[-1]
+        rises = {side: jnp.where(has[side], before.ratio[end] - ratio, 0.0) for side, end in ends.items()}
+        halves = {side: jnp.where(both, _lesser(bends[0], bends[side]) / 2, 0.0) for side in ends}
+        weights = {side: jnp.where(both, 0.5, 1.0) * has[side] * side for side in ends}
+        costs_rise = jax.tree.map(
+            lambda of, at, ends=ends, weights=weights: sum(
+                weight * (of[..., ends[side], *[slice(None)] * len(shape)] - at) for side, weight in weights.items()
+            ),
+            beside,
+            _row(beside, middle, len(shape)),
+        )
+        lines[axis] = rises, halves, costs_rise, has
+
+    def along(axis, step):
+        """The change of the ratio along an axis, and its first and second derivative."""
+        rises, halves, *_ = lines[axis]
+        up, distance = step > 0, jnp.abs(step)
+        rise, half = (jnp.where(up, each[1], each[-1]) for each in (rises, halves))
+        value = distance * (rise - (1 - distance) * half)
+        slope = {side: side * (rises[side] - (1 - 2 * distance) * halves[side]) for side in (1, -1)}
+        has = lines[axis][3]
+        at_node = (slope[1] * has[1] + slope[-1] * has[-1]) / jnp.maximum(has[1] + 1.0 * has[-1], 1.0)
+        return value, jnp.where(step == 0, at_node, jnp.where(up, slope[1], slope[-1])), 2 * half
 
     def interpolated(steps):
-        value, cost = ratio, costs_there
-        for axis, (rise, bend, cost_rise, *_) in parabolas.items():
-            value = value + steps[axis] * (rise + steps[axis] * bend)
-            cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, cost_rise)
+        value, cost = ratio, _row(beside, middle, len(shape))
+        for axis, (*_, costs_rise, _has) in lines.items():
+            value = value + along(axis, steps[axis])[0]
+            cost = jax.tree.map(lambda a, b, step=steps[axis]: a + step * b, cost, costs_rise)
         return value, cost
 
+    steps = [jnp.full(shape, float(step)) for step in center]
     for _ in range(_NEWTON_STEPS):
-        (value, cost), change = interpolated(steps), change_of(steps)
-        end, mean = _from_goal(metric, spacing, place, change), jax.tree.map(lambda a, b: (a + b) / 2, costs, cost)
+        value, cost = interpolated(steps)
+        change = [spacing[axis] * steps[axis] for axis in axes]
+        end = _from_goal(metric, spacing, place, change)
         length, new = metric.length(end), list(steps)
-        for axis, (rise, bend, cost_rise, low, high) in parabolas.items():
-            h, slope = spacing[axis], rise + 2 * steps[axis] * bend
-            of_length, of_cost = metric.derivatives(end, axis), mean.derivatives(metric, change, axis)
-            first = slope * length + h * (value * of_length[0] + of_cost[0]) + cost_rise.of(metric, change) / 2
-            second = 2 * bend * length + 2 * slope * h * of_length[0] + h**2 * (value * of_length[1] + of_cost[1])
+        for axis, (*_, costs_rise, has) in lines.items():
+            h, (_, slope, bend) = spacing[axis], along(axis, steps[axis])
+            of_length, of_cost = metric.derivatives(end, axis), cost.derivatives(metric, change, axis)
+            first = slope * length + h * (value * of_length[0] + of_cost[0]) + costs_rise.of(metric, change)
+            second = bend * length + 2 * slope * h * of_length[0] + h**2 * (value * of_length[1] + of_cost[1])
             floor = _LEAST_CURVATURE * h**2 * costs.factor / spacing[across]
-            new[axis] = jnp.clip(steps[axis] - first / jnp.maximum(second, floor), low, high)
+            step = steps[axis] - first / jnp.maximum(second, floor)
+            new[axis] = jnp.clip(step, jnp.where(has[-1], -1.0, 0.0), jnp.where(has[1], 1.0, 0.0))
         steps = new
     value = jnp.where(is_known, total(steps, *interpolated(steps)), jnp.inf)
     way = jnp.where(value < least, jnp.stack(steps), way)
@@ -259,21 +328,18 @@ def _cheapest(
     return jnp.where(length > _TINY, jnp.minimum(least, value) / length, jnp.inf), way
 
 
-def _parabola(
-    ratio: Plane, costs: Costs, up: tuple[Plane, Costs], down: tuple[Plane, Costs]
-) -> tuple[Plane, Plane, Costs, Plane, Plane]:
-    """Of ratios along an axis, the slope and half the bend; the slope of costs; and from where to where they hold."""
-    has_up, has_down = jnp.isfinite(up[0]), jnp.isfinite(down[0])
-    above, below = jnp.where(has_up, up[0] - ratio, 0.0), jnp.where(has_down, ratio - down[0], 0.0)
-    both = has_up & has_down
-    bend = jnp.where(both, (above - below) / 2, 0.0)
-    slope = jnp.where(both, (above + below) / 2, above + below)
-    weights = jnp.where(both, 0.5, 1.0) * has_up, jnp.where(both, 0.5, 1.0) * has_down
-    cost_slope = jax.tree.map(lambda a, b, c: weights[0] * (a - b) + weights[1] * (b - c), up[1], costs, down[1])
-    return slope, bend, cost_slope, jnp.where(has_down, -1.0, 0.0), jnp.where(has_up, 1.0, 0.0)
+def _row(costs: NodeCosts, row: int, dim: int) -> NodeCosts:
+    return jax.tree.map(lambda of: of[..., row, *[slice(None)] * dim], costs)
 
 
-def _from_goal(metric: Metric, spacing: Float[Array, "dim"], place: Sequence[Array], change: Sequence[Any]) -> list[Array]:
+def _lesser(a: Plane, b: Plane) -> Plane:
+    """Of two bends the one nearer 0, or 0 if they are opposite: where ratios have a kink they are straight lines."""
+    return jnp.where(a * b > 0, jnp.where(jnp.abs(a) < jnp.abs(b), a, b), 0.0)
+
+
+def _from_goal(
+    metric: GridMetric, spacing: Float[Array, "dim"], place: Sequence[Array], change: Sequence[Any]
+) -> list[Array]:
     """Where motions end, from the goal, the short way around."""
     ends = [x + by for x, by in zip(place, change, strict=True)]
     return [

@@ -191,9 +191,9 @@ def test_costs_are_between_their_bounds_whichever_way_motions_go():
     v = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     a, along = 1 - np.sum(w * w, axis=1), np.sum(w * v, axis=1)
     time = (np.sqrt(along**2 + a) - along) / a
-    assert (costs.least_rates[cell] <= time).all() and (time <= costs.most(v, cell) + 1e-12).all()
-    midway = costs.midway.most(v, cell)
-    assert (midway < costs.most(v, cell)).all() and abs(np.mean(midway / time) - 1) < 0.05
+    assert (costs.least_rates[cell] <= time).all() and (time <= costs.of_motions(v, cell) + 1e-12).all()
+    midway = costs.midway.of_motions(v, cell)
+    assert (midway < costs.of_motions(v, cell)).all() and abs(np.mean(midway / time) - 1) < 0.05
 
 
 # --- by samples alone ------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@ import pytest
 from eikonal_helpers import EMPTY, ROOM, TwoGrounds, check_bounds
 
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace, from_bytes, load, save, solve_eikonal
-from plr_jax.eikonal.field import CostToGoField
+from plr_jax.eikonal.field import MeshEstimate
 from plr_jax.plr.growth.limits import ConstructionInterrupted
 
 GOAL = (0.3, 0.4)
@@ -100,10 +100,10 @@ def test_interrupts_keep_what_there_is():
 
 
 def test_nothing_is_proven_of_leaves_that_answer_inf_for_open_cells(monkeypatch):
-    def estimates(field, x):
+    def estimates(estimate, x):
         return np.where(x.max(axis=1) > 0.3, np.inf, np.sin(40 * x).sum(axis=1))
 
-    monkeypatch.setattr(CostToGoField, "estimates", estimates)
+    monkeypatch.setattr(MeshEstimate, "__call__", estimates)
     with pytest.raises(ValueError, match=r"some leaves answer inf, .* Allow more max_bytes"):
         solve_eikonal(EMPTY, (0.1, 0.1), max_leaves=64, max_bytes=60)
 
