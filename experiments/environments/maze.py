@@ -65,7 +65,7 @@ def maze(chances: Float[Array, "2 rooms rooms"]) -> Mask:
 
 def reset(key: Array, distance: Distance) -> State:
     """A new maze, with start and goal in two of its rooms."""
-    chances = jax.random.uniform(key, 2 * _ROOMS**2 + 2)  # one call: each takes a while to compile
+    chances = jax.random.uniform(key, (2 * _ROOMS**2 + 2,))  # one call: each takes a while to compile
     goal = (chances[0] * _ROOMS**2).astype(int)
     start = (goal + 1 + (chances[1] * (_ROOMS**2 - 1)).astype(int)) % _ROOMS**2
     free, goal, start = maze(chances[2:].reshape(2, _ROOMS, _ROOMS)), _cell(goal), _cell(start)
