@@ -313,8 +313,10 @@ class VisibilityGraph:
         around: Any = shapely.get_parts(self.workspace.free_space)
         around = around[shapely.dwithin(around, shapely.Point(self.goal), self.workspace.tolerance)]
         # Not clip_by_rect, which errs where edges end on sides of the box.
-        area = float(shapely.area(shapely.intersection(around, shapely.box(*domain.lo, *domain.hi))).sum())
-        if (reached := float(areas(found.pieces).sum())) < (1 - _LOST) * area:
+        around = shapely.intersection(around, shapely.box(*domain.lo, *domain.hi))
+        area, outline = float(shapely.area(around).sum()), float(shapely.length(around).sum())
+        rounded = _LOST * area + self.workspace.tolerance * outline
+        if (reached := float(areas(found.pieces).sum())) < area - rounded:
             raise ValueError(
                 f"The goal is found to be reached from {reached / area:.3g} of the free space that it lies in: where "
                 "obstacles all but touch, corners are nearer to one another than the workspace's tolerance, "
