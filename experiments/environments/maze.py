@@ -18,10 +18,10 @@ _ROOMS = SIZE // 2  # a side
 _MOVES = jnp.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
 
 Mask = Bool[Array, "size size"]
-Cells = Float[Array, "size size"]
+Distances = Float[Array, "size size"]
 Cell = Int[Array, "2"]
 """Row and column."""
-Distance = Callable[[Mask, Cell], Cells]
+Distance = Callable[[Mask, Cell], Distances]
 """Distances of all cells of a maze to a goal."""
 
 
@@ -39,7 +39,7 @@ class State(NamedTuple):
 
     free: Mask
     goal: Cell
-    distance: Cells
+    distance: Distances
     cell: Cell
     move: Float[Array, "4"]
     time: Int[Array, ""]
