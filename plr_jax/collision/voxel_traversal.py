@@ -7,7 +7,7 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 

@@ -150,8 +150,8 @@ def advice_on_cells(value: object) -> str:
     if value.ndim == 2:
         return " Of pixels a map is Workspace.from_mask(free)."
     return (
-        " What serves volumes: VoxelSpace(free), for solve_eikonal, VoxelGraph(free, goal), and GridField, for distances "
-        "of voxels that another library found."
+        " What serves volumes: VoxelSpace(free), for solve_eikonal, VoxelGraph(free, goal), and GridField, for "
+        "distances of voxels that another library found."
     )
 
 

@@ -1,7 +1,7 @@
 """Voxels of a box, in any dimension: where their faces are, which hold a point, how many of a range are blocked.
 
-Faces are the floats that ``numpy.linspace`` puts between the bounds: compared with coordinates, which are floats, they
-round nothing, and what is said of touching is exact.
+Faces are the floats that ``numpy.linspace`` puts between the bounds: coordinates, floats as well, are compared with
+them without rounding, and what is said of touching is exact.
 
 Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``: number 0 is what lies below the bounds,
 and the last what lies above, all of it blocked. Arrays of numbers and coordinates have an axis of space first.
@@ -69,8 +69,8 @@ class VoxelGrid:
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
         if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
             raise ValueError(
-                f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, got "
-                f"{voxels.shape} of them in {box}: choose another unit, or bounds nearer to zero."
+                f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
+                f"got {voxels.shape} of them in {box}: choose another unit, or bounds nearer to zero."
             )
         return cls(voxels, box)
 
@@ -96,7 +96,7 @@ class VoxelGrid:
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """The voxels that hold points, along every axis the lower and the upper one: two where a point is on a face."""
+        """The voxels that hold points, along every axis the lower and the upper one: two for a point on a face."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 

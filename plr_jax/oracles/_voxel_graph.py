@@ -39,8 +39,8 @@ class VoxelGraph:
         moves: As given.
 
     Raises:
-        ValueError: If ``free`` is no array of booleans of three axes with a free voxel, the bounds are no box of three
-            axes or have periodic ones, the goal is in no free voxel, or there is another number of neighbors.
+        ValueError: If ``free`` is no array of booleans of three axes with a free voxel, the bounds are no box of
+            three axes or have periodic ones, the goal is in no free voxel, or there is another number of neighbors.
 
     References:
         R. Dial, "Algorithm 360: shortest-path forest with topological ordering", CACM 12(11), 1969.
@@ -111,7 +111,7 @@ class VoxelGraph:
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
         below, above = self.grid.numbers(x.T)
-        number = np.where(x.T == self.bounds.hi[:, None], below, above)
+        number = np.where(self.bounds.hi[:, None] == x.T, below, above)
         return np.where(inside, np.ravel_multi_index(tuple(number), self.grid.padded.shape), 0)
 
     def _checked_goal(self, goal: ArrayLike) -> Float[np.ndarray, "3"]:
@@ -121,9 +121,11 @@ class VoxelGraph:
         return goal
 
     @cached_property
-    def _steps(self) -> list[tuple[int, ...]]:
+    def _steps(self) -> Int[np.ndarray, "steps 3"]:
         """What steps change of a voxel's number along each axis."""
-        return [step for step in product((-1, 0, 1), repeat=3) if 0 < np.count_nonzero(step) <= _AXES[self.moves]]
+        steps = np.array(list(product((-1, 0, 1), repeat=3)))
+        num_axes = np.count_nonzero(steps, axis=1)
+        return steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
 
     @cached_property
     def _legal(self) -> UInt32[np.ndarray, "voxels"]:
@@ -142,7 +144,7 @@ class VoxelGraph:
 
         So all voxels of a bucket are final once it is the next, and go on at once.
         """
-        steps, bits = np.array(self._steps), np.arange(len(self._steps), dtype=np.uint32)
+        steps, bits = self._steps, np.arange(len(self._steps), dtype=np.uint32)
         jumps, lengths = steps @ self.grid.padded.strides, np.linalg.norm(steps * self.grid.sides, axis=1)
         width = lengths.min() * (1 - _ROUNDING)
         distance = np.full(self.grid.padded.size, np.inf)
@@ -153,7 +155,7 @@ class VoxelGraph:
             bucket = min(buckets)
             voxels = np.concatenate(buckets.pop(bucket))
             # What has come nearer since it was put here was in a bucket before.
-            voxels = np.unique(voxels[distance[voxels] >= bucket * width])
+            voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == bucket])
             begin, step = np.nonzero((self._legal[voxels][:, None] >> bits) & np.uint32(1))
             end, length = voxels[begin] + jumps[step], distance[voxels][begin] + lengths[step]
             better = length < distance[end]

@@ -1,9 +1,9 @@
-"""The configuration space of a point or a ball among voxels, on a line, in the plane, in space and in four dimensions."""
+"""The configuration space of a point or a ball among voxels, in one to four dimensions."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Int8
 
 from plr_jax._arrays import as_finite, as_points
 from plr_jax._types import ArrayLike
@@ -122,8 +122,8 @@ class VoxelSpace:
         """
         as_boxes(lo, hi, self.grid.dim)
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
-        (below, above), (below_hi, above_hi) = self.grid.numbers(lo), self.grid.numbers(hi)
-        first, last = np.minimum(above, below_hi), np.maximum(above, below_hi)
+        (_, above), (below, _) = self.grid.numbers(lo), self.grid.numbers(hi)
+        first, last = np.minimum(above, below), np.maximum(above, below)  # which a box without extent may exchange
         num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.num_blocked(first, last)
         state = np.full(len(num), CellState.MIXED, np.int8)
         state[num_blocked == num] = CellState.BLOCKED
@@ -171,8 +171,8 @@ class VoxelSpace:
             hi: Upper corners, finite and nowhere below.
 
         Returns:
-            True where the free voxels that the box touches form a box, and the position is in what they have in common.
-            False in an edge or a corner in which blocked voxels touch.
+            True where the free voxels that the box touches form a box, and the position is in what the two have in
+            common. False in an edge or a corner in which blocked voxels touch.
 
         Raises:
             ValueError: If the shapes are others or differ, or corners are not those of boxes.
