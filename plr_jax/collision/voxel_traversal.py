@@ -75,7 +75,8 @@ class _Traversal:
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
         # Where all are free, the order of crossings that are nearly at once makes no difference.
-        doubtful = np.flatnonzero((crossed.sum(axis=0) > 1) & ~around.all(axis=1))
+        narrow = np.flatnonzero(~around.all(axis=1))
+        doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
             of = rows[doubtful]
             crossed[:, doubtful] = _first(crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of])
@@ -84,7 +85,8 @@ class _Traversal:
             )
         # The corner beyond the crossed faces, and on the near side along the other axes.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
-        reached = spread(live & (self.corner & beyond == 0), around)
+        reached = around
+        reached[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
         self.at[:, rows] += np.where(crossed, step, 0)
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 

@@ -209,14 +209,15 @@ class Sums:
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
     """Of the voxels around points, in the order of ``itertools.product``, those that some lead to through faces."""
-    shape = (-1, *[2] * (live.shape[1].bit_length() - 1))
+    flat = live.shape
+    shape = (-1, *[2] * (flat[1].bit_length() - 1))
     live, free = live.reshape(shape).copy(), free.reshape(shape)
     before = -1
     while (count := np.count_nonzero(live)) != before:
         before = count
         for axis in range(1, live.ndim):
             live |= np.flip(live, axis) & free
-    return live.reshape(len(live), -1)
+    return live.reshape(flat)
 
 
 def _is_parted(num_axes: int) -> Bool[np.ndarray, "sets"]:

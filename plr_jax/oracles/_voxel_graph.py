@@ -35,6 +35,7 @@ class VoxelGraph:
             corner at 0, so that whole numbers are those of voxels.
 
     Attributes:
+        grid: The voxels.
         goal: As given, read-only.
         moves: As given.
 
@@ -145,7 +146,8 @@ class VoxelGraph:
         So all voxels of a bucket are final once it is the next, and go on at once.
         """
         steps, bits = self._steps, np.arange(len(self._steps), dtype=np.uint32)
-        jumps, lengths = steps @ self.grid.padded.strides, np.linalg.norm(steps * self.grid.sides, axis=1)
+        jumps = np.sum(steps * self.grid.padded.strides, axis=1)
+        lengths = np.linalg.norm(steps * self.grid.sides, axis=1)
         width = lengths.min() * (1 - _ROUNDING)
         distance = np.full(self.grid.padded.size, np.inf)
         root = self._voxels_of(self.goal[None])

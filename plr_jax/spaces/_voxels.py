@@ -38,7 +38,7 @@ class VoxelSpace:
         radius: Of the ball, in units of the bounds; 0: a point.
 
     Attributes:
-        free: As given, read-only.
+        grid: The voxels.
         radius: As given.
 
     Raises:
@@ -64,7 +64,7 @@ class VoxelSpace:
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Which voxels are free."""
+        """Which voxels are free, read-only."""
         return self.grid.free
 
     @property
