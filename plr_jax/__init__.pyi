@@ -35,6 +35,7 @@ from .oracles import NearestGoal as NearestGoal
 from .oracles import ReedsShepp as ReedsShepp
 from .oracles import Roadmap as Roadmap
 from .oracles import VisibilityGraph as VisibilityGraph
+from .oracles import VoxelGraph as VoxelGraph
 from .oracles import robot_distance_fns as robot_distance_fns
 from .pairs import GridPairs as GridPairs
 from .pairs import MetricPairs as MetricPairs
@@ -97,6 +98,7 @@ from .spaces import PlanarArm as PlanarArm
 from .spaces import PlaneSpace as PlaneSpace
 from .spaces import RigidBodySpace as RigidBodySpace
 from .spaces import SeesBoxes as SeesBoxes
+from .spaces import VoxelSpace as VoxelSpace
 from .traced import GridDistance as GridDistance
 from .traced import GridDistances as GridDistances
 from .traced import grid_distance as grid_distance

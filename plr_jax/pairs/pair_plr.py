@@ -218,7 +218,7 @@ class PairPLR(HeldFile):
         It then takes about half the time on small maps, a fifth on large ones. Clean under ``jax.jit`` and
         ``jax.vmap``, as where an environment draws its goal in ``reset``. Answers differ from those of the points
         themselves by rounding; they have no gradient in the goals, whose coordinates have 32 bits, and with
-        ``outside="clamp"`` a goal outside stays there: ``inf``.
+        ``outside="clamp"`` a goal outside stays there: ``inf``. To pairs of another map they mean nothing.
 
         Args:
             goals: The goals, ``(..., 2)``.
@@ -233,11 +233,17 @@ class PairPLR(HeldFile):
         points = jnp.asarray(goals, jnp.float32)
         (inside,), shape, _ = _checked(self.tables, points)
         to_corners = _to_corners(self.tables, jax.lax.stop_gradient(inside))
-        return PreparedGoals(points, to_corners.reshape(*shape, -1))
+        return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
     def _to_prepared(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
         x, batch = self._from_middle("x", x), goals.points.shape[:-1]
         _require_broadcast("x and goals", x, goals.points)
+        size, corners = goals.to_corners.shape[-1], len(self.tables.distances)
+        if size != corners:
+            raise ValueError(
+                f"Goals must have been prepared by these pairs, whose map has {corners} corners, got such of a map with "
+                f"{size}: call prepared of these."
+            )
         number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
         answer = partial(_distances_to, self.tables, goals, outside=outside)
         if not is_on_one_host(x, goals.points, self.tables.walls):

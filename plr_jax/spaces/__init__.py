@@ -18,3 +18,4 @@ from plr_jax.spaces._space import FreeTest as FreeTest
 from plr_jax.spaces._space import MotionCost as MotionCost
 from plr_jax.spaces._space import SeesBoxes as SeesBoxes
 from plr_jax.spaces._space import require_space as require_space
+from plr_jax.spaces._voxels import VoxelSpace as VoxelSpace

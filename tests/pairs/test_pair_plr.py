@@ -168,6 +168,10 @@ def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compi
         np.testing.assert_allclose(maze(x[2:-3], goals), maze(x[2:-3], y[2:-3]), atol=1e-6)
     with pytest.raises(ValueError, match=r"goals must be points of shape \(..., 2\), got \(3,\)"):
         maze.prepared(np.zeros(3))
+    assert maze(np.zeros((0, 2)), maze.prepared(np.zeros((0, 2)))).shape == (0,)
+    other = plr_jax.construct_pairs(Workspace(((0, 0), (1, 1))), max_bytes=200)
+    with pytest.raises(ValueError, match="prepared by these pairs"):
+        maze(x, other.prepared(np.full(2, 0.5)))
 
 
 @pytest.mark.parametrize("goal", [scenes.maze().goals[0], MAZE.sample_free(1, seed=1)[0]])
