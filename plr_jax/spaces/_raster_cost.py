@@ -36,16 +36,17 @@ class RasterCost:
     a table ``[x, y, ...]``.
 
     What is blocked is for the space to keep out, such as the one of :meth:`space`: there the factor is that of the
-    nearest cell which is not, so that between a blocked cell and its neighbors it stays finite. Outside the bounds it
-    is that of the nearest place within, but around periodic axes, along which the last cells are neighbors of the
-    first. Of configurations of more coordinates than the raster has axes the leading ones count: headings cost as
-    positions do.
+    nearest cell of the array which is not, so that between a blocked cell and its neighbors it stays finite. Outside
+    the bounds it is that of the nearest place within, but around periodic axes, along which the last cells are
+    neighbors of the first. Of configurations of more coordinates than the raster has axes the leading ones count:
+    headings cost as positions do.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where it is blocked.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: of the outer cells, not of their centers.
         interpolation: ``"bilinear"``, multilinear between the centers of cells and constant in the outer halves of
             those at the bounds; or ``"nearest"``, constant in each cell, and at the border of two the upper one's.
+            Bounds of the nearest one are wider, as over every box that touches a border both cells count.
 
     Attributes:
         values: As given, ``inf`` where blocked; read-only.
@@ -203,10 +204,10 @@ class RasterCost:
             radius: Of a disc or ball that keeps off what is blocked, in the units of the bounds; 0 for a point.
 
         Returns:
-            The space, in the bounds.
+            The space, in the bounds; the cost of a motion is its length.
 
         Raises:
-            ValueError: If the radius is no such number, or nothing is free for it.
+            ValueError: If the radius is no such number, or an axis is periodic.
         """
         from plr_jax.spaces._voxels import VoxelSpace  # pyright: ignore[reportMissingImports]
 
