@@ -211,7 +211,7 @@ class RasterCost:
         """
         from plr_jax.spaces._voxels import VoxelSpace  # pyright: ignore[reportMissingImports]
 
-        return VoxelSpace(self.free.T, self.domain, radius)
+        return VoxelSpace(np.ascontiguousarray(self.free.T), self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """The factor at configurations.
