@@ -96,6 +96,7 @@ from .spaces import LipschitzCost as LipschitzCost
 from .spaces import MotionCost as MotionCost
 from .spaces import PlanarArm as PlanarArm
 from .spaces import PlaneSpace as PlaneSpace
+from .spaces import RasterCost as RasterCost
 from .spaces import RigidBodySpace as RigidBodySpace
 from .spaces import SeesBoxes as SeesBoxes
 from .spaces import VoxelSpace as VoxelSpace

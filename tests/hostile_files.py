@@ -214,10 +214,19 @@ free_thresh: 0.196
 """
 
 
-def _read_map_server(path: Path) -> Workspace:
-    """The map, beside whose file there is its picture."""
-    path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 4 + b"\0") * 4)
-    return scenes.read_map_server(path)
+def _cost_map_files() -> list[bytes]:
+    straight = _MAP_SERVER.replace("0.25", "0.0")
+    return [f"{straight}mode: {mode}\n".encode() for mode in ("trinary", "scale", "raw")]
+
+
+def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    """A reader of the map, beside whose file there is its picture."""
+
+    def reader(path: Path) -> Any:
+        path.with_name("room.pgm").write_bytes(b"P5 6 5 255 " + bytes(6) + (b"\0" + b"\xff" * 3 + b"\x90\0") * 4)
+        return read(path)
+
+    return reader
 
 
 class _Answers(BaseRequestHandler):
@@ -263,7 +272,8 @@ READERS = {
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
-    "map_server": Reader(_read_map_server, ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
+    "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", _cost_map_files),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),

@@ -10,6 +10,7 @@ from plr_jax.spaces._costs import cost_bounds as cost_bounds
 from plr_jax.spaces._costs import motion_rates as motion_rates
 from plr_jax.spaces._costs import pulled as pulled
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
+from plr_jax.spaces._raster_cost import RasterCost as RasterCost
 from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
 from plr_jax.spaces._space import CellState as CellState
 from plr_jax.spaces._space import CheckedSpace as CheckedSpace
