@@ -73,7 +73,8 @@ def read_volume(
         else:
             free = _READERS[ending](path)
         if not free.any():
-            raise ValueError("the volume has no free voxel.")
+            enclosed = ": fill=False leaves free what the surface encloses" if ending in MESH_ENDINGS and fill else ""
+            raise ValueError(f"the volume has no free voxel{enclosed}.")
     return free
 
 
