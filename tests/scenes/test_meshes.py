@@ -37,7 +37,7 @@ def meets(triangle, voxel):
 @pytest.mark.parametrize("kind", ["any", "of corners of the grid", "slender", "of one point", "beyond the bounds"])
 def test_voxels_that_a_triangle_meets_are_blocked_and_no_others(kind):
     rng, shape = np.random.default_rng(0), (4, 6, 5)
-    for _ in range(12):
+    for _ in range(6):
         triangle = rng.uniform(-1, 7, (3, 3))
         if kind == "of corners of the grid":
             triangle = np.rint(triangle)

@@ -144,7 +144,7 @@ def test_an_arm_goes_the_short_way_and_counts_modulo_turns():
 
 def test_costs_of_an_arm_agree_with_those_of_a_planar_arm():
     goal = (PI / 2 + 1, 0.0)
-    ours, theirs = (solve_eikonal(space, goal, max_leaves=600) for space in (ARM, WITHIN))
+    ours, theirs = (solve_eikonal(space, goal, max_leaves=400) for space in (ARM, WITHIN))
     q = np.random.default_rng(2).uniform(-PI, PI, (4000, 2))
     q = q[ARM.is_free(q)]
     straight = np.linalg.norm(TURNS.difference(q, np.array(goal)), axis=1)
@@ -170,7 +170,7 @@ def around_a_sphere(x, goal, center, radius):
 def test_bounds_of_a_drone_hold_the_exact_length_around_a_sphere():
     center, goal = np.array([2, 2, 1.5]), np.array([0.4, 1.9, 1.4])
     space = ClearanceSpace(HALL, lambda q: np.linalg.norm(q - center, axis=1) - 0.8, 1)
-    plr = solve_eikonal(space, goal, max_leaves=700)
+    plr = solve_eikonal(space, goal, max_leaves=600)
     x = HALL.lo + np.random.default_rng(3).random((4000, 3)) * HALL.width
     x = x[space.is_free(x)]
     distance = around_a_sphere(x, goal, center, 0.8)
@@ -182,7 +182,7 @@ def test_bounds_of_a_drone_hold_the_exact_length_around_a_sphere():
 
 def test_a_drone_among_spheres_flies_straight_where_it_sees_the_goal():
     goal = np.array([0.5, 3.5, 0.5])
-    plr = solve_eikonal(DRONE, goal, max_leaves=500)
+    plr = solve_eikonal(DRONE, goal, max_leaves=300)
     x = HALL.lo + np.random.default_rng(4).random((4000, 3)) * HALL.width
     x = x[DRONE.is_free(x)]
     straight, sees = np.linalg.norm(x - goal, axis=1), keep_off_spheres(x, np.broadcast_to(goal, x.shape))
