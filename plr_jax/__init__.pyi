@@ -86,6 +86,7 @@ from .robots.shapes import PointRobot as PointRobot
 from .robots.shapes import PolygonRobot as PolygonRobot
 from .robots.shapes import RectangleRobot as RectangleRobot
 from .spaces import CellState as CellState
+from .spaces import ClearanceSpace as ClearanceSpace
 from .spaces import Climbing as Climbing
 from .spaces import ConfigurationSpace as ConfigurationSpace
 from .spaces import CostMap as CostMap

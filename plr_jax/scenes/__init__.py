@@ -17,6 +17,7 @@ from plr_jax.scenes._published import (
     tangle,
     thin_maze,
 )
+from plr_jax.scenes._volumes import read_volume
 from plr_jax.scenes._workspaces import read_workspace
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "read_polygons",
     "read_scen",
     "read_trajectories",
+    "read_volume",
     "read_workspace",
     "save",
     "single_door",

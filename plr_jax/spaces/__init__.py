@@ -1,6 +1,7 @@
 """Configuration spaces: what is free, of points and of whole boxes, and what a motion costs."""
 
 from plr_jax.spaces._arm import PlanarArm as PlanarArm
+from plr_jax.spaces._clearance import ClearanceSpace as ClearanceSpace
 from plr_jax.spaces._costs import Climbing as Climbing
 from plr_jax.spaces._costs import CostMap as CostMap
 from plr_jax.spaces._costs import Current as Current
